@@ -10,9 +10,9 @@ from nermo_mjx.rollout import METRICS
 
 TERMS = Objective(
     (
-        Term("maximize", "speed", scale=0.1),
-        Term("minimize", "roll_std", 0.5, 0.05),
-        Term("hold", "slip", 10, 0.005, 0.05),
+        Term(maximize="speed", scale=0.1),
+        Term(minimize="roll_std", weight=0.5, scale=0.05),
+        Term(hold="slip", weight=10, scale=0.005, at=0.05),
     )
 )
 

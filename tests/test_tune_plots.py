@@ -1,10 +1,8 @@
 """Pictures of a tuning: which figures there are, that they show the history's numbers, the landscape and the video."""
 
 import dataclasses
-import errno
 import json
 import shutil
-from pathlib import Path
 
 import imageio.v2 as imageio
 import matplotlib
@@ -26,14 +24,12 @@ from nermo_mjx.optimize import (
     run_tuning,
     tuning_figures,
 )
-from nermo_mjx.optimize import tuning_figures as tune_video
 from nermo_mjx.optimize.history import empty_log, history_table
 from nermo_mjx.optimize.methods import Tuner, initial_state
 from nermo_mjx.optimize.tuning_figures import MOST_STARTS, Background, Traces, figures_of, path_figure
 from nermo_mjx.plotting.files import write_figures
 from nermo_mjx.plotting.style import STYLE
 from nermo_mjx.robot.quantity import ParameterError
-from nermo_mjx.runs import DirectoryError
 from nermo_mjx.view import offscreen
 
 pytestmark = pytest.mark.draws
@@ -87,7 +83,7 @@ def again(finished, tmp_path):
 def undrawn(monkeypatch):
     """No figures; the landscapes that they would have had."""
     landscapes = []
-    monkeypatch.setattr(plots, "figures_of", lambda tuning, history, background: landscapes.append(background) or [])
+    monkeypatch.setattr(tuning_figures, "figures_of", lambda *known: landscapes.append(known[-1]) or [])
     return landscapes
 
 
@@ -283,24 +279,6 @@ def test_a_kept_landscape_is_not_walked_again_unless_it_is_another(again, undraw
     assert (out / "plots" / "landscape.parquet.aside-1").read_text() == "damaged"
 
 
-def test_a_landscape_that_cannot_be_read_now_is_not_walked_again(again, undrawn, monkeypatch):
-    """A disk that does not answer ends it in a sentence, and the file stays what it is."""
-    walker = FakeWalker()
-    kept = again(walker).out / "plots" / "landscape.parquet"
-    before, read = kept.read_bytes(), Path.read_bytes
-
-    def fail(path):
-        if path == kept:
-            raise OSError(errno.EIO, "Input/output error")
-        return read(path)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(Path, "read_bytes", fail)
-        with pytest.raises(DirectoryError, match=r"cannot be read: Input/output error; nothing was changed\."):
-            again(walker)
-    assert (kept.read_bytes(), len(walker.batches)) == (before, 1)
-
-
 def test_other_parameters_stand_where_they_are_told_to():
     """With three parameters, the landscape is that of the first two, and the third has one value."""
     seen = []
@@ -359,7 +337,7 @@ def test_a_recording_has_no_landscape():
     """What is compared with a recording is found in MJX only."""
     tuning = Tuning.from_dict(SPEC)
     assert tuning_figures.has_background(tuning)
-    compared = Objective((Term("minimize", "trajectory_error"),))
+    compared = Objective((Term(minimize="trajectory_error"),))
     assert not tuning_figures.has_background(dataclasses.replace(tuning, objective=compared))
 
 
@@ -408,7 +386,7 @@ def test_a_stand_in_problem_alone_has_neither_landscape_nor_video(again, undrawn
 def test_start_and_best_walk_side_by_side(again, monkeypatch):
     """One batch of both, at half speed; a video that is there is kept."""
     for name, value in {"FPS": 2, "WIDTH": 96, "HEIGHT": 64, "CYCLES": 0.4}.items():
-        monkeypatch.setattr(tune_video, name, value)
+        monkeypatch.setattr(tuning_figures, name, value)
     change, walker = {"plots": False, "video": True}, FakeWalker()
     result = again(walker, change)
     assert result.pictures.video == result.out / "video.mp4"
@@ -429,9 +407,9 @@ def test_the_video_shows_the_walk_after_its_warm_up(finished, monkeypatch, tmp_p
         asked.update(panes=panes, options=options)
         return path
 
-    monkeypatch.setattr(tune_video, "render_side_by_side", take)
+    monkeypatch.setattr(tuning_figures, "render_side_by_side", take)
     best = finished.best
-    tune_video.shoot(finished.tuning, finished.start, best, FakeWalker(), tmp_path / "v.mp4")
+    tuning_figures.shoot(finished.tuning, finished.start, best, FakeWalker(), tmp_path / "v.mp4")
     start, shown = asked["panes"]
     assert (start.title, shown.title) == ("Start", f"Best, iteration {best['iteration']}, start {best['start']}")
     assert start.recording.time[[0, -1]] == pytest.approx([1.25, 3.75]), "one cycle of warm-up and two more, at 0.8 Hz"
@@ -441,7 +419,7 @@ def test_the_video_shows_the_walk_after_its_warm_up(finished, monkeypatch, tmp_p
     assert f"speed {1e3 * best['metrics']['speed']:.3g} mm/s" in shown.caption[0]
     assert asked["options"]["speed"] == 0.5
     fallen = finished.start | {"metrics": {"speed": np.nan, "roll_std": np.nan}}
-    tune_video.shoot(finished.tuning, fallen, best, FakeWalker(), tmp_path / "v.mp4")
+    tuning_figures.shoot(finished.tuning, fallen, best, FakeWalker(), tmp_path / "v.mp4")
     assert asked["panes"][0].caption[0] == "speed – mm/s, roll_std – deg"
 
 

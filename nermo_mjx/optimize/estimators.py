@@ -23,12 +23,15 @@ slope ("empirical bias"), and inverse variances alone would give it all the weig
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
-from typing import Any, Final
+from collections.abc import Mapping
+from typing import Annotated, ClassVar, Final
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, UInt
+
+from nermo_mjx.specs.model import Spec
+from nermo_mjx.specs.values import Choice, Positive, Whole
 
 # ---
 # Placement of the worlds of an estimate: how many, how far from their point, and with which random numbers.
@@ -36,67 +39,6 @@ from jaxtyping import Array, Bool, Float, Int, UInt
 
 #: For which of a tuning's estimates the perturbations are the same.
 COMMON: Final = ("none", "starts", "iterations", "both")
-
-
-@dataclasses.dataclass(frozen=True)
-class Estimator:
-    """How a gradient is estimated; hashable, so that it is static in compiled programs.
-
-    Attributes:
-        name: a key of `nermo_mjx.optimize.estimators.ESTIMATORS`.
-        samples: perturbed worlds of each start, an even number; 0 for `exact`.
-        sigma: standard deviation of the perturbations, in coordinates u (`nermo_mjx.optimize.objective`).
-        common: common random numbers: the same perturbations for all `starts`, for all `iterations`, for `both`, or
-            `none`.
-        gamma: most bias that a mixture accepts from the first order, in standard errors of the zeroth.
-        normalized: whether each world's gradient counts with length 1, for `smoothed`.
-    """
-
-    name: str = "exact"
-    samples: int = 0
-    sigma: float = 0.0
-    common: str = "none"
-    gamma: float = 1.0
-    normalized: bool = False
-
-    @property
-    def worlds(self) -> int:
-        """Worlds of each start."""
-        return 1 + self.samples
-
-    @property
-    def needs_gradient(self) -> bool:
-        """Whether the worlds' own gradients are wanted."""
-        return self.name != "evolution"
-
-    def written(self) -> str | dict[str, Any]:
-        """As written in a tuning file."""
-        if self.name == "exact":
-            return self.name
-        options: dict[str, Any] = {"samples": self.samples, "sigma": self.sigma, "common": self.common}
-        own = {"gamma": self.gamma} if self.name == "mixture" else {}
-        return {self.name: options | own | ({"normalized": True} if self.normalized else {})}
-
-
-def perturbations(
-    estimator: Estimator, key: UInt[Array, " 2"], iteration: Int[Array, ""], starts: int, parameters: int
-) -> Float[Array, "starts k p"]:
-    """The noise e of each start's k = samples / 2 pairs, a function of the key and the iteration's number alone."""
-    base = jax.random.fold_in(jax.random.wrap_key_data(key), 0 if _shared(estimator, "iterations") else iteration)
-    which = jnp.zeros(starts, int) if _shared(estimator, "starts") else jnp.arange(starts)
-    keys = jax.vmap(lambda start: jax.random.fold_in(base, start))(which)
-    return jax.vmap(lambda one: jax.random.normal(one, (estimator.samples // 2, parameters)))(keys)
-
-
-def offsets(estimator: Estimator, noise: Float[Array, "*starts k p"]) -> Float[Array, "*starts worlds p"]:
-    """Where each start's worlds stand relative to its point: the centre, the first halves, the second halves."""
-    step = estimator.sigma * noise
-    centre = jnp.zeros((*step.shape[:-2], 1, step.shape[-1]), step.dtype)
-    return jnp.concatenate([centre, step, -step], axis=-2)
-
-
-def _shared(estimator: Estimator, what: str) -> bool:
-    return estimator.common in (what, "both")
 
 
 @jax.tree_util.register_dataclass
@@ -140,6 +82,172 @@ class Estimate:
     lost: Bool[Array, ""]
 
 
+class Estimator(Spec):
+    """How the gradient of a start is estimated from its worlds; hashable, so that it is static in compiled programs.
+
+    Attributes:
+        samples: perturbed worlds of each start, an even number; 0 for `exact`.
+        sigma: standard deviation of the perturbations, in coordinates u (`nermo_mjx.optimize.objective`).
+        common: for which estimates the perturbations are the same: all `starts`, all `iterations`, `both`, or `none`.
+        needs_gradient: whether the worlds' own gradients are wanted.
+    """
+
+    example = "{samples: 8, sigma: 0.1}"
+    samples: int
+    sigma: float
+    common: str
+    needs_gradient: ClassVar[bool] = True
+
+    @property
+    def name(self) -> str:
+        """In a tuning file."""
+        return type(self).__name__.lower()
+
+    @property
+    def worlds(self) -> int:
+        """Worlds of each start."""
+        return 1 + self.samples
+
+    def estimate(self, worlds: Worlds) -> Estimate:
+        """The gradient of one start."""
+        raise NotImplementedError
+
+
+@dataclasses.dataclass(frozen=True)
+class Exact(Estimator):
+    """The derivative at the point itself."""
+
+    what = "an option of 'exact'"
+    samples, sigma, common = 0, 0.0, "none"
+
+    def estimate(self, worlds: Worlds) -> Estimate:
+        lost = ~worlds.centre_ok
+        error = jnp.full_like(worlds.centre_gradient, jnp.nan)
+        return Estimate(worlds.centre_gradient, error, jnp.ones_like(error), lost.astype(int), lost)
+
+
+@dataclasses.dataclass(frozen=True)
+class Sampled(Estimator):
+    """An estimator that perturbs."""
+
+    what = "an option of an estimator with samples"
+    samples: Annotated[int, Whole(2, 100_000, even=True)]
+    """perturbed worlds of each start"""
+    sigma: Positive
+    """standard deviation of the perturbations, in coordinates u"""
+    common: Annotated[str, Choice(COMMON)] = "none"
+    """for which the perturbations are the same"""
+
+
+@dataclasses.dataclass(frozen=True)
+class Smoothed(Sampled):
+    """First order: the mean of the derivatives at the perturbed points.
+
+    Normalized, it is the mean of their directions, whose length of at most 1 says how far they agree. The derivative
+    of a fast walk grows to 10,000 times its usual length at single points (two walks that part at a contact), and
+    would be the mean by itself.
+    """
+
+    normalized: bool = False
+    """whether each world's gradient counts with length 1"""
+
+    def estimate(self, worlds: Worlds) -> Estimate:
+        if self.normalized:
+            length = jnp.linalg.norm(worlds.gradient, axis=-1, keepdims=True)
+            worlds = dataclasses.replace(worlds, gradient=worlds.gradient / jnp.where(length > 0, length, 1.0))
+        used, count = _usable(worlds)
+        gradient, error = _mean(_first_order(worlds), used)
+        return Estimate(gradient, error, jnp.ones_like(error), count, ~used.any())
+
+
+@dataclasses.dataclass(frozen=True)
+class Evolution(Sampled):
+    """Zeroth order: from differences of values alone."""
+
+    needs_gradient = False
+
+    def estimate(self, worlds: Worlds) -> Estimate:
+        used, count = _usable(worlds)
+        gradient, error = _mean(_zeroth_order(self.sigma, worlds), used)
+        return Estimate(gradient, error, jnp.zeros_like(error), count, ~used.any())
+
+
+@dataclasses.dataclass(frozen=True)
+class Mixture(Sampled):
+    """Both orders, alpha * first + (1 - alpha) * zeroth, each parameter with its own alpha in [0, 1].
+
+    With a and b the two orders' estimates from single pairs, s the sample covariances, n the number of pairs:
+
+    1. Least variance: alpha = s(b, b - a) / (s(b - a, b - a) + extra), which is the ratio of inverse variances where
+       the two are independent. They are not, because they share their perturbations.
+    2. `extra` is variance that the first order has and does not show. A difference of two values is the mean of the
+       derivative along the way between them, and means vary less than the derivative at the ends. Where they vary
+       more, the objective jumps between the samples, and the excess is taken as the first order's variance.
+    3. Bounded bias (Suh et al.: epsilon + alpha |bias| <= gamma): the bias is measured by the zeroth order of what the
+       first leaves unexplained, B = mean of e (F+ - F- - 2 sigma e . first) / (2 sigma), which is far less noisy than
+       the difference of the two; alpha |B| may be `gamma` standard errors of the zeroth order. So where the first
+       order is wrong, it loses its weight as the samples grow.
+
+    From less than two pairs nothing is known about variances, and alpha is 1/2.
+    """
+
+    samples: Annotated[int, Whole(4, 100_000, even=True)]
+    """perturbed worlds of each start"""
+    gamma: Positive = 1.0
+    """most bias accepted from the first order, in standard errors of the zeroth"""
+
+    def estimate(self, worlds: Worlds) -> Estimate:
+        used, count = _usable(worlds)
+        a, b = _first_order(worlds), _zeroth_order(self.sigma, worlds)
+        (first, _), (zeroth, zeroth_error) = _mean(a, used), _mean(b, used)
+        pairs = used.sum()
+
+        unexplained = _half_difference(worlds) / self.sigma - worlds.noise @ first
+        bias, _ = _mean(worlds.noise * unexplained[:, None], used)
+
+        length = jnp.maximum(jnp.linalg.norm(worlds.noise, axis=-1), 1e-6)
+        counted = worlds.ok & used
+        varied = ((worlds.gradient - first) * worlds.noise).sum(axis=-1) / length
+        shown = jnp.where(counted, varied**2, 0.0).sum() / jnp.maximum(counted.sum(), 1)
+        seen = jnp.where(used, (unexplained / length) ** 2, 0.0).sum() / jnp.maximum(pairs, 1)
+        extra = jnp.maximum(seen - shown, 0.0)
+
+        gap = b - a
+        least = _ratio(_covariance(b, gap, used), _covariance(gap, gap, used) + extra, otherwise=1.0)
+        bounded = _ratio(self.gamma * zeroth_error, jnp.abs(bias), otherwise=1.0)
+        alpha = jnp.where(pairs < 2, 0.5, jnp.clip(jnp.minimum(least, bounded), 0.0, 1.0))
+        _, error = _mean(alpha * a + (1.0 - alpha) * b, used)
+        return Estimate(alpha * first + (1.0 - alpha) * zeroth, error, alpha, count, ~used.any())
+
+
+#: Estimators by their names in files.
+ESTIMATORS: Final[Mapping[str, type[Estimator]]] = {
+    "exact": Exact,
+    "smoothed": Smoothed,
+    "evolution": Evolution,
+    "mixture": Mixture,
+}
+
+
+def perturbations(
+    estimator: Estimator, key: UInt[Array, " 2"], iteration: Int[Array, ""], starts: int, parameters: int
+) -> Float[Array, "starts k p"]:
+    """The noise e of each start's k = samples / 2 pairs, a function of the key and the iteration's number alone."""
+    base = jax.random.fold_in(
+        jax.random.wrap_key_data(key), 0 if estimator.common in ("iterations", "both") else iteration
+    )
+    which = jnp.zeros(starts, int) if estimator.common in ("starts", "both") else jnp.arange(starts)
+    keys = jax.vmap(lambda start: jax.random.fold_in(base, start))(which)
+    return jax.vmap(lambda one: jax.random.normal(one, (estimator.samples // 2, parameters)))(keys)
+
+
+def offsets(estimator: Estimator, noise: Float[Array, "*starts k p"]) -> Float[Array, "*starts worlds p"]:
+    """Where each start's worlds stand relative to its point: the centre, the first halves, the second halves."""
+    step = estimator.sigma * noise
+    centre = jnp.zeros((*step.shape[:-2], 1, step.shape[-1]), step.dtype)
+    return jnp.concatenate([centre, step, -step], axis=-2)
+
+
 def estimate(
     estimator: Estimator,
     noise: Float[Array, "starts k p"],
@@ -167,85 +275,7 @@ def estimate(
         ok=ok[:, 1:].reshape(starts, 2, pairs),
         gradient=gradient[:, 1:].reshape(starts, 2, pairs, parameters),
     )
-    return jax.vmap(lambda one: ESTIMATORS[estimator.name](estimator, one))(batch)
-
-
-def exact(estimator: Estimator, worlds: Worlds) -> Estimate:
-    """The derivative at the point itself."""
-    lost = ~worlds.centre_ok
-    error = jnp.full_like(worlds.centre_gradient, jnp.nan)
-    return Estimate(worlds.centre_gradient, error, jnp.ones_like(error), lost.astype(int), lost)
-
-
-def smoothed(estimator: Estimator, worlds: Worlds) -> Estimate:
-    """First order: the mean of the derivatives at the perturbed points.
-
-    Normalized, it is the mean of their directions, whose length of at most 1 says how far they agree. The derivative
-    of a fast walk grows to 10,000 times its usual length at single points (two walks that part at a contact), and
-    would be the mean by itself.
-    """
-    if estimator.normalized:
-        length = jnp.linalg.norm(worlds.gradient, axis=-1, keepdims=True)
-        worlds = dataclasses.replace(worlds, gradient=worlds.gradient / jnp.where(length > 0, length, 1.0))
-    used, count = _usable(worlds)
-    gradient, error = _mean(_first_order(worlds), used)
-    return Estimate(gradient, error, jnp.ones_like(error), count, ~used.any())
-
-
-def evolution(estimator: Estimator, worlds: Worlds) -> Estimate:
-    """Zeroth order: from differences of values alone."""
-    used, count = _usable(worlds)
-    gradient, error = _mean(_zeroth_order(estimator, worlds), used)
-    return Estimate(gradient, error, jnp.zeros_like(error), count, ~used.any())
-
-
-def mixture(estimator: Estimator, worlds: Worlds) -> Estimate:
-    """Both orders, alpha * first + (1 - alpha) * zeroth, each parameter with its own alpha in [0, 1].
-
-    With a and b the two orders' estimates from single pairs, s the sample covariances, n the number of pairs:
-
-    1. Least variance: alpha = s(b, b - a) / (s(b - a, b - a) + extra), which is the ratio of inverse variances where
-       the two are independent. They are not, because they share their perturbations.
-    2. `extra` is variance that the first order has and does not show. A difference of two values is the mean of the
-       derivative along the way between them, and means vary less than the derivative at the ends. Where they vary
-       more, the objective jumps between the samples, and the excess is taken as the first order's variance.
-    3. Bounded bias (Suh et al.: epsilon + alpha |bias| <= gamma): the bias is measured by the zeroth order of what the
-       first leaves unexplained, B = mean of e (F+ - F- - 2 sigma e . first) / (2 sigma), which is far less noisy than
-       the difference of the two; alpha |B| may be `gamma` standard errors of the zeroth order. So where the first
-       order is wrong, it loses its weight as the samples grow.
-
-    From less than two pairs nothing is known about variances, and alpha is 1/2.
-    """
-    used, count = _usable(worlds)
-    a, b = _first_order(worlds), _zeroth_order(estimator, worlds)
-    (first, _), (zeroth, zeroth_error) = _mean(a, used), _mean(b, used)
-    pairs = used.sum()
-
-    unexplained = _half_difference(worlds) / estimator.sigma - worlds.noise @ first
-    bias, _ = _mean(worlds.noise * unexplained[:, None], used)
-
-    length = jnp.maximum(jnp.linalg.norm(worlds.noise, axis=-1), 1e-6)
-    counted = worlds.ok & used
-    varied = ((worlds.gradient - first) * worlds.noise).sum(axis=-1) / length
-    shown = jnp.where(counted, varied**2, 0.0).sum() / jnp.maximum(counted.sum(), 1)
-    seen = jnp.where(used, (unexplained / length) ** 2, 0.0).sum() / jnp.maximum(pairs, 1)
-    extra = jnp.maximum(seen - shown, 0.0)
-
-    gap = b - a
-    least = _ratio(_covariance(b, gap, used), _covariance(gap, gap, used) + extra, otherwise=1.0)
-    bounded = _ratio(estimator.gamma * zeroth_error, jnp.abs(bias), otherwise=1.0)
-    alpha = jnp.where(pairs < 2, 0.5, jnp.clip(jnp.minimum(least, bounded), 0.0, 1.0))
-    _, error = _mean(alpha * a + (1.0 - alpha) * b, used)
-    return Estimate(alpha * first + (1.0 - alpha) * zeroth, error, alpha, count, ~used.any())
-
-
-#: Estimators by name: functions of the worlds of one start.
-ESTIMATORS: Final[dict[str, Callable[[Estimator, Worlds], Estimate]]] = {
-    "exact": exact,
-    "smoothed": smoothed,
-    "evolution": evolution,
-    "mixture": mixture,
-}
+    return jax.vmap(estimator.estimate)(batch)
 
 
 def _usable(worlds: Worlds) -> tuple[Bool[Array, " k"], Int[Array, ""]]:
@@ -261,8 +291,8 @@ def _half_difference(worlds: Worlds) -> Float[Array, " k"]:
     return (stand_in[0] - stand_in[1]) / jnp.maximum(worlds.ok.sum(axis=0), 1)
 
 
-def _zeroth_order(estimator: Estimator, worlds: Worlds) -> Float[Array, "k p"]:
-    return worlds.noise * _half_difference(worlds)[:, None] / estimator.sigma
+def _zeroth_order(sigma: float, worlds: Worlds) -> Float[Array, "k p"]:
+    return worlds.noise * _half_difference(worlds)[:, None] / sigma
 
 
 def _first_order(worlds: Worlds) -> Float[Array, "k p"]:

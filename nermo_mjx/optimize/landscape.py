@@ -33,88 +33,23 @@ from jaxtyping import Bool, Float, Int
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from nermo_mjx.optimize.estimators import Estimator
 from nermo_mjx.optimize.objective import FURTHEST, Problem
-from nermo_mjx.optimize.optimizers import Optimizer
-from nermo_mjx.optimize.tuning import Method, Tuned, Tuning
+from nermo_mjx.optimize.tuning import Gradient, Tuned, Tuning
 from nermo_mjx.optimize.tuning_directory import keep_recording, read_stored
+from nermo_mjx.optimize.tuning_figures import corner, legend, star
 from nermo_mjx.optimize.tuning_run import simulation_of
-from nermo_mjx.plotting.files import Figures
+from nermo_mjx.plotting.files import Figures, write_figures
 from nermo_mjx.plotting.page import page
 from nermo_mjx.plotting.shown import ShownValues, shown
-from nermo_mjx.plotting.style import BAND, BEST, INK, LINE, MUTED, horizontal_grid, set_scales
+from nermo_mjx.plotting.style import BAND, INK, LINE, MUTED, horizontal_grid, set_scales
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.runs import RunDirectory, Written, session, stamp
 from nermo_mjx.runs.files import DirectoryError, WrongDirectory, clear_errors, content_of, parquet_bytes, parquet_table
 from nermo_mjx.runs.text import MISSING, listed, table, to_json
 from nermo_mjx.specs.described import write_described
+from nermo_mjx.specs.model import written
 from nermo_mjx.specs.reading import changes
 from nermo_mjx.sweep.table import Columns
-
-# ---
-# Batches of an unfinished landscape, stored as files, so that evaluations survive an interruption.
-
-
-_FOLDER: Final = "batches"
-
-
-class Batches:
-    """Stored batches of one landscape in a directory.
-
-    Args:
-        held: the directory.
-        wanted: the landscape's key; batches of another one are not touched.
-        size: of a batch; another machine's differ.
-        code: short name of the code that evaluates here.
-        warn: called with a message about each batch that is moved aside.
-    """
-
-    def __init__(
-        self, held: RunDirectory, wanted: str, size: int, code: str, warn: Callable[[str], None] = lambda _: None
-    ) -> None:
-        self.out, self.size = held.out, size
-        self._held, self._name, self._code, self._warn = held, f"{wanted}-{size}", code, warn
-
-    def read(self, first: int) -> dict[str, np.ndarray] | None:
-        """The columns of the batch that begins with this point; None if it is not there, or damaged and set aside.
-
-        Raises:
-            DirectoryError: it cannot be read now.
-        """
-        content = content_of(self.out / self._path(first))
-        if content is None:
-            return None
-        try:
-            with np.load(io.BytesIO(content), allow_pickle=False) as file:
-                return {name: file[name] for name in file.files}
-        except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile):
-            self._held.set_aside("damaged", [self._path(first)], self._warn)
-            return None
-
-    def write(self, first: int, columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-        """Store a batch with the code that made it; returns its columns, as read back."""
-        columns = {"code": np.full(len(columns["value"]), self._code), **columns}
-        content = io.BytesIO()
-        np.savez(content, allow_pickle=False, **columns)
-        self._held.write(self._path(first), content.getvalue())
-        return columns
-
-    def clear(self) -> None:
-        """Remove them after the table has been written."""
-        folder = self.out / _FOLDER
-        with contextlib.suppress(OSError):
-            for path in folder.glob(f"{self._name}-*.npz"):
-                path.unlink()
-            folder.rmdir()
-
-    def _path(self, first: int) -> str:
-        return f"{_FOLDER}/{self._name}-{first:06d}.npz"
-
-
-def any_batch(out: Path) -> bool:
-    """Whether a directory holds batches of any landscape."""
-    return any((out / _FOLDER).glob("*.npz"))
-
 
 # ---
 # Which points a landscape is measured at: a line along each parameter, and pairs of points about some of them.
@@ -168,7 +103,10 @@ def plan(tuning: Tuning, points: int, span: float) -> Plan:
         first = min(max(each.start - length / 2, low), high - length)
         line = np.linspace(first, first + length, points)
         rows += [(x, i, -1, 0.0, 0) for x in line]
-        for middle in _centres(line, 0.5 * max(WIDTHS) * bounds):
+        # Evenly spread, as far from the line's ends as the widest secants reach.
+        margin = min(0.5 * max(WIDTHS) * bounds, _MARGIN * (line[-1] - line[0]))
+        inner = np.flatnonzero((line - line[0] >= margin) & (line[-1] - line >= margin))
+        for middle in np.unique(inner[np.linspace(0, len(inner) - 1, CENTRES).round().astype(int)]).tolist():
             for share in WIDTHS:
                 ends = [line[middle] + sign * 0.5 * share * bounds for sign in (-1, 1)]
                 if low <= ends[0] and ends[1] <= high:
@@ -177,13 +115,6 @@ def plan(tuning: Tuning, points: int, span: float) -> Plan:
     where = np.tile(start, (len(rows), 1))
     where[np.arange(len(rows)), which] = x
     return Plan(where, which, centre, width, side)
-
-
-def _centres(line: Float[np.ndarray, " N"], reach: float) -> list[int]:
-    """Positions in a line, evenly spread, as far from its ends as the widest secants reach."""
-    margin = min(reach, _MARGIN * (line[-1] - line[0]))
-    inner = np.flatnonzero((line - line[0] >= margin) & (line[-1] - line >= margin))
-    return np.unique(inner[np.linspace(0, len(inner) - 1, CENTRES).round().astype(int)]).tolist()
 
 
 # ---
@@ -287,8 +218,8 @@ def _secants(line: Slice, ends: dict[str, np.ndarray], share: float) -> Secants:
         rise, run = ((ends[name][high] - ends[name][low]).item() for name in ("objective", "x"))
         found.append((line.x[centre], rise / run, line.slope[centre]))
         near = own & (ends["width"] <= share)
-        ripple.append(_residual(np.append(ends["x"][near], line.x[centre]),
-                                np.append(ends["objective"][near], line.value[centre])))  # fmt: skip
+        x, value = np.append(ends["x"][near], line.x[centre]), np.append(ends["objective"][near], line.value[centre])
+        ripple.append(_residual(x, value))
     centre_x, secant, slope = np.array(found, float).reshape(-1, 3).T
     return Secants(share, share * bounds, centre_x, secant, slope, _root_mean_square(ripple))
 
@@ -321,6 +252,10 @@ KEY: Final = "landscape"
 IDENTITY: Final = "identity"
 
 
+#: Folder of the batches of an unfinished landscape.
+_BATCHES: Final = "batches"
+
+
 def batch_size(count: int) -> int:
     """Worlds of each batch: as even as they can be."""
     most = CPU_BATCH if jax.default_backend() == "cpu" else DEVICE_BATCH
@@ -328,51 +263,58 @@ def batch_size(count: int) -> int:
 
 
 def evaluate(
+    held: RunDirectory,
     tuning: Tuning,
     problem: Problem,
     plan: Plan,
     progress: Callable[[int, int], None],
     about: dict[str, str],
-    batches: Batches,
+    code: str,
+    warn: Callable[[str], None] = lambda _: None,
 ) -> tuple[pa.Table, int]:
     """Value and gradient at all points, one row per point; and how many of them were evaluated now.
 
-    All batches have one size, the last one is filled up with its last point: one program is compiled.
+    All batches have one size, the last one is filled up with its last point: one program is compiled. Each is kept as
+    soon as it is evaluated, and found again.
 
     Args:
+        held: the directory.
         progress: called with the points done, and all of them.
-        about: what to note in the schema's metadata.
-        batches: where each batch is kept as soon as it is evaluated, and found again.
+        about: what to note in the schema's metadata; the batches of another `KEY` are not touched.
+        code: short name of the code that evaluates here.
+        warn: called with a message about each damaged batch, which is moved aside.
     """
-    began, evaluated, size = time.perf_counter(), 0, batches.size
+    began, evaluated, size, found = time.perf_counter(), 0, batch_size(len(plan)), []
+    name = f"{_BATCHES}/{about[KEY]}-{size}-{{:06d}}.npz"
     progress(0, len(plan))
-    found = []
     for first in range(0, len(plan), size):
-        count = min(size, len(plan) - first)
-        rows = batches.read(first)
+        count, rows = min(size, len(plan) - first), None
+        if (content := content_of(held.out / name.format(first))) is not None:
+            try:
+                with np.load(io.BytesIO(content), allow_pickle=False) as file:
+                    rows = {column: file[column] for column in file.files}
+            except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile):
+                held.set_aside("damaged", [name.format(first)], warn)
         if rows is None:
-            wanted = np.minimum(np.arange(first, first + size), len(plan) - 1)
-            rows = {name: column[:count] for name, column in _batch(tuning, problem, plan.points[wanted]).items()}
-            rows = batches.write(first, rows)
+            # In double precision, but at the very points that are evaluated: a secant divides by their distance.
+            points = jnp.asarray(plan.points[np.minimum(np.arange(first, first + size), len(plan) - 1)], float)
+            batch = problem.evaluate(points, True)
+            numbers = {"code": np.full(size, code), "value": batch.value, "ok": batch.ok}
+            numbers |= {f"metric.{metric}": values for metric, values in batch.metrics.items()}
+            slopes = np.asarray(batch.gradient)
+            numbers |= {f"gradient.{name}": slopes[:, i] for i, name in enumerate(tuning.names)}
+            numbers["point"] = np.asarray(points, float)
+            rows = {column: np.asarray(values)[:count] for column, values in numbers.items()}
+            stored = io.BytesIO()
+            np.savez(stored, allow_pickle=False, **rows)
+            held.write(name.format(first), stored.getvalue())
             evaluated += count
         found.append(rows)
         progress(first + count, len(plan))
-    columns = {name: np.concatenate([part[name] for part in found]) for name in found[0]}
-    about = about | {"wall_seconds": f"{time.perf_counter() - began:.3f}", "batch": str(size),
-                     "batches": str(len(found)), "precision": str(columns["value"].dtype)}  # fmt: skip
+    columns = {column: np.concatenate([part[column] for part in found]) for column in found[0]}
+    about = about | {"wall_seconds": f"{time.perf_counter() - began:.3f}", "batch": str(size)}
+    about |= {"batches": str(len(found)), "precision": str(columns["value"].dtype)}
     return _table(tuning, plan, columns.pop("point"), columns, about), evaluated
-
-
-def _batch(tuning: Tuning, problem: Problem, wanted: np.ndarray) -> dict[str, np.ndarray]:
-    """The numbers of a batch of points (n, p), and in `point` those at which they were found."""
-    points = jnp.asarray(wanted, float)
-    batch = problem.evaluate(points, True)
-    assert batch.gradient is not None
-    # In double precision, but at the very points that were evaluated: a secant divides by their distance.
-    numbers = {"value": batch.value, "ok": batch.ok, **{f"metric.{n}": v for n, v in batch.metrics.items()}}
-    rows = {name: np.asarray(column) for name, column in numbers.items()}
-    rows |= {f"gradient.{name}": np.asarray(batch.gradient)[:, i] for i, name in enumerate(tuning.names)}
-    return rows | {"point": np.asarray(points, float)}
 
 
 def read(path: Path, wanted: Mapping[str, Any] | None = None) -> pa.Table | None:
@@ -401,16 +343,11 @@ def read(path: Path, wanted: Mapping[str, Any] | None = None) -> pa.Table | None
 
 def identity(tuning: Tuning, points: int, span: float) -> dict[str, Any]:
     """All that determines the table: not a tuner's path, so not optimizer, estimator, starts and seed."""
-    walk = dataclasses.replace(tuning, optimizer=Optimizer("adam"), estimator=Estimator(), starts=1, seed=0)
+    walk = tuning.without_path()
     about = walk.identity()
     lines = {"points": points, "span": span, "centres": CENTRES, "widths": list(WIDTHS)}
-    return {
-        **about["fields"],
-        **about["defaults"],
-        "recording": about["recording"][:8],
-        "digest": walk.digest(),
-        **lines,
-    }
+    recorded = {"recording": about["recording"][:8], "digest": walk.digest()}
+    return about["fields"] | about["defaults"] | recorded | lines
 
 
 def key(identity: Mapping[str, Any]) -> str:
@@ -454,10 +391,8 @@ def _table(
 JUDGED: Final = (0.02, 0.05)
 ERROR: Final = 0.25
 SIGNS: Final = 0.9
-HEADINGS: Final = (
-    ("parameter", "left"), ("width", "right"), ("of the bounds", "right"), ("secants", "right"),
-    ("median error", "right"), ("same sign", "right"), ("ripple", "right"),
-)  # fmt: skip
+_NUMBERS: Final = ("width", "of the bounds", "secants", "median error", "same sign", "ripple")
+HEADINGS: Final = (("parameter", "left"), *((heading, "right") for heading in _NUMBERS))
 
 
 def landscape_content(tuning: Tuning, points: pa.Table, lines: Sequence[Slice]) -> dict[str, Any]:
@@ -471,7 +406,7 @@ def landscape_content(tuning: Tuning, points: pa.Table, lines: Sequence[Slice]) 
     """
     notes = {key.decode(): value.decode() for key, value in (points.schema.metadata or {}).items()}
     return {
-        "objective": [term.written() for term in tuning.objective.terms],
+        "objective": [written(term) for term in tuning.objective.terms],
         "parameters": {line.tuned.name: _about(tuning, line) for line in lines},
         "evaluations": points.num_rows,
         "batch": int(notes["batch"]),
@@ -488,64 +423,69 @@ def rows_of(content: Mapping[str, Any]) -> list[list[str]]:
     for name, about in content["parameters"].items():
         for i, width in enumerate(about["widths"]):
             quantity = shown("", about["unit"], np.asarray(width["width"]))
-            rows.append(
-                [
-                    name if i == 0 else "", quantity.shown(float(quantity.values)), f"{100 * width['share']:g} %",
-                    str(width["secants"]), _percent(width["median_relative_error"]), _percent(width["sign_agreement"]),
-                    _number(width["ripple"]),
-                ]
-            )  # fmt: skip
+            shares = (width["median_relative_error"], width["sign_agreement"])
+            row = [name if i == 0 else "", quantity.shown(float(quantity.values)), f"{100 * width['share']:g} %"]
+            rows.append([*row, str(width["secants"]), *map(_percent, shares), _number(width["ripple"])])
     return rows
 
 
 def sentences(content: Mapping[str, Any]) -> list[str]:
     """The conclusion, one sentence per parameter."""
-    return [_sentence(name, about) for name, about in content["parameters"].items()]
+    found = []
+    for name, about in content["parameters"].items():
+        if about["follows"] is None:
+            found.append(f"{name}: too few places where the robot walks to the end; nothing can be said.")
+            continue
+        differs = " and ".join(
+            f"{_percent(width['median_relative_error'])} from secants {100 * width['share']:g} % of the bounds wide "
+            f"({_percent(width['sign_agreement'])} of one sign)"
+            for width in about["widths"]
+            if width["share"] in JUDGED and width["secants"]
+        )
+        follow, mislead = "exact gradients can be followed", "exact gradients alone may mislead; average them"
+        found.append(f"{name}: {follow if about['follows'] else mislead}. The slope differs by {differs}.")
+    return found
 
 
 def report_text(content: Mapping[str, Any]) -> str:
     """The text of report.md."""
-    return "\n".join(_page(content)).rstrip() + "\n"
-
-
-def _page(content: Mapping[str, Any]) -> Iterator[str]:
-    yield "# Can the gradients be trusted?\n"
-    yield "\n".join(f"- {sentence}" for sentence in sentences(content)) + "\n"
-    yield (
+    lines = ["# Can the gradients be trusted?\n", "\n".join(f"- {sentence}" for sentence in sentences(content)) + "\n"]
+    lines.append(
         "A slope is the exact derivative of the objective at a point, a secant the difference quotient over a width "
         "about it. Narrow secants show whether the derivative is correct; wide ones, as wide as a tuner's steps, "
         "whether it is useful. If they differ only for wide secants, the landscape is rough: tune with the "
         "estimator `smoothed`, `evolution` or `mixture`. If they differ only for narrow ones, the ripple from "
         "rounding and contacts is larger than the difference between the two ends.\n"
     )
-    sides = "".join(side[0] for _, side in HEADINGS)
-    yield table([heading for heading, _ in HEADINGS], rows_of(content), sides)
-    yield (
+    lines.append(
+        table([heading for heading, _ in HEADINGS], rows_of(content), "".join(side[0] for _, side in HEADINGS))
+    )
+    lines.append(
         "Median error: |slope - secant| / |secant|. Same sign: share of the places where the signs agree. Ripple: "
         "standard deviation of the objective about a parabola through all points within the width.\n"
     )
     for name, about in content["parameters"].items():
-        yield f"## {name}\n"
         ends = shown("", about["unit"], np.array([about["from"], about["to"], about["start"], about["lowest_at"]]))
         first, last, start, best = (ends.shown(value) for value in ends.values.tolist())
-        yield (
+        fell = f"; at {about['fell']} of {about['points']} points the robot fell" if about["fell"] else ""
+        lines += [
+            f"## {name}\n",
             f"From {first} to {last}, start at {start}. The objective goes from {_number(about['lowest'])} (at {best}) "
-            f"to {_number(about['highest'])}; the ripple of neighbouring points is {_number(about['ripple'])}"
-            + (f"; at {about['fell']} of {about['points']} points the robot fell" if about["fell"] else "")
-            + ".\n"
-        )
-        yield from (f"![Objective and slope along {name}]({plot})\n" for plot in content["plots"]
-                    if plot.endswith(f"-{name}.png"))  # fmt: skip
-    yield "## What was run\n"
+            f"to {_number(about['highest'])}; the ripple of neighbouring points is {_number(about['ripple'])}{fell}.\n",
+        ]
+        plots = [plot for plot in content["plots"] if plot.endswith(f"-{name}.png")]
+        lines += [f"![Objective and slope along {name}]({plot})\n" for plot in plots]
     terms = ", ".join(" ".join(f"{key} {value}" for key, value in term.items()) for term in content["objective"])
-    yield f"- Objective: {terms}"
-    yield (
+    lines += [
+        "## What was run\n",
+        f"- Objective: {terms}",
         f"- {content['evaluations']} walks with gradients in batches of {content['batch']}, {content['precision']}, in "
-        f"{content['wall_seconds']:.0f} s, begun on {content['started']}"
-    )
-    yield f"- Command: `{content['command']}`"
-    yield f"- Versions: {listed(content['versions'])}"
-    yield f"- Machine: {listed(content['machine'])}"
+        f"{content['wall_seconds']:.0f} s, begun on {content['started']}",
+        f"- Command: `{content['command']}`",
+        f"- Versions: {listed(content['versions'])}",
+        f"- Machine: {listed(content['machine'])}",
+    ]
+    return "\n".join(lines).rstrip() + "\n"
 
 
 def _about(tuning: Tuning, line: Slice) -> dict[str, Any]:
@@ -578,21 +518,6 @@ def _about(tuning: Tuning, line: Slice) -> dict[str, Any]:
         "widths": widths,
         "follows": all(s.error <= ERROR and s.sign_agreement >= SIGNS for s in judged) if known else None,
     }
-
-
-def _sentence(name: str, about: Mapping[str, Any]) -> str:
-    widths = [width for width in about["widths"] if width["share"] in JUDGED and width["secants"]]
-    if about["follows"] is None:
-        return f"{name}: too few places where the robot walks to the end; nothing can be said."
-    found = " and ".join(
-        f"{_percent(width['median_relative_error'])} from secants {100 * width['share']:g} % of the bounds wide "
-        f"({_percent(width['sign_agreement'])} of one sign)"
-        for width in widths
-    )
-    verdict = (
-        "exact gradients can be followed" if about["follows"] else "exact gradients alone may mislead; average them"
-    )
-    return f"{name}: {verdict}. The slope differs by {found}."
 
 
 def _percent(share: float) -> str:
@@ -666,7 +591,7 @@ def run_landscape(
         DirectoryError: the directory holds another landscape, is in use, or cannot be written; `OtherCode` if other
             code began it.
     """
-    tuning = dataclasses.replace(Tuning.of(spec), method=Method())  # slopes are exact ones, however it is tuned
+    tuning = dataclasses.replace(Tuning.of(spec), method=Gradient())  # slopes are exact ones, however it is tuned
     if points < 5:
         raise ParameterError(f"points is {points}: allowed is 5 or more.")
     if not 0.0 < span <= 1.0:
@@ -676,63 +601,46 @@ def run_landscape(
         wanted = identity(tuning, points, span)
         table, evaluated = read(held.out / TABLE, wanted), 0
         if table is None:
-            made_by, begun = stamp(tuning.setup.load().fingerprint, tuning.method.engine), any_batch(held.out)
+            made_by, begun = (
+                stamp(tuning.setup.load().fingerprint, tuning.method.engine),
+                any((held.out / _BATCHES).glob("*.npz")),
+            )
             # A directory without points can be claimed by any landscape.
             held.take_code(made_by, holds_rows=begun, accept=accept_new_code or not begun)
             problem = problem or simulation_of(tuning)
             held.set_aside("of another landscape", _MADE, say)
-            chosen = plan(tuning, points, span)
-            batches = Batches(held, key(wanted), batch_size(len(chosen)), made_by.id, say)
+            chosen, done = plan(tuning, points, span), 0
+
+            def count(so_far: int, of_all: int) -> None:
+                nonlocal done
+                done = so_far
+                if progress is not None:
+                    progress(so_far, of_all)
+
             here = session(points=points, span=span)
             held.note_session(here)
             about = {KEY: key(wanted), IDENTITY: json.dumps(wanted), "session": to_json(here).decode()}
-            table, evaluated = _evaluate(tuning, problem, chosen, progress, about, batches)
+            try:
+                table, evaluated = evaluate(held, tuning, problem, chosen, count, about, made_by.id, say)
+            except KeyboardInterrupt:
+                kept = f"{done} of {len(chosen)} walks are kept in {held.out}"
+                raise KeyboardInterrupt(f"stopped; {kept}: run the same command again to resume.") from None
             held.write(TABLE, parquet_bytes(table))  # before anything that can still fail
-            batches.clear()
+            with contextlib.suppress(OSError):
+                for path in (held.out / _BATCHES).glob(f"{key(wanted)}-{batch_size(len(chosen))}-*.npz"):
+                    path.unlink()
+                (held.out / _BATCHES).rmdir()
         tuning = keep_recording(held, tuning, say)
         write_described(held, TUNING, tuning, read_stored, say)
-        with Written(held) as written:
-            result = _publish(written, tuning, table, evaluated)
-        if written.aside:
-            say(written.sentence())
-        return result
-
-
-def _evaluate(
-    tuning: Tuning,
-    problem: Problem,
-    chosen: Plan,
-    progress: Callable[[int, int], None] | None,
-    about: dict[str, str],
-    batches: Batches,
-) -> tuple[pa.Table, int]:
-    """As `table.evaluate`; an interruption reports the progress."""
-    done = 0
-
-    def count(so_far: int, of_all: int) -> None:
-        nonlocal done
-        done = so_far
-        if progress is not None:
-            progress(so_far, of_all)
-
-    try:
-        return evaluate(tuning, problem, chosen, count, about, batches)
-    except KeyboardInterrupt:
-        raise KeyboardInterrupt(
-            f"stopped; {done} of {len(chosen)} walks are kept in {batches.out}: run the same command again to resume."
-        ) from None
-
-
-def _publish(written: Written, tuning: Tuning, table: pa.Table, evaluated: int) -> LandscapeResult:
-    """Make everything else from the table; landscape.json comes last, and marks completion."""
-    from nermo_mjx.plotting.files import write_figures
-
-    out, lines = written.held.out, lines_of(tuning, table)
-    plots = write_figures(figures_of(tuning, lines), out / "plots", written.write)
-    content = landscape_content(tuning, table, lines) | {"plots": [written.name(path) for path in plots]}
-    written.write(out / "report.md", report_text(content).encode())
-    written.write(out / "landscape.json", to_json(content))
-    return LandscapeResult(out, tuning, table, content, tuple(plots), evaluated)
+        with Written(held) as files:  # landscape.json comes last, and marks completion
+            out, lines = held.out, lines_of(tuning, table)
+            plots = write_figures(figures_of(tuning, lines), out / "plots", files.write)
+            content = landscape_content(tuning, table, lines) | {"plots": [files.name(path) for path in plots]}
+            files.write(out / "report.md", report_text(content).encode())
+            files.write(out / "landscape.json", to_json(content))
+        if files.aside:
+            say(files.sentence())
+        return LandscapeResult(out, tuning, table, content, tuple(plots), evaluated)
 
 
 # ---
@@ -769,31 +677,23 @@ def figures(out: Path) -> Figures:
 
 def line_figure(tuning: Tuning, line: Slice) -> Figure:
     """One line: the objective with a tangent at each point; below it the slope, and each secant over its width."""
-    others = [f"{each.name} {_text(tuning, each)}" for each in tuning.tuned if each is not line.tuned]
+    known = tuning.parameters
+    starts = {each.name: shown(each.name, known[each.name].unit, np.array(each.start)) for each in tuning.tuned}
+    others = [f"{name} {q.shown(float(q.values))}" for name, q in starts.items() if name != line.tuned.name]
     note = "above: objective with its exact tangents, star: lowest; below: exact slope, and secants over their width"
     note += "; dashed: the given start" + (f"; there, and here, {', '.join(others)}" if others else "")
-    x = _about_plots(tuning, line.tuned.name, line.x)
+    x = shown(line.tuned.name, known[line.tuned.name].unit, line.x)
     figure = page(f"Objective and slope along {line.tuned.name}", 7.4, 5.6, note)
     above, below = figure.subplots(2, 1, sharex=True)
     _draw_objective(above, line, x)
     _draw_slopes(below, line, x)
     for ax in (above, below):
         horizontal_grid(ax)
-        ax.axvline(_about_plots(tuning, line.tuned.name, np.array([line.tuned.start])).values[0], color=MUTED, lw=0.9,
-                   ls=(0, (4, 3)), zorder=1)  # fmt: skip
+        ax.axvline(float(starts[line.tuned.name].values), color=MUTED, lw=0.9, ls=(0, (4, 3)), zorder=1)
     set_scales(below, x)
     above.set_ylabel("objective [1]")
     below.set(xlabel=x.label, ylabel=f"slope [1/{x.unit}]" if x.unit else "slope [1]")
     return figure
-
-
-def _text(tuning: Tuning, tuned: Tuned) -> str:
-    quantity = _about_plots(tuning, tuned.name, np.array(tuned.start))
-    return quantity.shown(float(quantity.values))
-
-
-def _about_plots(tuning: Tuning, name: str, values: np.ndarray) -> ShownValues:
-    return shown(name, tuning.parameters[name].unit, values)
 
 
 def _draw_objective(ax: Axes, line: Slice, x: ShownValues) -> None:
@@ -802,20 +702,20 @@ def _draw_objective(ax: Axes, line: Slice, x: ShownValues) -> None:
     half = 0.5 * _TANGENT * np.ptp(x.values) / (len(line.x) - 1)
     rise = half * line.slope * per_shown
     ax.plot(x.values, line.value, color=BAND, lw=1.0, zorder=2)
-    ax.plot(np.stack([x.values - half, x.values + half]), np.stack([line.value - rise, line.value + rise]),
-            color=LINE, lw=1.5, zorder=3, solid_capstyle="butt")  # fmt: skip
+    across, up = np.stack([x.values - half, x.values + half]), np.stack([line.value - rise, line.value + rise])
+    ax.plot(across, up, color=LINE, lw=1.5, zorder=3, solid_capstyle="butt")
     ax.plot(x.values, line.value, "o", ms=2.8, color=LINE, mec="white", mew=0.4, zorder=4)
     at = int(np.nanargmin(line.value))
-    ax.scatter(x.values[at], line.value[at], s=130, marker="*", fc=BEST, ec="white", zorder=5, clip_on=False)
+    star(ax, x.values[at], line.value[at], 130, zorder=5)
     # The axis is the values', however steep a tangent is.
     low, high = float(np.nanmin(line.value)), float(np.nanmax(line.value))
     room = 0.08 * (high - low) or 0.01 * max(abs(low), 1e-6)
     ax.set_ylim(low - room, high + room)
     fell = x.values[~line.ok]
     if len(fell):
-        ax.plot(fell, np.full(len(fell), 0.97), "x", transform=ax.get_xaxis_transform(), color=INK, ms=5,
-                mew=1.3, label="fell")  # fmt: skip
-        ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=8)
+        top = np.full(len(fell), 0.97)
+        ax.plot(fell, top, "x", transform=ax.get_xaxis_transform(), color=INK, ms=5, mew=1.3, label="fell")
+        legend(ax)
 
 
 def _draw_slopes(ax: Axes, line: Slice, x: ShownValues) -> None:
@@ -828,12 +728,17 @@ def _draw_slopes(ax: Axes, line: Slice, x: ShownValues) -> None:
         centre, value, half = secants.centre / per_shown, secants.secant * per_shown, 0.5 * secants.width / per_shown
         # The narrow ones lie on top, smaller, so that those that agree are all seen.
         ax.hlines(value, centre - half, centre + half, color=colour, lw=2.0, zorder=4 - 0.1 * i)
-        ax.plot(centre, value, "D", ms=3.0 + 1.1 * i, color=colour, mec="white", mew=0.4, zorder=5 - 0.1 * i,
-                label=f"secants of {100 * secants.share:g} %")  # fmt: skip
+        look: dict[str, Any] = {
+            "color": colour,
+            "mec": "white",
+            "mew": 0.4,
+            "label": f"secants of {100 * secants.share:g} %",
+        }
+        ax.plot(centre, value, "D", ms=3.0 + 1.1 * i, zorder=5 - 0.1 * i, **look)
         drawn.append(value)
     ax.axhline(0.0, color=MUTED, lw=0.8, zorder=1)
     _cut(ax, slope[np.isfinite(slope)], np.concatenate(drawn))
-    ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=8)
+    legend(ax)
 
 
 def _cut(ax: Axes, slope: np.ndarray, secants: np.ndarray) -> None:
@@ -846,5 +751,4 @@ def _cut(ax: Axes, slope: np.ndarray, secants: np.ndarray) -> None:
     ax.set_ylim(min(inside.min(), 0.0) - margin, max(inside.max(), 0.0) + margin)
     outside = len(everything) - len(inside)
     if outside:
-        ax.annotate(f"{outside} outside", (1, 1.0), xycoords="axes fraction", ha="right", va="bottom", fontsize=8,
-                    color=MUTED)  # fmt: skip
+        corner(ax, f"{outside} outside", 1.0)

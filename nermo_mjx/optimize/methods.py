@@ -1,4 +1,9 @@
-"""One iteration of a tuning: place the worlds, evaluate them all in one batch, estimate gradients, step."""
+"""How points are chosen: each method is asked for points (`ask`), and told what came of them (`tell`).
+
+A method of a tuning (gradient, line search, CMA-ES by generations) steps a `TuneState` from several starts; one of a
+search (CMA-ES with restarts, NSGA-II, CMA-ME, CMA-MEGA, a Sobol sequence) has the results as its only input, so that a
+search is repeated, or resumed, by telling it the contents of its table again.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +14,7 @@ import importlib.metadata
 import importlib.util
 import math
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from typing import Any, Final, Protocol
 
 import jax
@@ -19,14 +24,34 @@ from jaxtyping import Array, Bool, Float, Int, UInt
 from scipy.stats import qmc
 
 from nermo_mjx.optimize.estimators import Estimate, Estimator, estimate, offsets, perturbations
-from nermo_mjx.optimize.objective import Bounds, Problem, confine, from_unconstrained, slope, to_unconstrained
+from nermo_mjx.optimize.objective import (
+    Bounds,
+    Evaluation,
+    Problem,
+    confine,
+    from_unconstrained,
+    slope,
+    to_unconstrained,
+)
 from nermo_mjx.optimize.optimizers import LineSearch, LineState, Optimizer
-from nermo_mjx.optimize.search import Scores, Search, Space, cells_of, ranked_cost
-from nermo_mjx.optimize.tuning import Tuning
+from nermo_mjx.optimize.search import Cma, CmaMe, CmaMega, Nsga2, Scores, Search, Sobol, Space, cells_of, ranked_cost
+from nermo_mjx.optimize.search import Method as SearchMethod
+from nermo_mjx.optimize.tuning import Generations, Tuning
 from nermo_mjx.robot.quantity import ParameterError
-from nermo_mjx.rollout.differentiable import Rollout, cost
-from nermo_mjx.runtime import compiler_options, cpu_batch_limit
-from nermo_mjx.sweep.axes import Axis
+
+
+@dataclasses.dataclass(frozen=True)
+class Asked:
+    """Points to evaluate.
+
+    Attributes:
+        points: (n, p): of a tuning parameters in their own units, of a search shares of the bounds in [0, 1].
+        gradients: of this number, from the first on, gradients are wanted, too.
+    """
+
+    points: Any
+    gradients: int = 0
+
 
 # ---
 # State of a tuning: everything that its next iteration depends on, as one pytree of arrays.
@@ -78,10 +103,10 @@ class Iterate:
         points: parameters in their own units (starts, p).
         value: objective (starts,); NaN where the robot did not walk to the end.
         ok: whether it did (starts,).
-        gradient, error, first_order: the estimate (starts, p) per unit of each parameter: with the chain rule's slope
-            at the point, a smoothed gradient is one in u that is written per unit of x.
-        discarded: worlds that were left out of the estimate (starts,).
-        lost: whether there was nothing to estimate from (starts,).
+        gradient: estimated d value / d parameters (starts, p); NaN without one.
+        error: its standard error (starts, p).
+        first_order: share of the first order in it (starts, p).
+        discarded: worlds that were left out (starts,); lost: whether no world was left to estimate from (starts,).
         metrics: name -> (starts,).
         simulated_seconds: simulated time that the iteration took, gradients at their cost in forward runs [s].
     """
@@ -99,35 +124,62 @@ class Iterate:
 
 
 class Tuner:
-    """Steps a tuning on a problem; two small programs, which tunings share, run before and after its large one."""
+    """Steps a tuning on a problem along gradients; two small programs run before and after the problem's large one."""
 
     def __init__(self, tuning: Tuning, problem: Problem) -> None:
         assert tuple(problem.names) == tuning.names, "a problem takes the tuned parameters in the order of the file"
         self.tuning, self.problem, self.bounds = tuning, problem, tuning.bounds
+        self.seconds = problem.simulated_seconds
+        self.cost = problem.gradient_cost if tuning.estimator.needs_gradient else 1.0
 
     def step(self, state: TuneState) -> tuple[TuneState, Iterate]:
         """Evaluate the points of a state and take one step from them."""
-        estimator, starts = self.tuning.estimator, len(state.u)
-        points = placed(estimator, self.bounds, state)
-        found = self.problem.evaluate(points, estimator.needs_gradient)
-        after, est, ok, scale = _advanced(
+        found = None
+        while found is None:
+            asked = self.ask(state)
+            state, found = self.tell(state, self.problem.evaluate(asked.points, asked.gradients > 0))
+        return state, found
+
+    def ask(self, state: TuneState) -> Asked:
+        """The worlds of an iteration, start by start; the first of each start is its point."""
+        self._points = placed(self.tuning.estimator, self.bounds, state)
+        return Asked(self._points, len(self._points) * self.tuning.estimator.needs_gradient)
+
+    def tell(self, state: TuneState, found: Evaluation) -> tuple[TuneState, Iterate | None]:
+        """The state after the step, and what the iteration found; None if more points are to be asked for."""
+        estimator = self.tuning.estimator
+        after, est, ok, dx = _advanced(
             estimator, self.tuning.optimizer, self.bounds, state, found.value, found.gradient, found.ok
         )
-        cost = self.problem.gradient_cost if estimator.needs_gradient else 1.0
-        centres = np.arange(starts) * estimator.worlds
-        value, well, dx = (np.asarray(each) for each in (found.value, ok, scale))
-        return after, Iterate(
-            points=np.asarray(points, float)[centres],
-            value=np.where(well, value[centres], np.nan),
-            ok=well,
-            gradient=np.asarray(est.gradient, float) / dx,
-            error=np.asarray(est.error, float) / dx,
-            first_order=np.asarray(est.first_order, float),
-            discarded=np.asarray(est.discarded),
-            lost=np.asarray(est.lost),
-            metrics={name: np.asarray(column, float)[centres] for name, column in found.metrics.items()},
-            simulated_seconds=len(value) * self.problem.simulated_seconds * cost,
-        )
+        seconds = len(found.value) * self.seconds * self.cost
+        points = np.asarray(self._points)[:: estimator.worlds]
+        return after, _iterate(points, found, ok, seconds, est, dx, est.discarded)
+
+
+def _iterate(
+    points: Any,
+    found: Evaluation,
+    ok: Any,
+    seconds: float,
+    est: Estimate | None = None,
+    dx: Any = None,
+    discarded: Any = None,
+) -> Iterate:
+    """What an iteration found, from the evaluation of as many worlds for each of the points (starts, p)."""
+    points, ok, every = np.asarray(points, float), np.asarray(ok), len(found.value) // len(points)
+    unknown = np.full(points.shape, np.nan)
+    return Iterate(
+        points=points,
+        value=np.where(ok, np.asarray(found.value, float)[::every], np.nan),
+        ok=ok,
+        gradient=unknown if est is None else np.asarray(est.gradient, float) / np.asarray(dx),
+        error=unknown if est is None else np.asarray(est.error, float) / np.asarray(dx),
+        first_order=unknown if est is None else np.asarray(est.first_order, float),
+        discarded=(~ok).astype(int) if est is None else np.asarray(discarded),
+        lost=~ok if est is None else np.asarray(est.lost),
+        metrics={name: np.asarray(column, float)[::every] for name, column in found.metrics.items()},
+        simulated_seconds=seconds,
+    )
 
 
 def noise(estimator: Estimator, state: TuneState) -> Float[Array, "starts k p"]:
@@ -179,7 +231,9 @@ def _advanced(
     waits = lost & (not optimizer.reads_values)
     after = TuneState(
         u=jnp.where(waits[:, None], 0.5 * (state.u + best_u), forward),
-        optimizer=jax.tree.map(lambda new, old: jnp.where(_like(waits, new), old, new), updated, state.optimizer),
+        optimizer=jax.tree.map(
+            lambda new, old: jnp.where(waits.reshape(-1, *[1] * (new.ndim - 1)), old, new), updated, state.optimizer
+        ),
         iteration=state.iteration + 1,
         key=state.key,
         best_u=best_u,
@@ -189,51 +243,42 @@ def _advanced(
     return after, found, ok[:, 0], slope(bounds, state.u)
 
 
-def _like(flags: Bool[Array, " starts"], leaf: Array) -> Bool[Array, " starts *1"]:
-    """Flags with as many axes as a leaf."""
-    return flags.reshape(-1, *[1] * (leaf.ndim - 1))
-
-
 # ---
-# One iteration of a tuning by line search: a gradient from a few worlds, then walks along it without gradients.
+# One iteration by line search: a gradient from a few worlds, then walks along it without gradients.
 
 
-class LineTuner:
-    """Steps a tuning as `tuner.Tuner` does, to the best of the points that its line search tries.
+class LineTuner(Tuner):
+    """Steps a tuning to the best of the points that its line search tries along each gradient.
 
     What counts is the objective without gradients: the engine `c` walks the point itself and those along the lines. A
     sampled estimator therefore needs no gradient at the point, which is left out of the batch of gradients.
     """
 
     def __init__(self, tuning: Tuning, problem: Problem) -> None:
-        assert tuple(problem.names) == tuning.names, "a problem takes the tuned parameters in the order of the file"
-        self.tuning, self.problem, self.bounds = tuning, problem, tuning.bounds
+        super().__init__(tuning, problem)
         self.search = tuning.optimizer.line_search()
+        self._direction: Any = None
 
-    def step(self, state: TuneState) -> tuple[TuneState, Iterate]:
-        """Estimate the gradients at the points of a state, and search along them."""
+    def ask(self, state: TuneState) -> Asked:
+        """First the worlds of the gradients, then the points to be walked without."""
         estimator, (starts, p) = self.tuning.estimator, state.u.shape
+        if self._direction is not None:
+            return Asked(self._direction[3].reshape(-1, p))
         around = placed(estimator, self.bounds, state).reshape(starts, -1, p)[:, min(estimator.samples, 1) :]
-        found = self.problem.evaluate(around.reshape(-1, p), estimator.needs_gradient)
-        est, tried, points, line, scale = _directed(
-            estimator, self.search, self.bounds, state, found.value, found.gradient, found.ok
-        )
-        walked = self.problem.evaluate(points.reshape(-1, p), False)
-        after, well, left_out = _moved(self.search, state, line, tried, walked.value, walked.ok, found.ok)
-        centres, dx = np.arange(starts) * tried.shape[1], np.asarray(scale)
-        cost = self.problem.gradient_cost if estimator.needs_gradient else 1.0
-        return after, Iterate(
-            points=np.asarray(points, float)[:, 0],
-            value=np.where(well, np.asarray(walked.value, float)[centres], np.nan),
-            ok=np.asarray(well),
-            gradient=np.asarray(est.gradient, float) / dx,
-            error=np.asarray(est.error, float) / dx,
-            first_order=np.asarray(est.first_order, float),
-            discarded=np.asarray(left_out),
-            lost=np.asarray(est.lost),
-            metrics={name: np.asarray(column, float)[centres] for name, column in walked.metrics.items()},
-            simulated_seconds=(len(found.value) * cost + len(walked.value)) * self.problem.simulated_seconds,
-        )
+        around = around.reshape(-1, p)
+        return Asked(around, len(around) * estimator.needs_gradient)
+
+    def tell(self, state: TuneState, found: Evaluation) -> tuple[TuneState, Iterate | None]:
+        if self._direction is None:
+            directed = _directed(
+                self.tuning.estimator, self.search, self.bounds, state, found.value, found.gradient, found.ok
+            )
+            self._direction = (found.ok, *directed)
+            return state, None
+        (used, est, tried, points, line, dx), self._direction = self._direction, None
+        after, ok, left_out = _moved(self.search, state, line, tried, found.value, found.ok, used)
+        seconds = (len(used) * self.cost + len(found.value)) * self.seconds
+        return after, _iterate(np.asarray(points)[:, 0], found, ok, seconds, est, dx, left_out)
 
 
 @functools.partial(jax.jit, static_argnums=(0, 1))
@@ -295,7 +340,7 @@ def _moved(
 
 
 # ---
-# CMA-ES as the steps of a tuning: an iteration is a generation, rebuilt from the history on resuming.
+# CMA-ES: as the steps of a tuning, whose iteration is a generation; and with restarts, for one objective of a search.
 
 
 def strategy(start: np.ndarray, sigma: float, population: int, rng: np.random.Generator, **options: Any) -> Any:
@@ -310,13 +355,18 @@ def strategy(start: np.ndarray, sigma: float, population: int, rng: np.random.Ge
         import cma
 
     own = np.random.default_rng(rng.integers(2**63))
-    common = {"popsize": max(population, 4), "randn": lambda *shape: own.standard_normal(shape), "seed": math.nan,
-              "verbose": -9, "maxiter": math.inf}  # fmt: skip
+    common = {
+        "popsize": max(population, 4),
+        "randn": lambda *shape: own.standard_normal(shape),
+        "seed": math.nan,
+        "verbose": -9,
+        "maxiter": math.inf,
+    }
     return cma.CMAEvolutionStrategy(start, sigma, common | options)
 
 
-class GenerationTuner:
-    """Steps a tuning by generations, as `tuner.Tuner` does by gradients.
+class GenerationTuner(Tuner):
+    """Steps a tuning by generations.
 
     The points of the population replace the starts: the first point of the first generation is the given one.
     A point whose walk is not completed counts as worse than all others. Coordinates are those of
@@ -328,80 +378,52 @@ class GenerationTuner:
         Args:
             values: objectives of the generations so far (iterations, starts), which are replayed.
         """
-        assert tuple(problem.names) == tuning.names, "a problem takes the tuned parameters in the order of the file"
-        self.tuning, self.problem = tuning, problem
+        super().__init__(tuning, problem)
+        assert isinstance(tuning.method, Generations)
         given = jnp.array([each.start for each in tuning.tuned], float)
         self._given = np.asarray(to_unconstrained(tuning.bounds, given), float)
         rng = np.random.default_rng(tuning.seed)
         self._strategy = strategy(self._given, tuning.method.sigma, tuning.starts, rng)
         self._points, self._first = np.empty((0, len(tuning.names))), True
         for value in values:
-            self._ask()
-            self._tell(value)
+            self._next()
+            self._rank(value)
 
-    def step(self, state: TuneState) -> tuple[TuneState, Iterate]:
-        """Evaluate a generation."""
-        u = self._ask()
-        points = from_unconstrained(self.tuning.bounds, jnp.asarray(u, state.u.dtype))
-        found = self.problem.evaluate(points, False)
+    def ask(self, state: TuneState) -> Asked:
+        """A generation."""
+        self._next()
+        return Asked(from_unconstrained(self.bounds, jnp.asarray(self._points, state.u.dtype)))
+
+    def tell(self, state: TuneState, found: Evaluation) -> tuple[TuneState, Iterate | None]:
+        u = jnp.asarray(self._points, state.u.dtype)
         ok = np.asarray(found.ok) & np.isfinite(np.asarray(found.value))
         value = np.where(ok, np.asarray(found.value, float), np.nan)
-        self._tell(value)
-        better = np.where(ok, value, np.inf) < np.asarray(state.best_value)
+        self._rank(value)
+        better = jnp.asarray(np.where(ok, value, np.inf) < np.asarray(state.best_value))
         after = dataclasses.replace(
             state,
-            u=jnp.asarray(u, state.u.dtype),
+            u=u,
             iteration=state.iteration + 1,
-            best_u=jnp.where(jnp.asarray(better)[:, None], jnp.asarray(u, state.u.dtype), state.best_u),
-            best_value=jnp.where(jnp.asarray(better), jnp.asarray(value, state.best_value.dtype), state.best_value),
-            best_iteration=jnp.where(jnp.asarray(better), state.iteration, state.best_iteration),
+            best_u=jnp.where(better[:, None], u, state.best_u),
+            best_value=jnp.where(better, jnp.asarray(value, state.best_value.dtype), state.best_value),
+            best_iteration=jnp.where(better, state.iteration, state.best_iteration),
         )
-        nothing = np.full(u.shape, np.nan)
-        return after, Iterate(
-            points=np.asarray(points, float), value=value, ok=ok, gradient=nothing, error=nothing, first_order=nothing,
-            discarded=(~ok).astype(int), lost=~ok,
-            metrics={name: np.asarray(column, float) for name, column in found.metrics.items()},
-            simulated_seconds=len(value) * self.problem.simulated_seconds,
-        )  # fmt: skip
+        return after, _iterate(from_unconstrained(self.bounds, u), found, ok, len(value) * self.seconds)
 
-    def _ask(self) -> np.ndarray:
+    def _next(self) -> None:
         self._points = np.array(self._strategy.ask())
         if self._first:
             self._points[0] = self._given
         self._first = False
-        return self._points
 
-    def _tell(self, value: np.ndarray) -> None:
+    def _rank(self, value: np.ndarray) -> None:
         known = value[np.isfinite(value)]
         worst = known.max() + max(np.ptp(known), 1.0) if len(known) else 0.0
         self._strategy.tell(self._points.tolist(), np.where(np.isfinite(value), value, worst).tolist())
 
 
-# ---
-# CMA-ES with restarts, for one objective: Hansen's `cma`, from the best of a first spread of points.
-
-
-# ---
-# The protocol of a search's optimizers: asked for a batch, and told its results. They have no other input.
-#
-# So a search is repeated, or resumed, by telling it the contents of its table again.
-
-
-@dataclasses.dataclass(frozen=True)
-class Asked:
-    """Points to evaluate.
-
-    Attributes:
-        shares: of the bounds, (n, p) in [0, 1].
-        gradients: of this number, from the first on, gradients are requested, too.
-    """
-
-    shares: np.ndarray
-    gradients: int = 0
-
-
-class Method(Protocol):
-    """Chooses points; `ask` and `tell` alternate, and the same results lead to the same requests."""
+class Searcher(Protocol):
+    """Chooses the points of a search; `ask` and `tell` alternate, and the same results lead to the same requests."""
 
     def ask(self) -> Asked:
         """The next batch."""
@@ -412,8 +434,6 @@ class Method(Protocol):
         ...
 
 
-#: First standard deviation, as a fraction of the bounds.
-SIGMA: Final = 0.2
 #: Size of the initial sample, in batches: with two, the better half of the bounds is known before the first step.
 SPREAD: Final = 2
 #: Standard deviation, as a fraction of the bounds, at which a search has converged: no robot is built more precisely.
@@ -423,17 +443,16 @@ GROWTH: Final = 2.0
 MOST_GROWTH: Final = 9
 
 
-class Evolution(Method):
-    """An `Optimizer`. The first batch is a sample; the first CMA-ES starts from its best point.
+class RestartedCma(Searcher):
+    """CMA-ES with restarts. The first batch is a sample; the first CMA-ES starts from its best point.
 
     When one has converged, the next begins at a random point: with twice the population (IPOP), or either with that
     or with a small one and a small step, depending on which has had fewer evaluations (BIPOP, Hansen 2009).
     """
 
     def __init__(self, space: Space, search: Search, batch: int) -> None:
-        self._space, self._batch = space, batch
-        self._sigma = float(search.options.get("sigma", SIGMA))
-        self._restarts = str(search.options.get("restarts", "bipop"))
+        assert isinstance(search.method, Cma)
+        self._space, self._batch, self._method = space, batch, search.method
         self._rng = np.random.default_rng([search.sweep.seed, 1])
         self._strategy: Any = None
         self._points = np.empty((0, space.dimensions))
@@ -453,25 +472,23 @@ class Evolution(Method):
         cost = ranked_cost(found, self._worst)
         if self._strategy is None:
             first = self._space.spread(SPREAD * self._batch)[int(np.argmin(cost))]
-            self._begin(first, self._sigma, self._batch)
+            self._begin(first, self._method.sigma, self._batch)
             return
         self._used[self._regime] += len(cost)
         self._strategy.tell(self._points.tolist(), cost.tolist())
-        if self._restarts != "none" and self._strategy.stop():
-            self._restart()
-
-    def _restart(self) -> None:
+        if self._method.restarts == "none" or not self._strategy.stop():
+            return
         start = self._rng.random(self._space.dimensions)
-        small = self._restarts == "bipop" and self._grown > 0 and self._used["small"] < self._used["large"]
+        small = self._method.restarts == "bipop" and self._grown > 0 and self._used["small"] < self._used["large"]
         self._regime = "small" if small else "large"
         if small:
             grown = GROWTH**self._grown
             share = self._rng.random(2)
             population = self._batch * (0.5 * grown) ** (share[0] ** 2)
-            self._begin(start, self._sigma * 10.0 ** (-2.0 * share[1]), int(population))
+            self._begin(start, self._method.sigma * 10.0 ** (-2.0 * share[1]), int(population))
         else:
             self._grown = min(self._grown + 1, MOST_GROWTH)
-            self._begin(start, self._sigma, int(self._batch * GROWTH**self._grown))
+            self._begin(start, self._method.sigma, int(self._batch * GROWTH**self._grown))
 
     def _begin(self, start: np.ndarray, sigma: float, population: int) -> None:
         self._strategy = strategy(start, sigma, population, self._rng, tolx=CONVERGED)
@@ -485,8 +502,8 @@ class Evolution(Method):
 _FALLEN = 1e9
 
 
-class Genetic(Method):
-    """An `Optimizer`. Generations are as large as a batch; the first is a spread of points."""
+class Genetic(Searcher):
+    """NSGA-II. Generations are as large as a batch; the first is a spread of points."""
 
     def __init__(self, space: Space, search: Search, batch: int) -> None:
         from pymoo.algorithms.moo.nsga2 import NSGA2
@@ -517,18 +534,12 @@ class Genetic(Method):
 # CMA-ME and CMA-MEGA, for an atlas: pyribs's emitters, which search for cells that are empty or can be improved.
 
 
-#: First standard deviation of CMA-ME, as a fraction of the bounds; of CMA-MEGA, of the gradients' coefficients, and the
-#: length of its steps along them.
-ATLAS_SIGMA: Final = 0.15
-COEFFICIENT_SIGMA: Final = 0.2
-LEARNING_RATE: Final = 0.05
-EMITTERS: Final = 4
 #: Value reported to an emitter for a point outside the atlas.
 _WORTHLESS: Final = -1e9
 
 
-class Diversity(Method):
-    """An `Optimizer`. The first batch is a spread of points; then the batch is divided among emitters.
+class AtlasEmitters(Searcher):
+    """CMA-ME and CMA-MEGA. The first batch is a spread of points; then the batch is divided among emitters.
 
     A batch of CMA-MEGA begins with one point of each emitter, of which it wants gradients, and the next batch is what
     it makes of them. A point outside of the measures' ranges, one that fell, or that breaks a constraint, is not in
@@ -539,65 +550,56 @@ class Diversity(Method):
         with _interpreted():
             from ribs.archives import GridArchive
 
-        self._space, self._search, self._batch = space, search, batch
-        self._along = search.method == "cma_mega"
-        count = int(search.options.get("emitters", EMITTERS))
-        self._count = max(1, min(count, batch // (3 if self._along else 2)))
-        measures = search.aim.measures
+        assert isinstance(search.method, CmaMe | CmaMega)
+        self._space, self._aim, self._seed, self._batch = space, search.aim, search.sweep.seed, batch
+        self._method, self._along = search.method, isinstance(search.method, CmaMega)
+        self._count = max(1, min(search.method.emitters, batch // (3 if self._along else 2)))
         self._archive = GridArchive(
-            solution_dim=space.dimensions, dims=[each.cells for each in measures],
-            ranges=[(each.low, each.high) for each in measures], seed=search.sweep.seed,
-        )  # fmt: skip
+            solution_dim=space.dimensions,
+            dims=[each.cells for each in search.aim.measures],
+            ranges=[(each.low, each.high) for each in search.aim.measures],
+            seed=search.sweep.seed,
+        )
         self._emitters: list[Any] = []
-        self._centres = False
-        self._asked = np.empty((0, space.dimensions))
-        self._spreads = 0
+        self._centres, self._spreads = False, 0
+        self._shares = np.empty((0, space.dimensions))
 
     def ask(self) -> Asked:
         if not self._emitters:
+            first = self._spreads * self._batch
             self._spreads += 1
-            first = (self._spreads - 1) * self._batch
-            self._asked = self._space.spread(first + self._batch)[first:]
-            return Asked(self._asked)
-        if self._centres:
-            points = [emitter.ask_dqd() for emitter in self._emitters]
-        else:
-            points = [emitter.ask() for emitter in self._emitters]
-        self._sizes = [len(each) for each in points]
+            self._shares = self._space.spread(first + self._batch)[first:]
+            return Asked(self._shares)
+        points = [emitter.ask_dqd() if self._centres else emitter.ask() for emitter in self._emitters]
+        self._ends = np.cumsum([len(each) for each in points])
         self._slope = self._space.slope(np.concatenate(points))
-        self._asked = self._space.shares(np.concatenate(points))
-        return Asked(self._asked, len(self._asked) if self._centres else 0)
+        self._shares = self._space.shares(np.concatenate(points))
+        return Asked(self._shares, len(self._shares) if self._centres else 0)
 
     def tell(self, found: Scores) -> None:
-        told = self._add(found)
-        if not self._emitters:
-            if len(self._archive):
-                self._begin()
-            return
-        ends = np.cumsum(self._sizes)
-        for emitter, begin, end in zip(self._emitters, ends - self._sizes, ends, strict=True):
-            part = slice(begin, end)
-            add_info = {name: values[part] for name, values in told["add_info"].items()}
-            about = (self._asked[part], told["objective"][part], told["measures"][part])
-            if not self._centres:
-                emitter.tell(*about, add_info)
-            else:
-                assert found.jacobian is not None
-                # A non-finite gradient is useless.
-                jacobian = np.nan_to_num(found.jacobian[part], nan=0.0, posinf=0.0, neginf=0.0)
-                emitter.tell_dqd(*about, jacobian * self._slope[part, None, :], add_info)
-        self._centres = self._along and not self._centres
-
-    def _add(self, found: Scores) -> dict[str, Any]:
-        """Put what has a cell into the archive; what emitters are told of the whole batch."""
-        inside = found.allowed & (cells_of(self._search.aim, found.measures) >= 0)
+        inside = found.allowed & (cells_of(self._aim, found.measures) >= 0)
         status, value = np.zeros(len(inside), np.int32), np.full(len(inside), _WORTHLESS)
         objective = np.where(inside, found.quality, _WORTHLESS)
         measures = np.where(np.isfinite(found.measures), found.measures, 0.0)
         if inside.any():
-            info = self._archive.add(self._asked[inside], objective[inside], measures[inside])
+            info = self._archive.add(self._shares[inside], objective[inside], measures[inside])
             status[inside], value[inside] = info["status"], info["value"]
-        return {"objective": objective, "measures": measures, "add_info": {"status": status, "value": value}}
+        if not self._emitters:
+            if len(self._archive):
+                self._begin()
+            return
+        parts = np.split(np.arange(len(inside)), self._ends[:-1])
+        for emitter, part in zip(self._emitters, parts, strict=True):
+            told = (self._shares[part], objective[part], measures[part])
+            info = {"status": status[part], "value": value[part]}
+            if not self._centres:
+                emitter.tell(*told, info)
+            else:
+                assert found.jacobian is not None
+                # A non-finite gradient is useless.
+                jacobian = np.nan_to_num(found.jacobian[part], nan=0.0, posinf=0.0, neginf=0.0)
+                emitter.tell_dqd(*told, jacobian * self._slope[part, None, :], info)
+        self._centres = self._along and not self._centres
 
     def _begin(self) -> None:
         """Emitters from elites that are evenly spread over the filled cells."""
@@ -608,17 +610,14 @@ class Diversity(Method):
         order = np.argsort(elites["index"])
         chosen = order[np.linspace(0, len(order) - 1, self._count).round().astype(int)]
         sizes = [len(part) for part in np.array_split(np.arange(self._batch - self._count * self._along), self._count)]
-        options = self._search.options
         for i, (start, size) in enumerate(zip(elites["solution"][chosen], sizes, strict=True)):
-            common = {"x0": start, "batch_size": size, "seed": self._search.sweep.seed + i + 1, "ranker": "2imp"}
-            self._emitters.append(
-                GradientArborescenceEmitter(
-                    self._archive, sigma0=options.get("sigma", COEFFICIENT_SIGMA), grad_opt="gradient_ascent",
-                    lr=options.get("learning_rate", LEARNING_RATE), **common,
-                ) if self._along else EvolutionStrategyEmitter(
-                    self._archive, sigma0=options.get("sigma", ATLAS_SIGMA), **common
-                )
-            )  # fmt: skip
+            common: dict[str, Any] = {"x0": start, "sigma0": self._method.sigma, "batch_size": size, "ranker": "2imp"}
+            common["seed"] = self._seed + i + 1
+            if isinstance(self._method, CmaMega):
+                along: dict[str, Any] = {"grad_opt": "gradient_ascent", "lr": self._method.learning_rate}
+                self._emitters.append(GradientArborescenceEmitter(self._archive, **along, **common))
+            else:
+                self._emitters.append(EvolutionStrategyEmitter(self._archive, **common))
         self._centres = self._along
 
 
@@ -637,15 +636,7 @@ def _interpreted() -> Iterator[None]:
         config.DISABLE_JIT = before
 
 
-# ---
-# The optimizers of a search, by the name of its method.
-
-
-#: The library of each method, beside NumPy and SciPy.
-LIBRARIES: Final = {"cma": "cma", "nsga2": "pymoo", "cma_me": "ribs", "cma_mega": "ribs"}
-
-
-class SobolSample(Method):
+class SobolSample(Searcher):
     """Points of one Sobol sequence, starting with the published gait: the baseline for all methods."""
 
     def __init__(self, space: Space, search: Search, batch: int) -> None:
@@ -664,8 +655,8 @@ class SobolSample(Method):
         """The points do not depend on it."""
 
 
-def make_optimizer(search: Search, batch: int) -> Method:
-    """The optimizer of a search, at its beginning.
+def searcher(search: Search, batch: int) -> Searcher:
+    """The method of a search, at its beginning.
 
     Args:
         batch: points of a batch; some methods change it during the search.
@@ -674,88 +665,23 @@ def make_optimizer(search: Search, batch: int) -> Method:
         ParameterError: its library is not installed.
     """
     check_library(search.method)
-    space = Space(search)
-    if search.method == "sobol":
-        return SobolSample(space, search, batch)
-    if search.method == "cma":
-        return Evolution(space, search, batch)
-    if search.method == "nsga2":
-        return Genetic(space, search, batch)
+    kinds: dict[type[SearchMethod], Any] = {
+        Cma: RestartedCma,
+        Nsga2: Genetic,
+        CmaMe: AtlasEmitters,
+        CmaMega: AtlasEmitters,
+        Sobol: SobolSample,
+    }
+    made: Searcher = kinds[type(search.method)](Space(search), search, batch)
+    return made
 
-    return Diversity(space, search, batch)
 
-
-def check_library(method: str) -> None:
+def check_library(method: SearchMethod) -> None:
     """Raises `ParameterError` unless what a method needs is installed."""
-    library = LIBRARIES.get(method)
-    if library is not None and importlib.util.find_spec(library) is None:
-        raise ParameterError(f"method is {method}, which needs {library}: pip install 'nermo-mjx[search]'.")
+    if importlib.util.find_spec(method.library) is None:
+        raise ParameterError(f"method is {method.name}, which needs {method.library}: pip install 'nermo-mjx[search]'.")
 
 
-def made_by(method: str) -> str:
+def made_by(method: SearchMethod) -> str:
     """Name and version of what chooses the points, for the table's metadata."""
-    library = LIBRARIES.get(method, "scipy")
-    return f"{library} {importlib.metadata.version(library)}"
-
-
-# ---
-# Gradients of quality and measures, through MJX: what CMA-MEGA steps along.
-
-
-class Gradients(Protocol):
-    """Jacobians of a batch of runs."""
-
-    def __call__(self, values: Mapping[str, np.ndarray], shares: np.ndarray) -> np.ndarray:
-        """d (quality, *measures) / d fraction of the bounds, (runs, 1 + m, p).
-
-        Args:
-            values: every parameter that the search names, name -> (runs,).
-            shares: of the points (points, p), which may have several runs each.
-        """
-        ...
-
-
-class WalkGradients:
-    """Implements `Gradients` by tangents, one a searched parameter: there are more outputs than cotangents pay for."""
-
-    def __init__(self, search: Search) -> None:
-        """Nothing is compiled before the first call."""
-        self._search = search
-        lowest = {each.name: float(each.tried(grid=False).min()) for each in search.sweep.axes}
-        lowest |= {each.name: float(each.at(np.zeros(1))[0]) for each in search.sweep.draws}
-        self._rollout = Rollout(search.setup, search.run, slowest=lowest.get("frequency"))
-        self._function = jax.jit(jax.vmap(self._jacobian), compiler_options=compiler_options())
-
-    @staticmethod
-    def cost_of(search: Search) -> float:
-        """Cost of a run's gradients, in forward runs."""
-        return cost(len(search.names), "forward")
-
-    def __call__(self, values: Mapping[str, np.ndarray], shares: np.ndarray) -> np.ndarray:
-        """See `Gradients`."""
-        runs = len(next(iter(values.values())))
-        # What is the same in all runs is no argument: the length of a run in cycles has to be known.
-        known = {*self._search.names, *self._search.sweep.constants}
-        given = {name: np.asarray(column, float) for name, column in values.items() if name not in known}
-        points = np.repeat(shares, runs // len(shares), axis=0)
-        limit = cpu_batch_limit() or runs
-        parts = []
-        for first in range(0, runs, limit):
-            part = slice(first, first + limit)
-            parts.append(np.asarray(self._function(jnp.asarray(points[part]), {k: v[part] for k, v in given.items()})))
-        return np.concatenate(parts).astype(float)
-
-    def _jacobian(self, shares: Float[Array, " p"], others: Mapping[str, Array]) -> Float[Array, "k p"]:
-        return jax.jacfwd(lambda at: self._outputs(at, others))(shares)
-
-    def _outputs(self, shares: Float[Array, " p"], others: Mapping[str, Array]) -> Float[Array, " k"]:
-        aim, axes = self._search.aim, self._search.sweep.axes
-        values: dict[str, Any] = dict(self._search.sweep.constants) | dict(others)
-        metrics = self._rollout(values | {axis.name: _at(axis, at) for axis, at in zip(axes, shares, strict=True)})
-        return jnp.stack([-aim.objective.value(metrics), *(metrics[each.metric] for each in aim.measures)])
-
-
-def _at(axis: Axis, share: Float[Array, ""]) -> Float[Array, ""]:
-    """`Axis.at` of a traced share, within the bounds."""
-    low, high = axis.numbers[:2]
-    return low * (high / low) ** share if axis.form.startswith("log") else low + (high - low) * share
+    return f"{method.library} {importlib.metadata.version(method.library)}"

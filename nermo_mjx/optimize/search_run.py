@@ -15,14 +15,16 @@ from typing import Any, Final
 import numpy as np
 import pyarrow as pa
 
-from nermo_mjx.optimize.methods import Asked, Gradients, WalkGradients, check_library, make_optimizer
-from nermo_mjx.optimize.search import Scores, Search, Space, cells_of, scores_of
+from nermo_mjx.optimize.methods import check_library, searcher
+from nermo_mjx.optimize.problems import Gradients, WalkGradients
+from nermo_mjx.optimize.search import CmaMega, Scores, Search, Space, cells_of, scores_of
 from nermo_mjx.optimize.search_directory import SEARCH, Batches, keep_recordings, publish
 from nermo_mjx.optimize.search_figures import figures_of
 from nermo_mjx.physics import resolve_engine
 from nermo_mjx.plotting.files import write_figures
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.rollout import Simulator
+from nermo_mjx.rollout.differentiable import cost
 from nermo_mjx.runs import session
 from nermo_mjx.runs.code import CodeStamp
 from nermo_mjx.runs.directory import engine_of
@@ -171,115 +173,116 @@ def run_search(
         Batches(out, search) as batches,
         resumable("search", batches.out / SEARCH, SearchInterrupted, SearchFailed) as interruption,
     ):
-        batch = search.batch or batches.begun_batch() or batch_points(search, engine)
+        begun = batches.begun()
+        batch = search.batch or (begun and begun.batch) or batch_points(search, engine)
         batches.claim(dataclasses.replace(search, batch=batch))
-        going = Going(batches, workers, progress or (lambda _: None), warn or (lambda _: None), interruption.check)
         ran = engine_name(engine, simulator, engine_of(batches.out))
         computer = SweepSimulator(search.sweep.structures, ran, simulator, notify)
-        going.go_on(computer, gradients, accept_new_code)
+        loop = SearchLoop(batches, workers, computer, progress or (lambda _: None), interruption.check)
+        loop.run(warn or (lambda _: None), gradients, accept_new_code)
         search = batches.search
         best = publish(batches, complete=True)
         if not best:
-            raise SearchFailed(f"{batches.out}: no point of this search walked to its end within its constraints: "
-                               "choose other bounds, or looser constraints.")  # fmt: skip
+            raise SearchFailed(
+                f"{batches.out}: no point of this search walked to its end within its constraints: choose other "
+                "bounds, or looser constraints."
+            )
         recordings = keep_recordings(batches, best, computer)
         results = Results([*chunk_files(batches.out).values()])
         plots = write_figures(figures_of(search, results), batches.out / "plots") if search.plots else []
-        return SearchResult(batches.out, search, best, going.run, recordings, plots)
+        return SearchResult(batches.out, search, best, loop.evaluated, recordings, plots)
 
 
-class Going:
+class SearchLoop:
     """The batches of a search, one after the other.
 
     Attributes:
-        run: points that were evaluated here, and not read.
+        evaluated: points that were evaluated here, and not read.
         evaluations, seconds: points so far, and the simulated time of their runs [s].
+        best: the best objective so far; filled: filled cells of an atlas.
     """
 
     def __init__(
         self,
         batches: Batches,
         workers: Workers,
+        computer: SweepSimulator,
         progress: Callable[[SearchProgress], None],
-        warn: Callable[[str], None],
         check: Callable[[], None],
     ) -> None:
-        self._batches, self._workers, self._progress, self._warn, self._check = batches, workers, progress, warn, check
-        self.run = self.evaluations = 0
+        self._batches, self._workers, self._computer = batches, workers, computer
+        self._progress, self._check = progress, check
+        self._search, self._size = batches.search, batches.search.batch or 1
+        self.evaluated = self.evaluations = self._resumed = 0
         self.seconds = 0.0
-        self._resumed = 0
-        self._stamp: CodeStamp | None = None
-        self._slopes_of: Gradients | None = None
-        self._lead = _Lead(batches.search)
+        self.best: float | None = None
+        self._cells = set[int]()
 
-    def go_on(self, computer: SweepSimulator, gradients: Gradients | None, accept: bool) -> None:
-        """Until the budget is used up."""
-        search, batches = self._batches.search, self._batches
-        assert search.batch is not None
-        optimizer, shares, batch, published = make_optimizer(search, search.batch), [], 0, time.monotonic()
+    def run(self, warn: Callable[[str], None], gradients: Gradients | None, accept: bool) -> None:
+        """Ask for batches until the budget is used up; simulate what the directory lacks, and tell the results."""
+        search, repeats, stamp, published = self._search, self._search.repeats, None, time.monotonic()
+        method, shares, batch = searcher(search, self._size), np.empty((0, len(search.names))), 0
         while search.reached(self.evaluations, self.seconds) < 1.0:
-            asked = optimizer.ask()
-            shares.append(asked.shares)
-            rows = _rows(search, np.concatenate(shares), len(asked.shares))
-            stored = batches.read(batch, rows)
-            if stored.flaw:
-                self._warn(f"batch {batch} of {batches.out} {stored.flaw}; it is kept in results.aside, and run again.")
-            table = stored.table
+            asked = method.ask()
+            shares = np.concatenate([shares, asked.points])
+            # Repeats stand side by side; draws follow from a point and the repeat.
+            first = self.evaluations * repeats
+            rows = Sample(search.sweep, shares).take(np.arange(first, len(shares) * repeats))
+            table, flaw = self._batches.read(batch, rows)
+            if flaw:
+                warn(f"batch {batch} of {self._batches.out} {flaw}; it is kept in results.aside, and run again.")
             if table is None:
-                self._begin(computer, accept)
-                found = self._simulate(batch, rows, computer.engine)
-                slopes = self._slopes(asked, rows, gradients)
-                first = self.evaluations * search.repeats
-                table = batches.write(batch, rows, first, found, self._stamp, slopes)
-                self.run += len(asked.shares)
-            self.evaluations += len(asked.shares)
-            seconds = _seconds(search, rows)
+                if stamp is None:
+                    stamp = self._begin(accept)
+                found, slopes = self._simulate(batch, rows), None
+                if asked.gradients:
+                    gradients = gradients or WalkGradients(search)
+                    runs = np.arange(asked.gradients * repeats)
+                    slopes = gradients(batch_values(search.sweep, rows.take(runs), len(runs)), asked.points)
+                    slopes = slopes.reshape(asked.gradients, repeats, *slopes.shape[1:]).mean(axis=1)
+                table = self._batches.write(batch, rows, first, found, stamp, slopes)
+                self.evaluated += len(asked.points)
+            self.evaluations, batch = len(shares), batch + 1
+            seconds = search.seconds(rows.values, len(rows))
             self.seconds += float(np.sum(seconds))
-            differentiated = seconds[: asked.gradients * search.repeats]
-            self.seconds += WalkGradients.cost_of(search) * float(np.sum(differentiated))
-            scores = _scores(batches, table, asked)
-            self._lead.take(scores)
-            optimizer.tell(scores)
-            batch += 1
-            self._tell()
-            if self._stamp is not None and time.monotonic() - published > PUBLISHED_EVERY:
-                publish(batches, complete=False)
+            self.seconds += gradient_cost(search) * float(np.sum(seconds[: asked.gradients * repeats]))
+            method.tell(self._scores(table, asked.gradients))
+            self._report()
+            if stamp is not None and time.monotonic() - published > PUBLISHED_EVERY:
+                publish(self._batches, complete=False)
                 published = time.monotonic()
 
-    def _begin(self, computer: SweepSimulator, accept: bool) -> None:
+    def _begin(self, accept: bool) -> CodeStamp:
         """Make ready what simulates, before the first batch that is missing."""
-        if self._stamp is not None:
-            return
         self._resumed = self.evaluations
-        self._tell()
-        self._stamp = self._workers.begin(computer)
-        held = self._batches.directory
-        held.take_code(self._stamp, holds_rows=self._batches.holds_rows, accept=accept)
-        held.note_session(session(engine=computer.engine, code=self._stamp.id, begun_at=self.evaluations))
+        self._report()
+        stamp, held = self._workers.begin(self._computer), self._batches.directory
+        held.take_code(stamp, holds_rows=bool(chunk_files(self._batches.out)), accept=accept)
+        held.note_session(session(engine=self._computer.engine, code=stamp.id, begun_at=self.evaluations))
+        return stamp
 
-    def _tell(self, share: float = 0.0) -> None:
+    def _report(self, share: float = 0.0) -> None:
         """Report how far all is; `share` of the next batch is done."""
         self._check()
-        search = self._batches.search
-        assert search.batch is not None
-        part = share * (search.reached(search.batch, 0.0) if search.evaluations is not None else 0.0)
+        search = self._search
+        part = share * (search.reached(self._size, 0.0) if search.evaluations is not None else 0.0)
         fraction = min(1.0, search.reached(self.evaluations, self.seconds) + part)
-        self._progress(SearchProgress(fraction, self.evaluations, self._resumed, self._lead.best, self._lead.filled))
+        filled = len(self._cells) if search.aim.measures else None
+        self._progress(SearchProgress(fraction, self.evaluations, self._resumed, self.best, filled))
 
-    def _simulate(self, batch: int, rows: Rows, engine: str) -> Simulated:
+    def _simulate(self, batch: int, rows: Rows) -> Simulated:
         """All runs of a batch, in tasks of one size: nothing compiles twice, also where a population grows."""
-        search = self._batches.search
-        assert search.batch is not None
-        size = math.ceil(search.batch * search.repeats / self._workers.parts)
+        size = math.ceil(self._size * self._search.repeats / self._workers.parts)
         parts = [np.arange(len(rows))[begin : begin + size] for begin in range(0, len(rows), size)]
 
         def tasks() -> Iterator[tuple[int, tuple[int, Mapping[str, np.ndarray]]]]:
             for k, part in enumerate(parts):  # the engine c has lanes of its own; there nothing need be filled up
-                yield k, (0, batch_values(search.sweep, rows.take(part), len(part) if engine == "c" else size))
+                filled = len(part) if self._computer.engine == "c" else size
+                yield k, (0, batch_values(self._search.sweep, rows.take(part), filled))
 
         began = time.perf_counter()
         try:
-            done = dict(self._workers.results(tasks(), lambda k, share: self._tell((k + share) / len(parts))))
+            done = dict(self._workers.results(tasks(), lambda k, share: self._report((k + share) / len(parts))))
         except TaskFailed as failed:
             named = f"batch {batch} of {self._batches.out}"
             if isinstance(failed.error, ParameterError):
@@ -289,70 +292,30 @@ class Going:
                 f"{named} failed: {type(failed.error).__name__}: {reason}. What is finished is kept: run the same "
                 "command again when it is fixed."
             ) from failed.error
-        found = [done[k] for k in range(len(parts))]
-        own = [slice(len(part)) for part in parts]
-        metrics = {name: np.concatenate([each.metrics[name][mine] for each, mine in zip(found, own, strict=True)])
-                   for name in found[0].metrics}  # fmt: skip
-        status = np.concatenate([each.status[mine] for each, mine in zip(found, own, strict=True)])
-        seconds = time.perf_counter() - began
-        return Simulated(metrics, status, sum(each.steps for each in found), seconds)
+        found = [(done[k], slice(len(part))) for k, part in enumerate(parts)]
+        names = found[0][0].metrics
+        metrics = {name: np.concatenate([each.metrics[name][own] for each, own in found]) for name in names}
+        status = np.concatenate([each.status[own] for each, own in found])
+        return Simulated(metrics, status, sum(each.steps for each, _ in found), time.perf_counter() - began)
 
-    def _slopes(self, asked: Asked, rows: Rows, gradients: Gradients | None) -> np.ndarray | None:
-        """Gradients of the requested points, means over repeats: (g, 1 + m, p) per fraction of the bounds."""
-        if not asked.gradients:
-            return None
-        search = self._batches.search
-        self._slopes_of = self._slopes_of or gradients or WalkGradients(search)
-        runs = np.arange(asked.gradients * search.repeats)
-        slopes = self._slopes_of(batch_values(search.sweep, rows.take(runs), len(runs)), asked.shares)
-        return slopes.reshape(asked.gradients, search.repeats, *slopes.shape[1:]).mean(axis=1)
-
-
-class _Lead:
-    """The best so far, for the display: of an atlas how many cells are filled."""
-
-    def __init__(self, search: Search) -> None:
-        self._aim, self._cells = search.aim, set[int]()
-        self.best: float | None = None
-
-    @property
-    def filled(self) -> int | None:
-        return len(self._cells) if self._aim.measures else None
-
-    def take(self, scores: Scores) -> None:
-        if self._aim.measures:
-            self._cells |= {int(cell) for cell in cells_of(self._aim, scores.measures)[scores.allowed] if cell >= 0}
-        if not self._aim.pareto and scores.allowed.any():
+    def _scores(self, table: pa.Table, gradients: int) -> Scores:
+        """What a batch's rows say of its points."""
+        aim = self._search.aim
+        metrics = {name: table.column(name).to_numpy() for name in aim.metrics}
+        well = np.array(table.column("status").to_pylist()) == "ok"
+        scores = scores_of(aim, self._search.repeats, metrics, well)
+        if aim.measures:
+            self._cells |= {int(cell) for cell in cells_of(aim, scores.measures)[scores.allowed] if cell >= 0}
+        if not aim.pareto and scores.allowed.any():
             least = float(scores.cost[scores.allowed, 0].min())
             self.best = least if self.best is None else min(self.best, least)
+        jacobian = self._batches.gradients(table, gradients) if gradients else None
+        return dataclasses.replace(scores, jacobian=jacobian)
 
 
-def _rows(search: Search, shares: np.ndarray, count: int) -> Rows:
-    """The runs of the last `count` points, repeats side by side; draws follow from a point and the repeat."""
-    first = len(shares) - count
-    index = np.arange(first * search.repeats, len(shares) * search.repeats)
-    return Sample(search.sweep, shares).take(index)
-
-
-def _seconds(search: Search, rows: Rows) -> np.ndarray:
-    """How long each run is simulated, (n,) [s]."""
-    known = search.sweep.constants | rows.values
-    rate = search.setup.cycle_rate({name: known[name] for name in search.setup.timing if name in known})
-    return np.broadcast_to(np.asarray(search.run.seconds(rate)[1], float), len(rows))
-
-
-def _scores(batches: Batches, table: pa.Table, asked: Asked) -> Scores:
-    """What a batch's rows say of its points."""
-    search = batches.search
-    metrics = {name: table.column(name).to_numpy() for name in search.aim.metrics}
-    well = np.array(table.column("status").to_pylist()) == "ok"
-    scores = scores_of(search.aim, search.repeats, metrics, well)
-    jacobian = batches.gradients(table, asked.gradients) if asked.gradients else None
-    return dataclasses.replace(scores, jacobian=jacobian)
-
-
-# ---
-# The cost of a search on this machine, before it starts.
+def gradient_cost(search: Search) -> float:
+    """Cost of a run's gradients for CMA-MEGA, in forward runs."""
+    return cost(len(search.names), "forward")
 
 
 #: Points whose mean length of a run stands for all.
@@ -401,9 +364,7 @@ def cost_of(search: Search, engine: str = "auto", simulator: SimulatorLike | Non
     batch = search.batch or batch_points(search, engine)
     shares = Space(search).spread(_TRIED)
     rows = Sample(search.sweep, shares).take(np.arange(0, len(shares) * search.repeats, search.repeats))
-    known = search.sweep.constants | rows.values
-    rate = search.setup.cycle_rate({name: known[name] for name in search.setup.timing if name in known})
-    point = search.repeats * float(np.mean(search.run.seconds(rate)[1]))
+    point = search.repeats * float(np.mean(search.seconds(rows.values, len(rows))))
     wanted = search.evaluations if search.evaluations is not None else (search.simulated_seconds or 0.0) / point
     batches = math.ceil(wanted / batch)
     evaluations = batches * batch
@@ -411,8 +372,8 @@ def cost_of(search: Search, engine: str = "auto", simulator: SimulatorLike | Non
     simulated = evaluations * point
     wall = simulated / pace(simulator, search.setup, batch * search.repeats)
     gradients = 0
-    if search.method == "cma_mega":
-        centres = int(search.options.get("emitters", 4)) * (batches // 2)
-        gradients = round(centres * search.repeats * WalkGradients.cost_of(search))
-    return Cost(engine, batch, batches, evaluations, evaluations * search.repeats, simulated, wall,
-                evaluations * search.repeats * _ROW_BYTES, gradients)  # fmt: skip
+    if isinstance(search.method, CmaMega):
+        centres = search.method.emitters * (batches // 2)
+        gradients = round(centres * search.repeats * gradient_cost(search))
+    runs = evaluations * search.repeats
+    return Cost(engine, batch, batches, evaluations, runs, simulated, wall, runs * _ROW_BYTES, gradients)

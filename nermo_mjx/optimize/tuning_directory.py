@@ -29,115 +29,20 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from nermo_mjx.optimize.history import FILE, Log, columns, history_table, is_done, why_done
+from nermo_mjx.optimize.history import FILE, Log, history_table, is_done, why_done
 from nermo_mjx.optimize.methods import TuneState, initial_state
-from nermo_mjx.optimize.tuning import Tuning
+from nermo_mjx.optimize.tuning import Tuning, sweep_of
 from nermo_mjx.runs import DirectoryError, OtherCode, RunDirectory, engine_of, session, stamp
-from nermo_mjx.runs import checkpoints as stored
+from nermo_mjx.runs.checkpoints import Checkpoints
 from nermo_mjx.runs.files import WrongDirectory, clear_errors, content_of, parquet_bytes, parquet_table
 from nermo_mjx.runs.status import Status, last_command, metadata_of, status_of
 from nermo_mjx.runs.text import to_json
 from nermo_mjx.specs.controllers import with_code_copied
 from nermo_mjx.specs.described import write_described
-from nermo_mjx.specs.reading import SpecError, changes, dump
-
-# ---
-# A tuning's checkpoints: the state, and with it the history up to it.
-
-
-class Checkpoints:
-    """The checkpoints of one directory, one per iteration; use it in a `with` statement.
-
-    A checkpoint holds the state and the history so far (item `tuning`), and what they are (`about`: the tuning they
-    belong to, precision, names of the metrics, shape of the history, which code made it, checksums). The history has no
-    other source: everything else in the directory is made from the checkpoint, so that nothing can disagree with it.
-
-    Args:
-        held: the directory; checkpoints are in its folder `checkpoints`, which is made if it does not exist.
-        tuning: that they belong to.
-    """
-
-    def __init__(self, held: RunDirectory, tuning: Tuning) -> None:
-        self._held, self._stored = held, stored.Checkpoints(held, "tuning")
-        self.folder, self.digest, self._identity = self._stored.folder, tuning.digest(), tuning.identity()
-
-    def __enter__(self) -> Checkpoints:
-        self._stored.__enter__()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._stored.__exit__()
-
-    def save(self, state: TuneState, log: Log) -> None:
-        """Store a state and the history up to it; raises as `runs.checkpoints.Checkpoints.save`."""
-        about = {
-            "digest": self.digest,
-            "precision": str(state.u.dtype),
-            "metrics": list(log.metrics),
-            "rows": list(log.rows.shape),
-            "codes": log.codes,
-            "identity": self._identity,
-        }
-        self._stored.save(int(state.iteration), {"state": state, "history": log.rows}, about)
-
-    def restore(
-        self, like: TuneState, *, accept: bool = False, warn: Callable[[str], None] = lambda _: None
-    ) -> tuple[TuneState, Log] | None:
-        """The latest intact checkpoint, None if there is none. Newer ones that are damaged are moved aside.
-
-        Args:
-            like: a state of the same tuning; its values do not matter.
-            accept: take checkpoints that were computed with other defaults.
-            warn: called with a message about each checkpoint that is moved aside.
-
-        Raises:
-            DirectoryError: one cannot be read now, or was computed in another precision, for another tuning, or with
-                other defaults; nothing has been changed.
-        """
-
-        def shapes(about: Mapping[str, Any]) -> dict[str, Any]:
-            self._check_ours(about, accept)
-            if about["precision"] != str(like.u.dtype):
-                raise DirectoryError(
-                    f"{self.folder} was started in {about['precision']}, and JAX now computes in {like.u.dtype}: "
-                    "resume with that precision, or choose another directory."
-                )
-            return {"state": like, "history": np.empty(about["rows"])}
-
-        found = self._stored.restore(shapes, warn)
-        if found is None:
-            return None
-        parts, about = found
-        codes = tuple((int(first), str(code)) for first, code in about["codes"])
-        return parts["state"], Log(tuple(about["metrics"]), parts["history"], codes)
-
-    def _check_ours(self, about: Mapping[str, Any], accept: bool) -> None:
-        """Refuse a checkpoint of another tuning, or of one with other defaults that are not accepted."""
-        if about["digest"] == self.digest:
-            return
-        here, there = self._identity, about["identity"]
-        # A field that only one of the two knows has a default there.
-        both = there["fields"].keys() & here["fields"].keys()
-        apart = changes(*({name: each["fields"][name] for name in here["fields"] if name in both}
-                          for each in (there, here)))  # fmt: skip
-        apart += ["recording"] if there["recording"] != here["recording"] else []
-        if apart:
-            raise WrongDirectory(f"{self._held.out} holds checkpoints of another tuning, with another "
-                                 f"{', '.join(apart)}; choose another directory.")  # fmt: skip
-        difference = ", ".join(changes(there["fields"] | there["defaults"], here["fields"] | here["defaults"]))
-        if not accept:
-            raise OtherCode(
-                f"{self._held.out} was made with other defaults: {difference}; choose another directory, or resume "
-                "with --accept-new-code, and distinguish the rows by their column code."
-            )
-
+from nermo_mjx.specs.reading import SpecError, changes
 
 # ---
 # What a tuning found: best.json for programs, and tuned.yaml, the tuned gait as a sweep file.
-
-
-#: Runs of tuned.yaml: from slightly different starts, so that the sweep shows whether the best point is fragile.
-REPEATS: Final = 3
 
 
 def best_of(tuning: Tuning, log: Log) -> dict[str, Any] | None:
@@ -147,19 +52,15 @@ def best_of(tuning: Tuning, log: Log) -> dict[str, Any] | None:
     `simulated_seconds` of the whole tuning and `simulated_seconds_to_best`, gradients at their cost in forward runs;
     `iterations` done, whether the tuning is `complete`, and why it `stopped` before its iterations were done, or null.
     """
-    names = [column.name for column in columns(tuning, log.metrics)]
-    value = log.rows[:, :, names.index("objective")]
+    value = log.values(tuning)
     if not np.isfinite(value).any():
         return None
     iteration, start = (int(i) for i in np.unravel_index(np.nanargmin(value), value.shape))
-    row = dict(zip(names, log.rows[iteration, start].tolist(), strict=True))
-    return {
-        "parameters": {name: row[name] for name in tuning.names},
-        "objective": row["objective"],
-        "metrics": {name: row[name] for name in log.metrics},
+    row = log.row(tuning, iteration, start)
+    return _point(tuning, log, row) | {
         "iteration": iteration,
         "start": start,
-        "simulated_seconds": float(log.rows[-1, 0, names.index("simulated_seconds")]),
+        "simulated_seconds": log.row(tuning, -1, 0)["simulated_seconds"],
         "simulated_seconds_to_best": row["simulated_seconds"],
         "iterations": len(log) - 1,
         "complete": is_done(tuning, log),
@@ -172,32 +73,28 @@ def start_of(tuning: Tuning, log: Log) -> dict[str, Any]:
 
     Numbers are not finite where the robot did not walk to the end.
     """
-    names = [column.name for column in columns(tuning, log.metrics)]
-    row = dict(zip(names, log.rows[0, 0].tolist(), strict=True))
+    row = log.row(tuning, 0, 0)
+    return _point(tuning, log, row) | {"ok": bool(row["ok"])}
+
+
+def _point(tuning: Tuning, log: Log, row: Mapping[str, float]) -> dict[str, Any]:
     return {
         "parameters": {name: row[name] for name in tuning.names},
         "objective": row["objective"],
         "metrics": {name: row[name] for name in log.metrics},
-        "ok": bool(row["ok"]),
     }
 
 
 def tuned_sweep(tuning: Tuning, best: dict[str, Any], folder: Path | None = None) -> str:
-    """The text of tuned.yaml: setup, run and `set` of the best point, run a few times from slightly different starts.
-
-    Args:
-        tuning: what was tuned.
-        best: the content of best.json.
-        folder: where the file is to stand, see `walk_fields`.
-    """
+    """The text of tuned.yaml, from the content of best.json; see `sweep_of`."""
     known = tuning.parameters
     # float32 may lie a rounding error outside the allowed range: seven digits are significant.
-    values = {name: float(np.clip(value, known[name].low, known[name].high))
-              for name, value in best["parameters"].items()}  # fmt: skip
-    numbers = {name: float(f"{value:.7g}") if math.isfinite(value) else value for name, value in values.items()}
-    data = tuning.walk_fields(folder) | {"set": {**tuning.fixed, **numbers}, "randomize": {"repeats": REPEATS}}
-    head = f"# Iteration {best['iteration']} of start {best['start']}: objective {best['objective']:.6g}.\n"
-    return head + dump({**data, "seed": tuning.seed, "plots": False})
+    values = {
+        name: float(np.clip(value, known[name].low, known[name].high)) for name, value in best["parameters"].items()
+    }
+    values = {name: float(f"{value:.7g}") if math.isfinite(value) else value for name, value in values.items()}
+    head = f"Iteration {best['iteration']} of start {best['start']}: objective {best['objective']:.6g}."
+    return sweep_of(tuning, head, values, tuning.seed, folder)
 
 
 RECORDING: Final = "recording.npz"
@@ -209,6 +106,11 @@ _MADE: Final = (FILE, "best.json", "tuned.yaml")
 
 class Directory:
     """A directory held by this process for one tuning; use it in a `with` statement.
+
+    A checkpoint for each iteration holds the state and the history so far (item `tuning`), and what they are (`about`:
+    the tuning they belong to, precision, names of the metrics, shape of the history, which code made it, checksums).
+    The history has no other source: everything else in the directory is made from the checkpoint, so that nothing can
+    disagree with it.
 
     Args:
         out: the directory; made if it does not exist.
@@ -224,13 +126,26 @@ class Directory:
     ) -> None:
         self.out, self.tuning, self._warn = Path(out), tuning, warn
         self._run = RunDirectory(out, "tuning")
-        self._checkpoints = Checkpoints(self._run, tuning)
+        self._checkpoints = Checkpoints(self._run, "tuning")
+        self._digest, self._identity = tuning.digest(), tuning.identity()
         self._held = contextlib.ExitStack()
 
     def __enter__(self) -> Directory:
         with contextlib.ExitStack() as stack, clear_errors(self.out):
             stack.enter_context(self._run)
-            self._check()
+            # Until an iteration is stored, another tuning may take the directory over.
+            if any(path.name.isdecimal() for path in (self.out / "checkpoints").glob("*")):
+                try:
+                    begun = load_tuning(self.out)
+                except SpecError as error:
+                    unknown = "checkpoints of an unknown tuning (it has no tuning.yaml)"
+                    unread = f"a tuning that cannot be read ({error})" if (self.out / TUNING).exists() else unknown
+                    raise WrongDirectory(f"{self.out} holds {unread}; choose another directory.") from None
+                if apart := ", ".join(changes(begun.decisive(), self.tuning.decisive())):
+                    raise WrongDirectory(
+                        f"{self.out} holds another tuning, with another {apart} (see {self.out / TUNING}); choose "
+                        "another directory."
+                    )
             stack.enter_context(self._checkpoints)
             self._held = stack.pop_all()
         return self
@@ -239,9 +154,52 @@ class Directory:
         self._held.close()
 
     def restore(self, *, accept: bool = False) -> tuple[TuneState, Log | None]:
-        """Where the tuning is, and its history so far, if there is one (see `Checkpoints.restore`)."""
-        found = self._checkpoints.restore(initial_state(self.tuning), accept=accept, warn=self._warn)
-        return found or (initial_state(self.tuning), None)
+        """Where the tuning is, and its history so far, if there is one; damaged checkpoints are moved aside.
+
+        Args:
+            accept: take checkpoints that were computed with other defaults.
+
+        Raises:
+            DirectoryError: one cannot be read now, or was computed in another precision, for another tuning, or with
+                other defaults; nothing has been changed.
+        """
+        like = initial_state(self.tuning)
+
+        def shapes(about: Mapping[str, Any]) -> dict[str, Any]:
+            if about["digest"] != self._digest:
+                self._refuse(about["identity"], accept)
+            if about["precision"] != str(like.u.dtype):
+                raise DirectoryError(
+                    f"{self._checkpoints.folder} was started in {about['precision']}, and JAX now computes in "
+                    f"{like.u.dtype}: resume with that precision, or choose another directory."
+                )
+            return {"state": like, "history": np.empty(about["rows"])}
+
+        found = self._checkpoints.restore(shapes, self._warn)
+        if found is None:
+            return like, None
+        parts, about = found
+        codes = tuple((int(first), str(code)) for first, code in about["codes"])
+        return parts["state"], Log(tuple(about["metrics"]), parts["history"], codes)
+
+    def _refuse(self, there: Mapping[str, Any], accept: bool) -> None:
+        """Refuse a checkpoint of another tuning, or of one with other defaults that are not accepted."""
+        here = self._identity
+        # A field that only one of the two knows has a default there.
+        both = [name for name in here["fields"] if name in there["fields"]]
+        apart = changes(*({name: each["fields"][name] for name in both} for each in (there, here)))
+        apart += ["recording"] if there["recording"] != here["recording"] else []
+        if apart:
+            raise WrongDirectory(
+                f"{self.out} holds checkpoints of another tuning, with another {', '.join(apart)}; choose another "
+                "directory."
+            )
+        difference = ", ".join(changes(there["fields"] | there["defaults"], here["fields"] | here["defaults"]))
+        if not accept:
+            raise OtherCode(
+                f"{self.out} was made with other defaults: {difference}; choose another directory, or resume with "
+                "--accept-new-code, and distinguish the rows by their column code."
+            )
 
     def take_code(self, log: Log | None, *, accept: bool = False) -> str:
         """Note which code is about to add to a history; its short name.
@@ -255,7 +213,13 @@ class Directory:
 
     def claim(self, log: Log | None) -> None:
         """Claim the directory for this tuning; existing files that do not follow from this history are moved aside."""
-        if not self._follows(log):
+        shown = content_of(self.out / FILE)
+        table = None if shown is None else parquet_table(shown)
+        if log is None:
+            follows = not any((self.out / name).exists() for name in _MADE)
+        else:
+            follows = shown is None or (table is not None and table.num_rows <= log.rows[:, :, 0].size)
+        if not follows:
             self.set_aside("of another history", *_MADE, TUNING)
         setup = with_code_copied(self.tuning.setup, self.out.resolve(), self._run.write)
         self.tuning = keep_recording(self._run, dataclasses.replace(self.tuning, setup=setup), self._warn)
@@ -268,8 +232,16 @@ class Directory:
 
     def keep(self, state: TuneState, log: Log) -> dict[str, Any] | None:
         """Store a state and its history, and make the other files from it; the content of best.json, if any."""
+        about = {
+            "digest": self._digest,
+            "precision": str(state.u.dtype),
+            "metrics": list(log.metrics),
+            "rows": list(log.rows.shape),
+            "codes": log.codes,
+            "identity": self._identity,
+        }
         with clear_errors(self.out):
-            self._checkpoints.save(state, log)
+            self._checkpoints.save(int(state.iteration), {"state": state, "history": log.rows}, about)
         return self.publish(log)
 
     def publish(self, log: Log) -> dict[str, Any] | None:
@@ -288,29 +260,6 @@ class Directory:
     def set_aside(self, what: str, *names: str) -> None:
         """See `RunDirectory.set_aside`."""
         self._run.set_aside(what, names, self._warn)
-
-    def _follows(self, log: Log | None) -> bool:
-        """Whether the directory's contents belong to this history, or to its beginning."""
-        if log is None:
-            return not any((self.out / name).exists() for name in _MADE)
-        shown = content_of(self.out / FILE)
-        table = None if shown is None else parquet_table(shown)
-        return shown is None or (table is not None and table.num_rows <= log.rows[:, :, 0].size)
-
-    def _check(self) -> None:
-        """Refuse a directory that was started for another tuning."""
-        if not any(path.name.isdecimal() for path in (self.out / "checkpoints").glob("*")):
-            return  # until an iteration is stored, another tuning may take the directory over
-        try:
-            begun = load_tuning(self.out)
-        except SpecError as error:
-            unknown = "checkpoints of an unknown tuning (it has no tuning.yaml)"
-            unread = f"a tuning that cannot be read ({error})" if (self.out / TUNING).exists() else unknown
-            raise WrongDirectory(f"{self.out} holds {unread}; choose another directory.") from None
-        apart = changes(begun.decisive(), self.tuning.decisive())
-        if apart:
-            raise WrongDirectory(f"{self.out} holds another tuning, with another {', '.join(apart)} (see "
-                                 f"{self.out / TUNING}); choose another directory.")  # fmt: skip
 
 
 def read_stored(path: Path) -> Tuning:
@@ -344,7 +293,7 @@ def status(out: Path) -> Status:
     """How many evaluations of its starts the history of a tuning's directory has."""
     notes, rows, done = list[str](), None, 0
     try:
-        tuning = Tuning.from_file(out / "tuning.yaml")
+        tuning = Tuning.from_file(out / TUNING)
         rows = (tuning.iterations + 1) * tuning.starts
     except (SpecError, OSError) as error:
         notes.append(f"Its tuning cannot be read: {error}")
@@ -356,8 +305,9 @@ def status(out: Path) -> Status:
     if isinstance(best, dict) and best.get("stopped"):
         rows, notes = done, [*notes, best["stopped"]]
     complete = rows is not None and done >= rows and best is not None
-    return status_of("evaluations", out, done, rows, complete, command="tune", spec="tuning.yaml",
-                     engine=engine_of(out), notes=notes)  # fmt: skip
+    return status_of(
+        "evaluations", out, done, rows, complete, command="tune", spec=TUNING, engine=engine_of(out), notes=notes
+    )
 
 
 def landscape_status(out: Path) -> Status:
@@ -369,8 +319,8 @@ def landscape_status(out: Path) -> Status:
             sessions = [json.loads((about.metadata or {}).get(b"session", b"{}"))]
             complete = (out / "landscape.json").exists()
             command = f"nermo-mjx plot {shlex.quote(str(out))}" if complete else last_command(out)
-            return Status("points", about.num_rows, about.num_rows, complete, command, engine_of(out),
-                          sessions=sessions)  # fmt: skip
+            rows, engine = about.num_rows, engine_of(out)
+            return Status("points", rows, rows, complete, command, engine, sessions=sessions)
         except (OSError, pa.ArrowException, ValueError):
             notes.append("landscape.parquet is damaged.")
     done = 0
