@@ -7,8 +7,8 @@ import dataclasses
 import numpy as np
 
 from nermo_mjx.experiments.cases import BODY, Column, Outcome, Settings
-from nermo_mjx.experiments.catalogue import Experiment
-from nermo_mjx.experiments.lines import Figure
+from nermo_mjx.experiments.published import Figure
+from nermo_mjx.experiments.run import Experiment
 from nermo_mjx.robot import load_robot
 from nermo_mjx.view import Recording
 
@@ -37,7 +37,7 @@ class Fake:
     asked: list[Settings] = dataclasses.field(default_factory=list)
 
     def run(self, asked: Settings) -> Outcome:
-        """See `catalogue.Experiment`."""
+        """See `run.Experiment`."""
         self.asked.append(asked)
         assert asked.progress is not None
         asked.progress(0.5)

@@ -9,6 +9,7 @@ import types
 from pathlib import Path
 
 import numpy as np
+import pyarrow.parquet as pq
 
 AMPLITUDES, FREQUENCIES, PHASES = (0.0, 0.2, 0.4), (0.5, 0.7, 0.9, 1.1), (-1.0, 0.0, 1.0)
 SPEC = {
@@ -68,6 +69,12 @@ class FakeSimulator:
         return types.SimpleNamespace(
             metrics=metrics, status=np.where(fell, "fell", "ok"), engine=self.engine, steps=100
         )
+
+
+def part_of(out, row):
+    """The file of a directory that holds a row."""
+    files = sorted(Path(out).glob("results/*.parquet"))
+    return next(path for path in files if row in pq.read_table(path, columns=["row"])["row"].to_pylist())
 
 
 def work(out, log="", chunk=4, delay=0.0, hold_at=None):

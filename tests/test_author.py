@@ -110,7 +110,7 @@ def test_the_published_simulation_walks_as_published(published):
 
 def test_the_published_robot_stands_with_its_nose_up():
     """The author's model: -0.55 degrees. Neutral feet, no gait."""
-    standing = {"speed": 0.0, "stance.swing_amplitude": 0.0, "stance.stance_amplitude": 0.0}
+    standing = {"commanded_speed": 0.0, "stance.swing_amplitude": 0.0, "stance.stance_amplitude": 0.0}
     found = Simulator(Setup(profile="as_published", pilot="open_loop", spine="stride_extension"), engine="c").run(
         standing | {"spine.amplitude": 0.0}, Run(duration=3.0, warmup=1.5)
     )

@@ -380,7 +380,7 @@ def test_sweep_json_and_directory(tmp_path: Path) -> None:
 def fakes(monkeypatch: pytest.MonkeyPatch) -> dict[str, Fake]:
     """Experiments that simulate and draw nothing."""
     from nermo_mjx.experiments import plots
-    from nermo_mjx.experiments.catalogue import EXPERIMENTS
+    from nermo_mjx.experiments.run import EXPERIMENTS
 
     made = {name: Fake(name) for name in choices.EXPERIMENTS}
     for name, fake in made.items():
@@ -466,7 +466,7 @@ def test_experiments_in_use_or_of_other_code_are_refused_by_exit_code(
 @pytest.fixture
 def identified(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     """An identification that returns its start; records its arguments."""
-    from nermo_mjx.experiments import identification
+    from nermo_mjx.experiments import ensemble, identification
     from nermo_mjx.rollout import Setup
 
     asked: dict[str, Any] = {}
@@ -477,7 +477,7 @@ def identified(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
         asked.update(vars(wanted))
         progress(1.0)
         defaults = Setup().defaults()
-        names = [name for free in identification.FREE_IN["exact"].values() for name in free.names]
+        names = [name for free in ensemble.FREE_IN["exact"].values() for name in free.names]
         figures = dict.fromkeys(identification.TARGETS, (1.1, 0.5))
         return identification.Identified({n: defaults[n] for n in names}, 0.5, 0.9, figures, figures, (0.9, 10.0, 0.5))
 

@@ -58,6 +58,7 @@ def sensors_at(position=(0.0, 0.0, 0.05)) -> Sensors:
         foot_position=jnp.zeros((4, 3)),
         foot_velocity=jnp.zeros((4, 3)),
         tail_force=jnp.zeros(()),
+        contact_distance=jnp.zeros(()),
     )
 
 
@@ -94,7 +95,7 @@ def erratic():
     def run(params, commands):
         def step(state, command):
             frequency, speed, turn_rate = command
-            gait = dataclasses.replace(params.gait, frequency=frequency, speed=speed)
+            gait = dataclasses.replace(params.gait, frequency=frequency, commanded_speed=speed)
             now = dataclasses.replace(params, gait=gait, pilot=dataclasses.replace(params.pilot, turn_rate=turn_rate))
             state, _ = published_controller(pilot="open_loop", pilot_rate=100.0).update(now, state, sensors_at())
             return state, state
@@ -673,7 +674,7 @@ def test_choices_that_do_not_fit_are_refused_with_a_sentence(choices, message):
     ("values", "message"),
     [
         ({"frequency": 0.0}, r"frequency is 0: allowed is \(0, 5\] Hz"),
-        ({"duty": np.array([0.5, 1.0])}, r"duty is 1: allowed is \(0, 1\)"),
+        ({"duty": np.array([0.5, 1.0])}, r"duty is 1: allowed is \[0.01, 1\)"),
         ({"spine.phase": np.nan}, "spine.phase is nan"),
         ({"frequenzy": 1.0}, "parameter is 'frequenzy': did you mean 'frequency'?"),
         ({"gait": "canter"}, "gait is 'canter'"),

@@ -9,9 +9,7 @@ import pytest
 from experiment_fake import RUN, Fake
 
 from nermo_mjx.experiments import plots, run
-from nermo_mjx.experiments.catalogue import EXPERIMENTS
-from nermo_mjx.experiments.directory import Directory
-from nermo_mjx.experiments.run import ExperimentError, run_experiment, run_experiments
+from nermo_mjx.experiments.run import EXPERIMENTS, Directory, ExperimentError, run_experiment, run_experiments
 from nermo_mjx.robot import ParameterError
 from nermo_mjx.runs.workers import WorkersLost
 

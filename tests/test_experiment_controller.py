@@ -14,9 +14,8 @@ from experiment_fake import Fake
 
 from nermo_mjx import Setup
 from nermo_mjx.experiments import plots, walks
-from nermo_mjx.experiments.cases import Settings, Substitute
-from nermo_mjx.experiments.catalogue import EXPERIMENTS
-from nermo_mjx.experiments.run import run_experiment
+from nermo_mjx.experiments.cases import ReplacementPolicy, Settings
+from nermo_mjx.experiments.run import EXPERIMENTS, run_experiment
 from nermo_mjx.learn import PPO, Environment, Policy, Task
 from nermo_mjx.robot import ParameterError
 
@@ -42,7 +41,7 @@ def files(tmp_path_factory):
 
 
 def settings(where=None):
-    controller = None if where is None else Substitute.of(where)
+    controller = None if where is None else ReplacementPolicy.of(where)
     return Settings(("exact",), repeats=1, quick=True, controller=controller, engine="c")
 
 
@@ -51,7 +50,7 @@ def test_a_policy_that_does_nothing_walks_as_the_published_controller_and_anothe
     """Every case with its own gait, frequency, stride and spine: as without a policy, where its actions are zero."""
     chosen = (walks._line("trt", 0.8, spine=True), walks._line("lat", 0.5, spine=False))
     monkeypatch.setattr(walks, "line_cases", lambda quick: chosen)
-    monkeypatch.setattr(walks, "recorded", lambda *_: {})
+    monkeypatch.setattr(walks, "_record", lambda *_: {})
     published, none, some = (walks.walk_line(settings(files.get(name))).columns for name in (None, "none", "some"))
     assert not np.allclose(published["speed"][0], published["speed"][1], rtol=0.1)
     for name in MEASURED:
@@ -64,7 +63,7 @@ def test_full_lock_is_left_out_for_a_policy_that_needs_a_path(files, monkeypatch
     """Circles are walked, and full lock by a policy that observes no path."""
     chosen = tuple(walks._turn("trt", 0.67, radius, "leg") for radius in (0.5, walks.FULL_LOCK))
     monkeypatch.setattr(walks, "turn_cases", lambda quick: chosen)
-    monkeypatch.setattr(walks, "recorded", lambda *_: {})
+    monkeypatch.setattr(walks, "_record", lambda *_: {})
     monkeypatch.setattr(walks, "_LOCK_CYCLES", 3.0)
     monkeypatch.setattr(walks, "_IN_TIME", 2.0)
     assert walks.walk_turns(settings(files["none"])).columns["radius"].tolist() == [0.5]
@@ -97,7 +96,7 @@ def test_a_controller_with_parameters_of_its_own_is_refused_in_one_sentence(tmp_
     own = tmp_path / "own.py"
     own.write_text("from nermo_mjx import Setup\nOwn = Setup().make_controller()\n")
     with pytest.raises(ParameterError, match=r"own\.py:Own', which has parameters of its own: allowed is a policy"):
-        Substitute.of(f"{own}:Own")
+        ReplacementPolicy.of(f"{own}:Own")
 
 
 @pytest.mark.compiles

@@ -5,8 +5,7 @@ import types
 import numpy as np
 import pytest
 
-from nermo_mjx.experiments import cycle
-from nermo_mjx.experiments.cycle import PARTS, folded, of_world, pitch_course, rear_slip
+from nermo_mjx.experiments.walks import CYCLE, PARTS, folded, of_world, pitch_course, rear_slip
 from nermo_mjx.robot import LIMBS
 from nermo_mjx.rollout import Run
 
@@ -78,7 +77,7 @@ def test_a_walk_is_reduced_over_whole_cycles_after_the_warm_up():
     values = {"frequency": frequency, "tracking.clock_ratio": 1.0, "start.phase": 0.01, "duty": 0.5}
     values |= {f"offset.{limb}": offset for limb, offset in OFFSETS.items()}
     found = of_world(trace, 0, values, Run(cycles=10.0, warmup_cycles=warmup))
-    assert set(found) == set(cycle.ABOUT)
+    assert set(found) == set(CYCLE)
     assert found["pitch_peaks"] == 2.0
     assert found["pitch_peak_up"] == pytest.approx(0.02, rel=0.02)
     assert found["yaw_spine_correlation"] == pytest.approx(1.0, abs=1e-3)

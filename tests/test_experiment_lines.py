@@ -6,11 +6,21 @@ import itertools
 import numpy as np
 import pytest
 
-from nermo_mjx.experiments import balance, cycle, stands, walks
-from nermo_mjx.experiments.cases import Case, Column, Outcome, joined
-from nermo_mjx.experiments.catalogue import EXPERIMENTS
-from nermo_mjx.experiments.lines import KINDS, Figure, compare, counts, figures, set_ups
-from nermo_mjx.experiments.measures import Words, clock, falls, farthest, saturates
+from nermo_mjx.experiments import stands, walks
+from nermo_mjx.experiments.cases import Case, Column, Outcome, clock, texts
+from nermo_mjx.experiments.published import (
+    KINDS,
+    Figure,
+    Words,
+    compare,
+    counts,
+    falls,
+    farthest,
+    figures,
+    saturates,
+    set_ups,
+)
+from nermo_mjx.experiments.run import EXPERIMENTS
 from nermo_mjx.robot import LIMBS
 from nermo_mjx.rollout import METRICS
 
@@ -228,22 +238,24 @@ def test_every_figure_is_measured_where_its_columns_are():
     three, random = ("exact", "as_published", "as_built"), np.random.default_rng(0)
     limbs = [Case({"leg": leg, "sbc": sbc}, "trt") for leg in LIMBS for sbc in (False, True)]
     designs = {
-        "straight-line": (walks.line_cases(), (*METRICS, *cycle.ABOUT, *walks._LINE)),
-        "turning": (walks.turn_cases(), (*METRICS, *walks._TURN)),
-        "maze": (walks.maze_cases(), (*METRICS, *walks._MAZE)),
-        "balance": (limbs, balance.ABOUT),
-        "body": ([Case({}, "trt")], stands.BODY_ABOUT),
-        "leg-stand": ([Case(case, "trt") for case in stands.LEG_CASES], stands.LEG_ABOUT),
-        "spine-stand": ([Case(case, "trt") for case in stands.SPINE_CASES], stands.SPINE_ABOUT),
+        "straight-line": walks.line_cases(),
+        "turning": walks.turn_cases(),
+        "maze": walks.maze_cases(),
+        "balance": limbs,
+        "body": [Case({}, "trt")],
+        "leg-stand": [Case(case, "trt") for case in stands.LEG_CASES],
+        "spine-stand": [Case(case, "trt") for case in stands.SPINE_CASES],
     }
-    for name, (cases, columns) in designs.items():
+    for name, cases in designs.items():
+        columns = (*(METRICS if EXPERIMENTS[name].walks else ()), *texts("columns")[name])
         measured = {column: lambda row: random.uniform(0.9, 1.1) for column in columns if column not in cases[0].labels}
         measured |= {"followed": 1.0} if name == "turning" else {}
         parts = [
             table(name, [dict(case.labels) for case in cases if profile in case.profiles], measured, (profile,))
             for profile in three
         ]
-        for line in compare(joined(parts)):
+        columns = {column: np.concatenate([part.columns[column] for part in parts]) for column in parts[0].columns}
+        for line in compare(dataclasses.replace(parts[0], columns=columns)):
             assert getattr(line, line.judged_in) is not None, line.figure
 
 

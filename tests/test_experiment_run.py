@@ -13,10 +13,17 @@ from experiment_fake import RUN, Fake
 
 from nermo_mjx.experiments import plots
 from nermo_mjx.experiments.cases import Settings
-from nermo_mjx.experiments.catalogue import EXPERIMENTS, Shot
-from nermo_mjx.experiments.directory import Directory
 from nermo_mjx.experiments.report import number, published_text
-from nermo_mjx.experiments.run import ExperimentError, ExperimentsInterrupted, run_experiment, run_experiments, shoot
+from nermo_mjx.experiments.run import (
+    EXPERIMENTS,
+    Directory,
+    ExperimentError,
+    ExperimentsInterrupted,
+    Shot,
+    run_experiment,
+    run_experiments,
+    shoot,
+)
 from nermo_mjx.robot import ParameterError
 from nermo_mjx.runs import DirectoryError, OtherCode, RunDirectory, codes_of
 from nermo_mjx.runs.files import TEMPORARY, WrongDirectory

@@ -8,8 +8,8 @@ import pytest
 
 from nermo_mjx.experiments import stands
 from nermo_mjx.experiments.cases import Settings
-from nermo_mjx.experiments.lines import compare
 from nermo_mjx.experiments.plots import _leg_stand, _spine_stand
+from nermo_mjx.experiments.published import compare
 from nermo_mjx.experiments.stands import Stand
 from nermo_mjx.kinematics import leg as kinematics
 from nermo_mjx.robot import ModelParameters, ParameterError, assemble_leg

@@ -13,7 +13,7 @@ from sweep_fake import SPEC, FakeSimulator
 from nermo_mjx import Sweep, run_sweep
 from nermo_mjx.cli import main
 from nermo_mjx.runs.files import DirectoryError
-from nermo_mjx.sweep.forecast import forecast
+from nermo_mjx.sweep.run import forecast
 
 
 def rate(sweep: Sweep, engine: str) -> float:

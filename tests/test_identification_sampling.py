@@ -33,7 +33,7 @@ def test_share_and_moments_of_a_ball(radius):
         np.testing.assert_allclose(each.weights @ away, 0.0, atol=5 * radius / math.sqrt(8 * each.effective))
         assert each.costs.max() <= 0.5
         assert each.effective > 150
-        assert each.sweeps[-1].acceptance > 0.35
+        assert each.sweeps[-1]["acceptance"] > 0.35
 
 
 def test_a_corner_that_is_cut_off_by_the_cube_is_covered_evenly():
@@ -78,8 +78,8 @@ def test_it_ends_when_enough_is_known_and_after_so_many_sweeps():
     assert everywhere.share == 1.0
     assert everywhere.effective == pytest.approx(256)
     rare = drawn(0.2, 0, sweeps=2)
-    assert [each.proposed for each in rare.sweeps] == [256, 256, 256]
-    assert rare.sweeps[1].level > 0.5
+    assert [each["candidates"] for each in rare.sweeps] == [256, 256, 256]
+    assert rare.sweeps[1]["level"] > 0.5
 
 
 def test_a_region_that_is_not_there_gives_no_points():

@@ -1,19 +1,23 @@
-"""The ensemble of bodies that comes with the package: within bounds and tolerance, and begun with the default body."""
+"""The ensemble of bodies that comes with the package: within bounds and tolerance, around the default body."""
 
 import numpy as np
 import pytest
 
-from nermo_mjx.experiments.ensemble import ALL, TOLERANCE, names
+from nermo_mjx.experiments.ensemble import FREE_IN, TOLERANCE, UNCERTAIN, names
 from nermo_mjx.robot import identified
 from nermo_mjx.robot.model_parameters import ModelParameters
 from nermo_mjx.robot.quantity import ParameterError, quantities
 
+ALL = FREE_IN["as_published"] | UNCERTAIN
 
-def test_the_default_body_is_the_ensembles_first():
-    """What was identified is what every run has that names no body; fails after a new identification until it is."""
-    defaults = {name: about.default for name, about in quantities(ModelParameters)}
-    first = {name: float(column[0]) for name, column in identified.bodies().values.items()}
-    assert first == {name: defaults[name] for name in first}
+
+@pytest.mark.parametrize("name", ["damping.knee", "damping.ankle", "damping.spine", "servo.kp", "servo.kv"])
+def test_the_default_body_is_among_the_identified_ones(name):
+    """Within 90 % of the weight; the damping is the author's, which the identification knows nothing of."""
+    values, weights = identified.bodies().values[name], identified.bodies().weights
+    default = {name: about.default for name, about in quantities(ModelParameters)}[name]
+    below = weights[values < default].sum()
+    assert 0.05 < below < 0.95
 
 
 def test_every_body_is_within_the_bounds_and_the_tolerance():

@@ -57,7 +57,7 @@ def mujoco_leg(g: LegGeometry) -> mujoco.MjModel:
     <mujoco><compiler angle="radian"/><worldbody>
       <site name="axis"/> <site name="guide" pos="0 {g.guide[0]} {g.guide[1]}"/>
       <site name="behind" pos="0 {-0.05 * s} {g.pulley_height + g.pulley_radius}"/>
-      <site name="above" pos="0 0 {g.pulley_height + 0.02}"/>
+      <site name="beside_pulley" pos="0 {0.02 * s} {g.pulley_height}"/>
       <site name="lead" pos="0 0 {geometry_module.lead_height(g)}"/>
       <site name="beside" pos="0 {-2 * s * IDLER_RADIUS} 0"/>
       <geom name="idler" type="cylinder" size="{IDLER_RADIUS} 0.01" zaxis="1 0 0"/>
@@ -75,7 +75,7 @@ def mujoco_leg(g: LegGeometry) -> mujoco.MjModel:
       </body>
     </worldbody><tendon>
       <spatial name="type1">
-        <site site="behind"/><geom geom="pulley" sidesite="above"/><site site="attachment"/>
+        <site site="behind"/><geom geom="pulley" sidesite="beside_pulley"/><site site="attachment"/>
       </spatial>
       <spatial name="type2"><site site="guide"/><site site="attachment"/></spatial>
       <spatial name="type3"><site site="axis"/><site site="attachment"/></spatial>
@@ -116,11 +116,8 @@ def test_points_are_where_mujoco_puts_them(geometry):
 def test_tendon_lengths_are_those_of_mujoco(geometry, routing):
     """Types 2 and 3 equal MuJoCo's tendon length, and where it is wound up, MuJoCo's up to a constant.
 
-    MuJoCo has a tendon jump off its idler where B is above that. MuJoCo 4 leads that of type 1 off its pulley in some
-    poses, of which `load_robot` warns.
+    MuJoCo has a tendon jump off its idler where B is above that.
     """
-    if routing == "type1" and mujoco.__version__ >= "4":
-        pytest.skip("MuJoCo 4 has another rule for side sites")
     model = mujoco_leg(geometry)
     data = mujoco.MjData(model)
     leg = kin.leg_of(geometry)

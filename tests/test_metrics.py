@@ -42,7 +42,7 @@ def stream(ticks: int, **readings: Any) -> Sensors:
         "linear_velocity": np.zeros(3), "gyro": np.zeros(3), "accelerometer": np.array([0.0, 0.0, 9.81]),
         "servo_angle": np.zeros(SERVOS), "servo_velocity": np.zeros(SERVOS), "servo_torque": np.zeros(SERVOS),
         "knee_angle": np.ones(4), "foot_force": np.full(4, 0.66), "foot_position": np.zeros((4, 3)),
-        "foot_velocity": np.zeros((4, 3)), "tail_force": np.zeros(()),
+        "foot_velocity": np.zeros((4, 3)), "tail_force": np.zeros(()), "contact_distance": np.full((), -1e-4),
     }  # fmt: skip
     return Sensors(
         **{
@@ -257,20 +257,19 @@ def test_work_is_averaged_over_the_steps_of_a_tick():
     assert result["servo_work"] == pytest.approx(power.mean() * 1.0)
 
 
-def test_current_follows_torque_and_its_share_of_the_voltage():
-    """Motors carry idle and stall current in proportion to their torque; the battery sees it for the share u = |tau|/T.
-
-    Of ten servos one is stalled and one holds half of that; the default has no back-EMF, so speeds do not matter.
-    """
-    torque = np.zeros(SERVOS)
-    torque[:2] = 0.157, -0.0785
-    result, _ = measure(stream(401, servo_torque=torque, servo_velocity=np.full(SERVOS, 3.0)))
+def test_power_is_what_heats_the_windings_and_what_drives():
+    """Of ten servos one is stalled, one holds half of that, one drives with a quarter of it, one is driven back."""
+    torque, speed = np.zeros(SERVOS), np.zeros(SERVOS)
+    torque[:4], speed[:4] = 0.157 * np.array([1.0, -0.5, 0.25, 0.01]), (0.0, 0.0, 10.0, -10.0)
+    result, _ = measure(stream(401, servo_torque=torque, servo_velocity=speed, position=path(0 * TIME, -0.05 * TIME)))
     idle, rise = SERVOS * 0.008, 0.8 - 0.008
-    assert result["motor_current"] == pytest.approx(idle + 1.5 * rise)
-    assert result["servo_current"] == pytest.approx(idle + 1.25 * rise)
-    assert result["electrical_power"] == pytest.approx(6.0 * (idle + 1.25 * rise))
-    assert result["charge"] == pytest.approx(4.0 * (idle + 1.25 * rise))
-    assert result["battery_time"] == pytest.approx(3600.0 / (idle + 1.25 * rise + 0.3))
+    power = 6.0 * idle + 6.0 * rise * (1.0 + 0.25 + 0.0625) + 0.157 * 0.25 * 10.0
+    assert result["motor_current"] == pytest.approx(idle + 1.76 * rise)
+    assert result["electrical_power"] == pytest.approx(power)
+    assert result["servo_current"] == pytest.approx(power / 6.0)
+    assert result["charge"] == pytest.approx(4.0 * power / 6.0)
+    assert result["battery_time"] == pytest.approx(3600.0 / (power / 6.0 + 0.3))
+    assert result["electrical_cost_of_transport"] == pytest.approx(4.0 * power / (MASS * 9.81 * 0.2))
 
 
 def test_the_back_emf_takes_torque_and_current():
@@ -278,11 +277,44 @@ def test_the_back_emf_takes_torque_and_current():
     servo = dataclasses.replace(ModelParameters().servo, back_emf=0.4)
     full, half = np.full((STEPS, 1), 0.157), np.full((STEPS, 1), 0.5 * 6.0 / 0.4)
     nothing = electrical.Drawn(*np.zeros(3))
-    drawn = electrical.update(nothing, full, half, servo.brake, 2.0)
-    back = electrical.update(nothing, full, 3.0 * half, servo.brake, 2.0)  # driven above its no-load speed
+    drawn, back = (
+        electrical.update(nothing, electrical.motor_torque(full, speed, servo.brake), speed, servo, 2.0)
+        for speed in (half, 3.0 * half)  # and driven above its no-load speed
+    )
     supply = electrical.Supply(servo, ModelParameters().battery)
     assert electrical.result(drawn, 2.0, supply)["servo_current"] == pytest.approx(0.008 + 0.5 * (0.8 - 0.008))
     assert electrical.result(back, 2.0, supply)["servo_current"] == pytest.approx(0.008)
+
+
+@pytest.mark.parametrize("limit", [0.01, 0.157, 2.0])
+@pytest.mark.parametrize("stall", [0.0, 0.008, 0.8, 10.0])
+@pytest.mark.parametrize("back_emf", [0.0, 0.4, 2.0])
+def test_power_is_at_least_work_whatever_the_motor(limit, stall, back_emf):
+    """An optimizer would find a motor that gives more than it takes."""
+    random = np.random.default_rng(0)
+    servo = dataclasses.replace(ModelParameters().servo, torque_limit=limit, stall_current=stall, back_emf=back_emf)
+    torque, speed = limit * random.uniform(-1.0, 1.0, (STEPS, 40)), random.uniform(-20.0, 20.0, (STEPS, 40))
+    drawn = electrical.update(electrical.Drawn(*np.zeros(3)), torque, speed, servo, 1.0)
+    power = electrical.result(drawn, 1.0, electrical.Supply(servo, ModelParameters().battery))["electrical_power"]
+    assert power >= np.maximum(torque * speed, 0.0).sum(axis=1).mean()
+
+
+def test_time_without_contact_and_the_deepest_contact():
+    """In the air in one tick of four; the deepest contact counts from the start, the time in the air as measured."""
+    distance = np.full((401, STEPS), -0.001)
+    distance[::4], distance[5, 2] = 0.0, -0.003
+    result, _ = measure(stream(401, contact_distance=distance))
+    assert result["airborne_time"] == pytest.approx(0.25)
+    assert result["penetration"] == pytest.approx(0.003)
+    assert result["sunk_time"] == 0.0
+
+
+def test_endings_say_what_is_no_walk():
+    table = {name: np.zeros(7) for name in ("fell", "diverged", "penetration", "sunk_time", "airborne_time")}
+    table["fell"][:1], table["diverged"][1], table["penetration"][:3], table["sunk_time"][3] = 1, 1, 0.0061, 0.06
+    table["airborne_time"][3:5] = 0.51
+    named = metrics.endings(table, np.array([True] * 6 + [False]))
+    assert named.tolist() == ["fell", "diverged", "sank", "sank", "floated", "unsolved", "ok"]
 
 
 def test_cost_of_transport_needs_a_distance():
@@ -479,6 +511,7 @@ def lively(seed: int, ticks: int = 201) -> Sensors:
         servo_velocity=every_step(wave(2.0, SERVOS)),
         foot_force=every_step(0.02 + wave(0.04, 4)),
         foot_velocity=every_step(wave(0.1, 4, 3)),
+        contact_distance=np.linspace(-0.002, -0.001, STEPS) + every_step(wave(0.0005)),
     )
 
 
@@ -561,7 +594,8 @@ def test_a_window_shorter_than_a_tick_has_numbers(late):
     assert result["duration"] == pytest.approx(0.006)
     missing = {name for name, value in result.items() if not np.isfinite(value)}
     # Below 1 mm there is no cost of transport, and in a moment not every foot swings.
-    assert missing == MAY_BE_NAN | {"cost_of_transport", "swing_loaded_front", "swing_loaded_rear"}
+    costs = {"cost_of_transport", "electrical_cost_of_transport"}
+    assert missing == MAY_BE_NAN | costs | {"swing_loaded_front", "swing_loaded_rear"}
 
 
 #: Metrics without a number in a run as it should be: without a failure, a path, a bend.

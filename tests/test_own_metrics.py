@@ -271,9 +271,10 @@ WRONG = {
     "nothing": ("pass", "which gives NoneType: expected one number"),
     "not a number": ("return sensors.foot_force[0] / jnp.sum(sensors.foot_force)", "which gives nan for a robot at "
                      "rest, where forces and velocities are 0: guard it, as by jnp.where."),
-    "an exception": ("return undefined", "which fails: NameError: name 'undefined' is not defined."),
+    "an exception": ("return undefined", "which fails at m.py:5: NameError: name 'undefined' is not defined."),
     "an unknown sensor": ("return sensors.gyros[2]", "did you mean 'gyro'. Sensors are position, orientation"),
-    "a branch": ("return 1.0 if sensors.gyro[2] > 0 else 0.0", "which cannot be compiled: it branches on readings"),
+    "a branch": ("return 1.0 if sensors.gyro[2] > 0 else 0.0", "which fails at m.py:5: it cannot be compiled, as it "
+                 "branches on readings"),
     "NumPy": ("import numpy; return numpy.max(numpy.asarray(sensors.gyro))", "or makes NumPy's numbers of them"),
 }  # fmt: skip
 

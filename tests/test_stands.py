@@ -90,6 +90,25 @@ def test_servo_angles_put_the_foot_where_the_kinematics_says(limb, routing):
 
 
 @pytest.mark.parametrize("limb", LIMBS)
+@pytest.mark.parametrize("routing", ["type1", "type2", "type3"])
+def test_no_pose_leads_a_tendon_to_the_other_side_of_its_pulley(limb, routing):
+    """Over the servo's whole range, and hips far beyond a walk's: MuJoCo 3 and 4 choose the side by different rules."""
+    model, numbers = assemble_leg(limb, routing).compile(), leg.leg_of(GEOMETRY[limb.split("_")[0]])
+    data, draw = mujoco.MjData(model), np.random.default_rng(0)
+    with jax.enable_x64(True):
+        hips, low, high = draw.uniform(-1.5, 1.5, 1000), *model.actuator_ctrlrange[1]
+        less, more, _ = leg.knee_range(numbers, hips, routing)
+        knees = np.asarray(less + (more - less) * draw.uniform(0, 1, hips.shape))
+        servos = np.asarray(leg.knee_servo(numbers, hips, knees, routing))
+    for hip, knee, servo in zip(hips, knees, servos, strict=True):
+        if low < servo < high:
+            for joint, angle in (("hip", hip), ("knee", knee), ("pulley", servo)):
+                data.joint(f"{limb}_{joint}").qpos[0] = angle
+            mujoco.mj_fwdPosition(model, data)
+            assert slack(model, data)[0] == pytest.approx(0.0, abs=1e-4), (hip, knee, servo)
+
+
+@pytest.mark.parametrize("limb", LIMBS)
 def test_a_knee_tendon_pulls_only(limb):
     """Its pull flexes the knee against its spring; when it is slack, it has no effect at all."""
     pair = limb.split("_")[0]

@@ -13,15 +13,14 @@ import numpy as np
 import pytest
 from command import call
 from experiment_fake import Fake
-from sweep_fake import SPEC, FakeSimulator
+from sweep_fake import SPEC, FakeSimulator, part_of
 from tune_fake import SPEC as TUNE_SPEC
 from tune_fake import FakeProblem
 
 from nermo_mjx.bench.results import RESULTS, append
 from nermo_mjx.experiments import identification, plots
-from nermo_mjx.experiments.catalogue import EXPERIMENTS
 from nermo_mjx.experiments.identification import CASES
-from nermo_mjx.experiments.run import ExperimentsInterrupted, run_experiments
+from nermo_mjx.experiments.run import EXPERIMENTS, ExperimentsInterrupted, run_experiments
 from nermo_mjx.optimize import Tuning, run_landscape, run_tuning
 from nermo_mjx.runs import RunDirectory, codes_of, stamp
 from nermo_mjx.sweep import run_sweep
@@ -51,15 +50,16 @@ def test_a_sweep_says_how_far_it_is_and_how_to_go_on(tmp_path: Path) -> None:
     run_sweep(SPEC, out, chunk=8, simulator=FakeSimulator())
     assert known(said(out)) == ("sweep", 36, 36, True)
     assert re.search(r"a sweep, 36 runs, complete\n", status(out).stdout)
-    (out / "results" / "chunk-00001.parquet").unlink()
+    part_of(out, 1).unlink()
     there = said(out)["rows_done"]
     assert 0 < there < 36
     text = status(out).stdout
     assert f"{out}: a sweep, {there} of 36 runs, not complete" in text
     assert f"resume   nermo-mjx sweep '{out}/sweep.yaml' --out '{out}'\n" in text
-    (out / "results" / "chunk-00002.parquet").write_text("half")
+    damaged = part_of(out, 2)
+    damaged.write_text("half")
     assert said(out)["rows_done"] < there
-    assert "results/chunk-00002.parquet is damaged" in status(out).stdout
+    assert f"results/{damaged.name} is damaged" in status(out).stdout
 
 
 def test_a_directory_that_is_being_written_is_read(tmp_path: Path) -> None:

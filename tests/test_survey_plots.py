@@ -17,8 +17,16 @@ from nermo_mjx.plotting.style import STYLE
 from nermo_mjx.robot import ParameterError
 from nermo_mjx.sweep import Results
 from nermo_mjx.sweep.figures import points_of, scatters
-from nermo_mjx.sweep.plots import chosen_figure, figures_of
-from nermo_mjx.sweep.survey import BEST_LINES, MOST_LINES, chosen_lines, front, named_points, survey_figures
+from nermo_mjx.sweep.plots import (
+    BEST_LINES,
+    MOST_LINES,
+    chosen_figure,
+    chosen_lines,
+    figures_of,
+    front,
+    named_points,
+    survey_figures,
+)
 from nermo_mjx.sweep.table import Columns
 
 pytestmark = pytest.mark.draws

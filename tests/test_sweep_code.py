@@ -10,6 +10,7 @@ import pytest
 from sweep_fake import SPEC, FakeSimulator
 
 from nermo_mjx.physics import resolve_engine
+from nermo_mjx.rollout import Setup
 from nermo_mjx.runs import OtherCode, code, codes_of, stamp
 from nermo_mjx.sweep import Sweep, SweepInterrupted, run_sweep
 from nermo_mjx.sweep.table import columns_of
@@ -110,19 +111,21 @@ def test_an_engine_that_cannot_run_here_does_not_claim_a_directory(tmp_path):
     assert codes_of(tmp_path) == {}
 
 
-def test_chunks_made_with_other_defaults_are_kept_aside(begun, monkeypatch):
-    """They are told, run again, and out of the table; none is overwritten."""
-    kept = [path.read_bytes() for path in sorted(begun.glob("results/*.parquet"))]
-    monkeypatch.setattr(Sweep, "digest", lambda self: "other defaults")
-    said = []
-    result = run_sweep(SPEC, begun, simulator=FakeSimulator(), warn=said.append)
-    assert said == [
-        f"chunks 0, 1 of {begun}: each was made by another sweep, or with other defaults; it is kept in results.aside, "
-        "and run again."
-    ]
-    assert [path.read_bytes() for path in sorted(begun.glob("results.aside/*"))] == kept
-    assert result.chunks_run == result.table.num_rows / 9 == 4
-    assert len(list(begun.glob("results/*"))) == 4
+def test_rows_made_with_other_defaults_are_kept_and_not_used(begun, monkeypatch):
+    """They are told, run again, and out of the table; with the former defaults they are back."""
+    kept = {path.name: path.read_bytes() for path in begun.glob("results/*.parquet")}
+    with monkeypatch.context() as patch:
+        defaults = Setup.defaults
+        patch.setattr(Setup, "defaults", lambda self: defaults(self) | {"stride": 0.123})
+        patch.setattr(Sweep, "digest", lambda self: "beef")
+        said = []
+        result = run_sweep(SPEC, begun, simulator=FakeSimulator(), warn=said.append)
+        assert said == [f"{begun} has parts of another job, or made with other defaults: now in former."]
+        assert {path.name: path.read_bytes() for path in begun.glob("former/results/*")} == kept
+        assert result.chunks_run == result.table.num_rows / 9 == 4
+        assert len(list(begun.glob("results/*"))) == 4
+    assert run_sweep(SPEC, begun, simulator=FakeSimulator()).chunks_run == 2
+    assert kept.keys() < {path.name for path in begun.glob("results/*")}
 
 
 def test_a_stamp_reads_every_room_that_decides_the_numbers():

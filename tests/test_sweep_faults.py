@@ -1,4 +1,6 @@
-"""Failures while a sweep runs: one sentence each, and a directory that can be resumed."""
+"""A sweep's directory end to end: what is in it, what goes wrong, shards; the store alone is in `test_rows.py`."""
+
+from __future__ import annotations
 
 import contextlib
 import errno
@@ -13,19 +15,28 @@ import subprocess
 import sys
 import threading
 import time
-from pathlib import Path
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 import sweep_fake
 from click.testing import CliRunner
-from sweep_fake import SPEC, FakeSimulator
+from sweep_fake import SPEC, FakeSimulator, part_of
 
 from nermo_mjx.cli import main
 from nermo_mjx.robot.quantity import ParameterError
-from nermo_mjx.runs import files
-from nermo_mjx.sweep import DirectoryError, SpecError, SweepError, SweepInterrupted, read_table, run_sweep
-from nermo_mjx.sweep.store import Store
+from nermo_mjx.runs import OtherCode, files
+from nermo_mjx.runs.rows import Runs
+from nermo_mjx.sweep import (
+    DirectoryError,
+    Results,
+    SpecError,
+    Sweep,
+    SweepError,
+    SweepInterrupted,
+    read_table,
+    run_sweep,
+)
 
 pytestmark = pytest.mark.process
 
@@ -36,14 +47,25 @@ def reference(tmp_path_factory):
     return run_sweep(SPEC, tmp_path_factory.mktemp("sweep"), simulator=FakeSimulator()).table
 
 
+@pytest.fixture
+def done(tmp_path):
+    """A finished directory of 36 rows in 9 parts."""
+    run_sweep(SPEC, tmp_path / "out", chunk=4, simulator=FakeSimulator())
+    return tmp_path / "out"
+
+
 @pytest.fixture(autouse=True, scope="module")
 def warm():
     """Modules that killed processes need are imported once."""
     multiprocessing.get_context("forkserver").set_forkserver_preload(["sweep_fake", "nermo_mjx.sweep"])
 
 
+def contents(out):
+    return {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
+
+
 def goes_on(out, reference, at_most):
-    """The directory is whole: the same sweep completes it with so many chunks, and the table is as if undisturbed."""
+    """The directory is whole: the same sweep completes it with so many batches, and the table is as if undisturbed."""
     simulator = FakeSimulator()
     result = run_sweep(SPEC, out, simulator=simulator)
     assert result.complete
@@ -52,31 +74,102 @@ def goes_on(out, reference, at_most):
     assert not list(out.rglob("*.nermo-tmp"))
 
 
+# --- what other programs rely on
+
+
+@pytest.mark.draws
+def test_the_directory_holds_what_other_programs_rely_on(done):
+    """Files, and in each column its unit, its meaning and its role; readers of Parquet need no other program."""
+    pandas = pytest.importorskip("pandas")
+    run_sweep(SPEC | {"plots": True}, done, simulator=FakeSimulator())  # figures may be drawn later
+    names = {path.name for path in done.iterdir() if path.name[0] != "."}
+    assert names == {"plots", "results", "run.json", "summary.json", "sweep.json", "sweep.yaml"}
+    assert Sweep.from_file(done / "sweep.yaml").digest() == Sweep.from_dict(SPEC).digest()
+    about = {field.name: field.metadata for field in pq.read_schema(part_of(done, 0))}
+    assert (about["frequency"][b"unit"], about["speed"][b"unit"]) == (b"Hz", b"m/s")
+    assert (about["frequency"][b"role"], about["speed"][b"role"], about["key"][b"role"]) == (
+        b"varied",
+        b"metric",
+        b"key",
+    )
+    assert all(metadata[b"description"] for metadata in about.values())
+    assert sorted(pandas.read_parquet(done / "results")["row"]) == list(range(36))
+    assert "key" not in read_table(done).column_names + Results(sorted(done.glob("results/*"))).schema.names
+
+
+def test_numbers_pass_through_the_store_unchanged(done):
+    """What the simulator gave stands in the table, bit by bit."""
+    table = read_table(done)
+    values = {name: table.column(name).to_numpy() for name in ("frequency", "spine.amplitude", "spine.phase")}
+    expected = FakeSimulator().run(values, None).metrics["speed"]
+    np.testing.assert_array_equal(table.column("speed").to_numpy(), expected.astype(np.float64))
+
+
+def test_a_finished_directory_is_not_run_again(done):
+    before, simulator = contents(done / "results"), FakeSimulator()
+    assert run_sweep(SPEC, done, simulator=simulator).chunks_run == 0
+    assert simulator.batches == []
+    assert contents(done / "results") == before
+
+
 # --- damage
 
 
 @pytest.mark.parametrize(
-    ("damage", "flaw"),
+    "damage",
     [
-        (lambda path: path.write_bytes(b""), "is damaged"),
-        (lambda path: path.write_bytes(path.read_bytes()[:-1]), "is damaged"),
-        (lambda path: path.write_bytes(path.read_bytes()[:-300] + b"?" + path.read_bytes()[-299:]), "is damaged"),
-        (lambda path: path.write_bytes(path.with_name("chunk-00005.parquet").read_bytes()), "holds other rows"),
+        lambda path, other: path.unlink(),
+        lambda path, other: path.write_bytes(b""),
+        lambda path, other: path.write_bytes(path.read_bytes()[:-300] + b"?" + path.read_bytes()[-299:]),
+        lambda path, other: path.write_bytes(other.read_bytes()),
     ],
 )
-def test_a_damaged_chunk_is_told_and_run_again(tmp_path, reference, damage, flaw):
-    """One sentence names the chunk and what is wrong with it; also in the footer, which no page covers."""
-    run_sweep(SPEC, tmp_path, chunk=4, simulator=FakeSimulator())
-    damage(tmp_path / "results" / "chunk-00003.parquet")
-    said = []
-    result = run_sweep(SPEC, tmp_path, simulator=FakeSimulator(), warn=said.append)
-    assert said == [f"chunk 3 of {tmp_path} {flaw}; it is kept in results.aside, and run again."]
+def test_damaged_rows_are_told_kept_and_run_again(done, reference, damage):
+    """One sentence names the file; all others stay as they are."""
+    path, said = part_of(done, 3), []
+    damage(path, part_of(done, 35))
+    damaged = [path.read_bytes()] if path.exists() else []
+    result = run_sweep(SPEC, done, simulator=FakeSimulator(), warn=said.append)
+    assert said == [f"{path} is damaged; it is kept in results.aside, and its runs are made again."] * len(damaged)
+    assert [kept.read_bytes() for kept in done.glob("results.aside/*")] == damaged
     assert result.chunks_run == 1
     assert result.table.equals(reference)
 
 
+def test_a_part_that_cannot_be_read_is_named(done):
+    """Whether it is the footer that is damaged or a page of a column that is asked for later."""
+    path, parts = part_of(done, 3), sorted(done.glob("results/*"))
+    content, speed = (
+        path.read_bytes(),
+        pq.read_metadata(path).row_group(0).column(pq.read_schema(path).names.index("speed")),
+    )
+    damaged = bytearray(content)
+    damaged[(speed.dictionary_page_offset or speed.data_page_offset) + speed.total_compressed_size - 1] ^= 1
+    path.write_bytes(damaged)
+    results = Results(parts)
+    assert results.column("frequency").shape == (36,)
+    with pytest.raises(DirectoryError, match=rf"{path.name} cannot be read \(.*\): run the same command again"):
+        results.column("speed")
+    path.write_bytes(content[:-20])
+    with pytest.raises(DirectoryError, match=rf"{path.name} cannot be read"):
+        Results(parts)
+
+
+def test_rows_that_two_processes_made_count_once(done, tmp_path, reference):
+    """As of a part that was moved aside and put back after its rows were made again, in other company."""
+    kept = part_of(done, 3)
+    kept.rename(tmp_path / kept.name)
+    run_sweep(SPEC, done, simulator=FakeSimulator())
+    run_sweep(SPEC, tmp_path / "other", chunk=7, simulator=FakeSimulator())
+    for path in [tmp_path / kept.name, *(tmp_path / "other/results").glob("*")]:
+        path.rename(done / "results" / path.name)
+    assert read_table(done).equals(reference)
+    assert Results(sorted(done.glob("results/*"))).statuses == {"ok": 36}
+    assert run_sweep(SPEC, done, simulator=FakeSimulator()).chunks_run == 0
+
+
 class Vandal(FakeSimulator):
-    """Damages the first chunk while the last one is simulated."""
+    """Damages the first part while the last batch is simulated."""
 
     def __init__(self, out):
         super().__init__()
@@ -84,23 +177,21 @@ class Vandal(FakeSimulator):
 
     def run(self, *args, **kwargs):
         if len(self.batches) == 8:
-            path = self.out / "results" / "chunk-00000.parquet"
+            path = sorted(self.out.glob("results/*"))[0]
             path.write_bytes(path.read_bytes()[:-20])
         return super().run(*args, **kwargs)
 
 
-def test_a_chunk_that_is_damaged_meanwhile_is_found_in_the_end(tmp_path, reference):
+def test_what_is_damaged_meanwhile_is_found_in_the_end(tmp_path, reference):
     """What was written is read again before it is summed up."""
     simulator, said = Vandal(tmp_path), []
     result = run_sweep(SPEC, tmp_path, chunk=4, simulator=simulator, warn=said.append)
     assert len(simulator.batches) == 10
-    assert said == [f"chunk 0 of {tmp_path} is damaged; it is kept in results.aside, and run again."]
+    assert len(said) == 1
     assert result.table.equals(reference)
 
 
 def test_a_disk_that_loses_everything_is_not_tried_for_ever(tmp_path, monkeypatch, reference):
-    """Chunks that are never as they were written end in a sentence."""
-
     def loses(path, content, replace=files.replace_file):
         replace(path, content[:-1] if path.suffix == ".parquet" else content)
 
@@ -111,7 +202,7 @@ def test_a_disk_that_loses_everything_is_not_tried_for_ever(tmp_path, monkeypatc
     goes_on(tmp_path, reference, 3)
 
 
-# --- no room, no permission
+# --- no room, no permission, another sweep
 
 
 class FullDisk(io.FileIO):
@@ -122,48 +213,34 @@ class FullDisk(io.FileIO):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
-@pytest.mark.parametrize(
-    ("kept", "left", "folder"),
-    [
-        ((), 9, ""),
-        (("sweep.yaml", "run.json"), 9, ""),
-        (("sweep.yaml", "run.json", "results"), 9, ""),
-        (("sweep.yaml", "run.json", "manifest", "00000", "00001", "00002"), 6, ""),
-        (("sweep.yaml", "run.json", "manifest", "results"), 0, ""),
-        (("sweep.yaml", "run.json", "manifest", "results", "summary"), 0, "plots"),
-    ],
-)
-def test_a_full_disk_is_one_sentence_wherever_it_strikes(tmp_path, monkeypatch, reference, kept, left, folder):
-    """At the beginning, in the list of the chunks, in the middle of a chunk, in the summary, and in the figures."""
+@pytest.mark.parametrize("file", range(9))
+def test_a_full_disk_is_one_sentence_wherever_it_strikes(tmp_path, monkeypatch, reference, file):
+    """In the sweep's two files, in run.json twice, in the parts, in summary and figures; then it goes on."""
+    opened = []
     with monkeypatch.context() as patch:
         # In the one function that all others write by, so that it strikes whoever imported which before.
-        def opened(path, mode):
-            return open(path, mode) if any(name in str(path) for name in kept) else FullDisk(path, mode)
+        def opens(path, mode):
+            opened.append(path)
+            return FullDisk(path, mode) if len(opened) > file else open(path, mode)
 
-        patch.setattr(files, "open", opened, raising=False)
+        patch.setattr(files, "open", opens, raising=False)
         with pytest.raises(DirectoryError) as caught:
-            run_sweep(SPEC | {"plots": True}, tmp_path, chunk=4, simulator=FakeSimulator())
+            run_sweep(SPEC | {"plots": True}, tmp_path, chunk=12, simulator=FakeSimulator())
+    folder = opened[file].parent if opened[file].parent.name == "plots" else tmp_path
     assert str(caught.value) == (
-        f"cannot write in {tmp_path / folder}: No space left on device. What is finished is kept: run the same command "
-        "again when there is room."
+        f"cannot write in {folder}: No space left on device. What is finished is kept: run the same command again when "
+        "there is room."
     )
-    goes_on(tmp_path, reference, left)
-
-
-def mounted(folder, *options):
-    """Mount a small file system, or skip where that is not permitted."""
-    folder.mkdir(exist_ok=True)
-    done = subprocess.run(["mount", "-t", "tmpfs", *options, "tmpfs", str(folder)], capture_output=True)
-    if done.returncode:
-        pytest.skip("mounting is not permitted")
+    goes_on(tmp_path, reference, max(min(3, 7 - file), 0))
 
 
 @pytest.mark.skipif(sys.platform != "linux" or os.geteuid() != 0, reason="only root may mount")
 def test_a_really_full_disk_keeps_what_is_finished(tmp_path, reference):
-    """A file system of a few pages fills up with chunks; with space again, the sweep resumes. Read-only is reported,
-    too."""
+    """A file system of a few pages fills up; with space again, the sweep resumes. Read-only is reported, too."""
     disk = tmp_path / "disk"
-    mounted(disk, "-o", "size=128k")
+    disk.mkdir()
+    if subprocess.run(["mount", "-t", "tmpfs", "-o", "size=128k", "tmpfs", disk], capture_output=True).returncode:
+        pytest.skip("mounting is not permitted")
     try:
         with pytest.raises(DirectoryError, match=r"No space left on device\. What is finished is kept"):
             run_sweep(SPEC, disk / "out", chunk=1, simulator=FakeSimulator())
@@ -178,49 +255,44 @@ def test_a_really_full_disk_keeps_what_is_finished(tmp_path, reference):
         subprocess.run(["umount", "-l", str(disk)], check=True)
 
 
-# --- a simulation that fails, a spec that changed, a second process
-
-
-@pytest.mark.parametrize(
-    ("error", "expected", "sentence"),
-    [
-        (ValueError("no\nsuch luck"), SweepError, r"failed: ValueError: no\. What is finished is kept in .+: run the"),
-        (MemoryError(), SweepError, r"failed: MemoryError\. .+: take a smaller --chunk in another directory\.$"),
-        (ParameterError("stride is 9."), SpecError, r"is refused: stride is 9\.$"),
-    ],
-)
-def test_a_failed_simulation_names_its_chunk_and_rows(tmp_path, reference, error, expected, sentence):
-    """Finished chunks are kept, and the sweep resumes from there."""
-    with pytest.raises(expected, match=r"^chunk 2 \(rows 9, 10, 11, 12 and 5 more\) " + sentence) as caught:
-        run_sweep(SPEC, tmp_path, chunk=9, simulator=FakeSimulator(fail_at=2, error=error))
-    assert caught.value.__cause__ is error
-    assert len(list(tmp_path.glob("results/*.parquet"))) == 2
-    goes_on(tmp_path, reference, 2)
-
-
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [
-        ({"seed": 5}, "seed is 0 there and 5 here; choose"),
+        (lambda out: (out / "sweep.yaml").write_text("vary: ["), "a sweep that cannot be read"),
+        (lambda out: (out / "sweep.yaml").unlink(), "results of an unknown sweep"),
+        (lambda out: SPEC | {"seed": 5}, "the results of another sweep: seed is 0 there and 5 here; choose"),
         (
-            {"run": {"cycles": 5, "warmup_cycles": 1}, "gait": "lat"},
-            "gait is trt there and lat here; run.cycles is 4",
+            lambda out: SPEC | {"run": {"cycles": 5, "warmup_cycles": 1}, "gait": "lat"},
+            "the results of another sweep: gait is trt there and lat here; run.cycles is 4",
         ),
         (
-            {"vary": SPEC["vary"] | {"frequency": [0.5]}},
-            r"vary.frequency.values is \[0.5, 0.7, 0.9, 1.1\] there",
+            lambda out: SPEC | {"vary": SPEC["vary"] | {"duty": [0.5]}},
+            r"the results of another sweep: vary.duty.values is absent there and \[0.5\] here; choose",
         ),
-        ({"vary": SPEC["vary"] | {"duty": [0.5]}}, r"vary.duty.values is absent there and \[0.5\] here; choose"),
-        ({"vary": dict(reversed(SPEC["vary"].items()))}, "the parameters under vary or randomize stand in another ord"),
+        (
+            lambda out: SPEC | {"vary": dict(reversed(SPEC["vary"].items()))},
+            "the results of another sweep: the parameters under vary or randomize stand in another order",
+        ),
     ],
 )
-def test_a_changed_sweep_says_what_changed(tmp_path, change, sentence):
-    """The first fields that differ, with both values, and nothing is touched."""
-    run_sweep(SPEC, tmp_path, simulator=FakeSimulator())
-    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
-    with pytest.raises(DirectoryError, match=f"holds the results of another sweep: {sentence}"):
-        run_sweep(SPEC | change, tmp_path, simulator=FakeSimulator())
-    assert before == {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+def test_a_directory_of_something_else_is_refused_untouched(done, change, sentence):
+    """The first fields that differ, with both values."""
+    spec = change(done)
+    before = contents(done)
+    with pytest.raises(DirectoryError, match=f"out holds {sentence}"):
+        run_sweep(spec if isinstance(spec, dict) else SPEC, done, simulator=FakeSimulator())
+    assert contents(done) == before
+
+
+def test_places_that_are_no_directories_are_one_sentence(tmp_path):
+    (tmp_path / "out").write_text("")
+    with pytest.raises(DirectoryError, match="out is a file: a directory is needed"):
+        run_sweep(SPEC, tmp_path / "out", simulator=FakeSimulator())
+    with pytest.raises(DirectoryError, match="holds no results"):
+        read_table(tmp_path)
+    if os.path.isdir("/sys/kernel"):
+        with pytest.raises(DirectoryError, match="cannot write in /sys/kernel/nermo: "):
+            run_sweep(SPEC, "/sys/kernel/nermo", simulator=FakeSimulator())
 
 
 def test_the_command_ends_with_one_sentence_and_1(tmp_path):
@@ -234,13 +306,28 @@ def test_the_command_ends_with_one_sentence_and_1(tmp_path):
     assert result.stderr.count("\n") == 1
 
 
-# --- interruptions
+# --- a simulation that fails, interruptions
+
+
+@pytest.mark.parametrize(
+    ("error", "expected", "sentence"),
+    [
+        (ValueError("no\nsuch luck"), SweepError, r"failed: ValueError: no\. What is finished is kept in .+: run the"),
+        (MemoryError(), SweepError, r"failed: MemoryError\. .+: take a smaller --chunk in another directory\.$"),
+        (ParameterError("stride is 9."), SpecError, r"are refused: stride is 9\.$"),
+    ],
+)
+def test_a_failed_simulation_names_its_rows(tmp_path, reference, error, expected, sentence):
+    with pytest.raises(expected, match=r"^rows 9, 10, 11, 12 and 5 more " + sentence) as caught:
+        run_sweep(SPEC, tmp_path, chunk=9, simulator=FakeSimulator(fail_at=2, error=error))
+    assert caught.value.__cause__ is error
+    goes_on(tmp_path, reference, 2)
 
 
 def test_what_is_computed_is_written_before_an_interruption_ends_it(tmp_path, monkeypatch):
-    """A slow disk is waited for: three chunks were computed when Ctrl-C came, and three are there."""
-    write = Store.write_chunk
-    monkeypatch.setattr(Store, "write_chunk", lambda *args: (time.sleep(0.2), write(*args))[1])
+    """A slow disk is waited for: three batches were computed when Ctrl-C came, and three are there."""
+    add = Runs.add
+    monkeypatch.setattr(Runs, "add", lambda *args: (time.sleep(0.2), add(*args))[1])
     with pytest.raises(SweepInterrupted):
         run_sweep(SPEC, tmp_path, chunk=4, simulator=FakeSimulator(stop_at=3))
     assert len(list(tmp_path.glob("results/*.parquet"))) == 3
@@ -263,22 +350,22 @@ def test_an_interruption_that_something_swallows_still_counts(tmp_path):
     assert len(list(tmp_path.glob("results/*.parquet"))) == 2
 
 
-def test_chunks_are_written_while_the_next_one_is_simulated(tmp_path, monkeypatch):
+def test_batches_are_written_while_the_next_one_is_simulated(tmp_path, monkeypatch):
     """In another thread, one at a time, and never more than one behind."""
-    write, threads, behind = Store.write_chunk, set(), []
+    add, threads, behind = Runs.add, set(), []
     simulator = FakeSimulator()
 
     def slow(*args):
-        """Takes until the next chunk has begun, and some time in which the one after that must not."""
+        """Takes until the next batch has begun, and some time in which the one after that must not."""
         threads.add(threading.current_thread())
         until = time.monotonic() + 10.0
         while len(simulator.batches) < min(len(behind) + 2, 9) and time.monotonic() < until:
             time.sleep(0.001)
         time.sleep(0.03)
         behind.append(len(simulator.batches) - len(behind))
-        return write(*args)
+        return add(*args)
 
-    monkeypatch.setattr(Store, "write_chunk", slow)
+    monkeypatch.setattr(Runs, "add", slow)
     run_sweep(SPEC, tmp_path, chunk=4, simulator=simulator)
     assert len(threads) == 1
     assert threads != {threading.main_thread()}
@@ -287,16 +374,17 @@ def test_chunks_are_written_while_the_next_one_is_simulated(tmp_path, monkeypatc
 
 @pytest.mark.parametrize("broken", [0, 8])
 def test_an_error_of_the_writer_ends_the_sweep(tmp_path, monkeypatch, reference, broken):
-    """While the next chunk but one is not begun yet, or at the end; what was computed by then is kept."""
-    write, simulator = Store.write_chunk, FakeSimulator()
+    """While the next batch but one is not begun yet, or at the end; what was computed by then is kept."""
+    add, simulator, written = Runs.add, FakeSimulator(), []
 
-    def fails(store, chunk, *tables):
-        if chunk == broken:
+    def fails(*args):
+        written.append(args)
+        if len(written) == broken + 1:
             raise DirectoryError("no room")
-        write(store, chunk, *tables)
+        return add(*args)
 
     with monkeypatch.context() as patch:
-        patch.setattr(Store, "write_chunk", fails)
+        patch.setattr(Runs, "add", fails)
         with pytest.raises(DirectoryError, match="no room"):
             run_sweep(SPEC, tmp_path, chunk=4, simulator=simulator)
     assert len(simulator.batches) == min(broken + 2, 9)
@@ -304,7 +392,7 @@ def test_an_error_of_the_writer_ends_the_sweep(tmp_path, monkeypatch, reference,
 
 
 def kill_at_random(out, process, chance, startup):
-    """Kill a sweep's process at a random moment: while it starts, or after it has written a chunk or two."""
+    """Kill a sweep's process at a random moment: while it starts, or after it has written a part or two."""
     before, wanted, began = len(list(out.glob("results/*.parquet"))), chance.randrange(3), time.monotonic()
     while len(list(out.glob("results/*.parquet"))) < before + wanted:
         assert time.monotonic() - began < 100, "the sweep does not go on"
@@ -362,15 +450,87 @@ def test_a_second_process_is_refused_and_the_first_one_goes_on(tmp_path, referen
         run_sweep(SPEC, tmp_path, simulator=FakeSimulator())
     process.join(60)
     assert process.exitcode == 0
-    assert read_table(Path(tmp_path)).equals(reference)
+    assert read_table(tmp_path).equals(reference)
+
+
+# --- shards
+
+
+class Beside(FakeSimulator):
+    """Does something else, once, while one of its batches is simulated."""
+
+    def __init__(self, what, at=0, **more):
+        super().__init__(**more)
+        self.what, self.at = what, at
+
+    def run(self, *args, **kwargs):
+        if len(self.batches) == self.at:
+            self.what()
+        return super().run(*args, **kwargs)
+
+
+def test_three_shards_make_the_table_of_one(tmp_path, simulator):
+    """Real walks in MuJoCo C, by one process and by shards 0/3 to 2/3: the same numbers, to the last bit."""
+    walks = {"vary": {"frequency": {"linspace": [0.7, 1.2, 7]}}, "run": {"cycles": 2, "warmup_cycles": 1}}
+    walks |= {"chunk": 2, "plots": False}
+    walked = run_sweep(walks, tmp_path / "one", simulator=simulator("c")).table
+    for part in range(3):
+        result = run_sweep(walks, tmp_path / "three", shard=(part, 3), simulator=simulator("c"))
+        assert result.complete == (part == 2)
+    assert result.table.schema.equals(walked.schema, check_metadata=True)
+    for name in walked.column_names:
+        np.testing.assert_array_equal(result.table.column(name), walked.column(name), strict=True, err_msg=name)
 
 
 def test_a_lost_shard_is_named_by_the_others(tmp_path, reference):
-    """The process that runs reports which chunks are missing, and the command that runs them."""
-    result = run_sweep(SPEC, tmp_path, chunk=4, shard=(0, 3), simulator=FakeSimulator())
-    result = run_sweep(SPEC, tmp_path, chunk=4, shard=(2, 3), simulator=FakeSimulator())
+    """The process that runs reports how many rows are missing, and the command that runs them."""
+    for shard in ((0, 3), (2, 3)):
+        result = run_sweep(SPEC, tmp_path, chunk=4, shard=shard, simulator=FakeSimulator())
     assert (result.complete, result.rows_done, result.rows) == (False, 24, 36)
-    assert result.missing == (
-        "chunks 1, 4, 7 (12 runs) of 9 are missing; unless they are being run, run them with --shard 1/3."
-    )
+    assert result.missing == ("12 of 36 runs are missing; unless they are being run, run them with --shard 1/3.")
     assert run_sweep(SPEC, tmp_path, shard=(1, 3), simulator=FakeSimulator()).table.equals(reference)
+
+
+def test_two_shards_begun_together_on_unlike_machines_do_not_mix_engines(tmp_path):
+    """The second one begins while the first one has written nothing yet; it is refused, and adds no row."""
+    refused = []
+
+    def second():
+        with pytest.raises(OtherCode, match=r"made by other code: engine c, not warp;.*--accept-new-code") as caught:
+            run_sweep(SPEC, tmp_path, chunk=4, shard=(1, 2), simulator=FakeSimulator(engine="warp"))
+        refused.append(caught.value)
+
+    run_sweep(SPEC, tmp_path, chunk=4, shard=(0, 2), simulator=Beside(second, engine="c"))
+    assert refused
+    assert len(set(read_table(tmp_path).column("code").to_pylist())) == 1
+    result = run_sweep(SPEC, tmp_path, shard=(1, 2), simulator=FakeSimulator(engine="c"))
+    assert result.summary["engine"] == "c"
+
+
+@pytest.mark.parametrize("last", [0, 1])
+def test_whichever_shard_finds_the_table_complete_sums_up(tmp_path, last):
+    """The one that began first, too, where the other one ends before it."""
+
+    def other():
+        assert not run_sweep(SPEC, tmp_path, chunk=4, shard=(1 - last, 2), simulator=FakeSimulator()).summary
+
+    result = run_sweep(SPEC, tmp_path, chunk=4, shard=(last, 2), simulator=Beside(other, at=2))
+    assert result.complete
+    assert json.loads((tmp_path / "summary.json").read_text())["rows"] == result.summary["rows"] == 36
+
+
+def test_a_shard_that_died_before_it_summed_up_does_so_when_it_is_run_again(tmp_path, monkeypatch):
+    """Nothing is simulated again; the summary is that of an undisturbed sweep, times apart."""
+    whole = run_sweep(SPEC, tmp_path / "whole", chunk=4, simulator=FakeSimulator()).summary
+    run_sweep(SPEC, tmp_path, chunk=4, shard=(0, 2), simulator=FakeSimulator())
+    with monkeypatch.context() as patch:
+        patch.setattr("nermo_mjx.sweep.run._sum_up", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+        with pytest.raises(KeyboardInterrupt):
+            run_sweep(SPEC, tmp_path, shard=(1, 2), simulator=FakeSimulator())
+    assert not (tmp_path / "summary.json").exists()
+    result = run_sweep(SPEC, tmp_path, shard=(0, 2), simulator=FakeSimulator())
+    assert result.chunks_run == 0
+    times = {"wall_seconds", "steps_per_second"}
+    assert {k: v for k, v in result.summary.items() if k not in times} == {
+        k: v for k, v in whole.items() if k not in times
+    }

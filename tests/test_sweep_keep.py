@@ -12,7 +12,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from conftest import shared_simulator
-from sweep_fake import SPEC, FakeSimulator
+from sweep_fake import SPEC, FakeSimulator, part_of
 
 from nermo_mjx import Recording, Run, Setup, load_robot
 from nermo_mjx.rollout import Saving, Series
@@ -20,10 +20,9 @@ from nermo_mjx.rollout.saving import all_signals, chosen_signals
 from nermo_mjx.runs.files import DirectoryError
 from nermo_mjx.sweep import SpecError, Sweep, SweepInterrupted, read_table, run_sweep, series
 from nermo_mjx.sweep.replay import replay_row
-from nermo_mjx.sweep.results import Results
+from nermo_mjx.sweep.results import Results, status
 from nermo_mjx.sweep.series import kept_rows
 from nermo_mjx.sweep.spec import Keep
-from nermo_mjx.sweep.status import status
 from nermo_mjx.sweep.table import meta
 
 pytestmark = pytest.mark.usefixtures("shared_simulators")
@@ -44,8 +43,10 @@ class Saver(FakeSimulator):
         return result
 
 
-def content(out: Path, folder: str) -> dict[str, bytes]:
-    return {path.name: path.read_bytes() for path in (out / folder).iterdir()}
+def samples(out: Path) -> pa.Table:
+    """All time series of a directory, in order."""
+    tables = [pq.read_table(path) for path in (out / "series").glob("*.parquet")]
+    return pa.concat_tables(tables).sort_by([("row", "ascending"), ("time", "ascending")])
 
 
 # --- time series
@@ -61,7 +62,7 @@ def test_series_stand_beside_the_table_a_row_a_sample(tmp_path: Path) -> None:
     np.testing.assert_array_equal(samples.speed.max(), table["speed"].astype(np.float32))
     np.testing.assert_allclose(frame.time, frame.gyro_z, rtol=1e-6)
     assert (samples.time.diff().dropna() > 0).all()
-    field = pq.read_schema(tmp_path / "series" / "chunk-00000.parquet").field("gyro_x")
+    field = pq.read_schema(next(tmp_path.glob("series/*"))).field("gyro_x")
     assert (field.type, meta(field)["unit"], meta(field)["role"]) == (pa.float32(), "rad/s", "signal")
 
 
@@ -69,26 +70,41 @@ def test_a_stopped_sweep_goes_on_to_the_same_series(tmp_path: Path) -> None:
     run_sweep(SAVED, tmp_path / "whole", chunk=5, simulator=Saver())
     with pytest.raises(SweepInterrupted):
         run_sweep(SAVED, tmp_path / "part", chunk=5, simulator=Saver(stop_at=3))
-    assert len(content(tmp_path / "part", "series")) == 3
+    assert len(list(tmp_path.glob("part/series/*"))) == 3
     for shard in ((0, 2), (1, 2)):
         run_sweep(SAVED, tmp_path / "part", chunk=5, shard=shard, simulator=Saver())
-    assert content(tmp_path / "part", "series") == content(tmp_path / "whole", "series")
+    assert samples(tmp_path / "part").equals(samples(tmp_path / "whole"))
+
+
+def test_series_come_along_when_a_sweep_is_extended_or_used(tmp_path: Path) -> None:
+    """With their runs' new numbers; of the larger sweep's own directory they are not there twice."""
+    small = SAVED | {"vary": SAVED["vary"] | {"frequency": [0.7, 1.1]}}
+    run_sweep(SAVED, tmp_path / "whole", chunk=5, simulator=Saver())
+    run_sweep(small, tmp_path / "small", chunk=5, simulator=Saver())
+    run_sweep(SAVED, tmp_path / "used", chunk=5, simulator=(used := Saver()), use=[tmp_path / "small"])
+    run_sweep(SAVED, tmp_path / "small", simulator=(extended := Saver()), extend=True)
+    for simulator, out in ((used, "used"), (extended, "small")):
+        assert sum(simulator.batches) < 36
+        assert samples(tmp_path / out).equals(samples(tmp_path / "whole"))
+        assert read_table(tmp_path / out).equals(read_table(tmp_path / "whole"))
 
 
 @pytest.mark.parametrize("damage", ["missing", "flipped"])
-def test_a_chunk_without_its_series_is_run_again(tmp_path: Path, damage: str) -> None:
+def test_runs_without_their_series_are_made_again(tmp_path: Path, damage: str) -> None:
     run_sweep(SAVED, tmp_path, chunk=5, simulator=Saver())
-    before, file, told = content(tmp_path, "series"), tmp_path / "series" / "chunk-00002.parquet", []
+    before, part = samples(tmp_path), part_of(tmp_path, 12)
+    file = tmp_path / "series" / pq.read_metadata(part).metadata[b"series"].decode()
     if damage == "missing":
         file.unlink()
     else:
         file.write_bytes(file.read_bytes().replace(b"gyro_x", b"gyro_y", 1))
+    damaged, told = file.read_bytes() if file.exists() else b"", []
     result = run_sweep(SAVED, tmp_path, simulator=Saver(), warn=told.append)
     assert result.chunks_run == 1
-    assert told == [f"chunk 2 of {tmp_path} has no time series, or damaged ones; it is kept in results.aside, and run "
-                    "again."]  # fmt: skip
-    assert content(tmp_path, "series") == before
-    assert len(list((tmp_path / "series.aside").glob("*"))) == (damage == "flipped")
+    assert len(told) == 1
+    assert f"{part} has no time series, or damaged ones; it is kept in results.aside" in told[0]
+    assert samples(tmp_path).equals(before)
+    assert [path.read_bytes() for path in tmp_path.glob("series.aside/*")] == [damaged] * (damage == "flipped")
 
 
 def test_what_is_saved_belongs_to_the_sweep(tmp_path: Path) -> None:

@@ -37,7 +37,7 @@ def fakes(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
         made["problems"].append(FakeProblem(tuning, **made["options"]))
         return made["problems"][-1]
 
-    monkeypatch.setattr("nermo_mjx.optimize.problems.WalkProblem", problem)
+    monkeypatch.setattr("nermo_mjx.optimize.tuning_run.WalkProblem", problem)
     monkeypatch.setattr("nermo_mjx.optimize.tuning_run.Simulator", lambda *_: made["walker"])
     monkeypatch.setattr("nermo_mjx.optimize.tuning_run.pace_here", lambda _: 100.0)
     return made

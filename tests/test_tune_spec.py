@@ -149,7 +149,7 @@ def test_everything_but_parameters_and_objective_has_a_default():
     """Bounds are the declared range, the start is the published value, and no rate is to be chosen."""
     tuning = Tuning.from_dict({"tune": {"duty": None, "frequency": {"bounds": [0.4, 1.2]}},
                                "objective": [{"maximize": "speed"}]})  # fmt: skip
-    assert [(each.low, each.high, each.start) for each in tuning.tuned] == [(0, 1, 0.5), (0.4, 1.2, 0.67)]
+    assert [(each.low, each.high, each.start) for each in tuning.tuned] == [(0.01, 1, 0.5), (0.4, 1.2, 0.67)]
     assert tuning.optimizer.written() == {"name": "controlled_adam"}
     assert (tuning.estimator.name, tuning.starts, tuning.iterations, tuning.mode) == ("exact", 1, 40, "auto")
     assert (tuning.plots, tuning.video) == (True, False)

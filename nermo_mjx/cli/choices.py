@@ -26,10 +26,11 @@ def of_package() -> dict[str, list[str]]:
     from nermo_mjx.control.spine_modes import MODES, NO_MODE
     from nermo_mjx.control.stepping import FREE
     from nermo_mjx.control.trajectory import FORMS
-    from nermo_mjx.experiments.catalogue import EXPERIMENTS
+    from nermo_mjx.experiments import cases
+    from nermo_mjx.experiments.run import EXPERIMENTS
     from nermo_mjx.physics.making import ENGINES
     from nermo_mjx.plotting.files import FORMATS
-    from nermo_mjx.robot import GAITS
+    from nermo_mjx.robot import GAIT_NAMES, GAITS
     from nermo_mjx.robot.assembly import PRESETS, ROBOTS, TAILS
     from nermo_mjx.robot.scene import scenes
     from nermo_mjx.rollout import METRICS, all_parameters
@@ -38,9 +39,11 @@ def of_package() -> dict[str, list[str]]:
 
     named = {
         "ENGINES": ENGINES, "GRADIENT_MODES": CASES["gradient"].options["mode"].default, "BENCH_CASES": CASES,
-        "ROBOTS": ROBOTS, "TAILS": TAILS, "PHYSICS": PRESETS, "GAITS": GAITS, "SPINE_MODES": (NO_MODE, *MODES),
+        "ROBOTS": ROBOTS, "TAILS": TAILS, "PHYSICS": PRESETS, "GAITS": (*GAITS, *GAIT_NAMES.values()),
+        "SPINE_MODES": (NO_MODE, *MODES),
         "TRAJECTORIES": (*FORMS, FREE), "HEADS": HEADS, "TAIL_MOTIONS": TAIL_MOTIONS, "STEERINGS": STEERING,
-        "PROFILES": PROFILES, "EXPERIMENTS": EXPERIMENTS, "OVERLAYS": OVERLAYS, "VIEWS": CAMERAS, "FORMATS": FORMATS,
+        "PROFILES": PROFILES, "EXPERIMENTS": EXPERIMENTS, "EXPERIMENT_PROFILES": cases.PROFILES,
+        "OVERLAYS": OVERLAYS, "VIEWS": CAMERAS, "FORMATS": FORMATS,
         # Way points are given in a sweep file or from Python, not as an option of `walk`.
         "PILOTS": [name for name in Pilot.model_fields if name != "waypoints"],
         "SCENES": scenes(), "METRICS": METRICS, "PARAMETERS": all_parameters(),

@@ -57,18 +57,18 @@ class Kind:
 KINDS: Final = {
     kind.name: kind
     for kind in (
-        Kind("sweep", "a sweep", "sweep.plots:figures", "sweep.status:status", ("x", "y", "color", "notify")),
+        Kind("sweep", "a sweep", "sweep.plots:figures", "sweep.results:status", ("x", "y", "color", "notify")),
         Kind("search", "a search", "optimize.search_figures:figures", "optimize.search_directory:status",
              ("x", "y", "color", "notify")),
         Kind("tuning", "a tuning", "optimize.tuning_figures:figures", "optimize.tuning_directory:status"),
         Kind("training", "a training", "learn.plots:figures", "learn.status:status"),
         Kind("landscape", "a landscape", "optimize.landscape:figures", "optimize.tuning_directory:landscape_status"),
-        Kind("experiments", "published experiments", "experiments.plots:figures", "experiments.directory:status",
+        Kind("experiments", "published experiments", "experiments.run:images", "experiments.run:status",
              tracked=True),
         Kind("identification", "an identification", "experiments.identification:drawn",
              "experiments.identification:status", tracked=True),
-        Kind("comparison", "a comparison", "sweep.comparing.figures:figures", "sweep.table:status", tracked=True),
-        Kind("sensitivity", "a sensitivity analysis", "sweep.sensitivity_figure:figures", "sweep.table:status",
+        Kind("comparison", "a comparison", "sweep.comparing:figures", "sweep.table:status", tracked=True),
+        Kind("sensitivity", "a sensitivity analysis", "sweep.sensitivity:figures", "sweep.table:status",
              tracked=True),
         Kind("benchmarks", "benchmarks", "bench.results:figures", "bench.results:status", tracked=True),
     )
@@ -290,8 +290,7 @@ def compare_command(
         raise click.UsageError("--base is a value of --by; for two directories, the first one is the base.")
     chosen = dict(_split(text) for text in where)
     with stdout_reserved():
-        from nermo_mjx.sweep.comparing import compare
-        from nermo_mjx.sweep.comparing.figures import figures_of
+        from nermo_mjx.sweep.comparing import compare, figures_of
 
         found = compare(a, b, by=by, base=base, groups=groups, where=chosen, drawn=drawn)
     tell_report("compare", "comparison", found, figures_of, out, _print_comparison, as_json=as_json, quiet=quiet)
@@ -364,8 +363,7 @@ def sensitivity_command(path: Path, metric: str, out: Path | None, as_json: bool
     gives all of them, any other random sample the first-order ones.
     """
     with stdout_reserved():
-        from nermo_mjx.sweep.sensitivity import sensitivity
-        from nermo_mjx.sweep.sensitivity_figure import figures_of
+        from nermo_mjx.sweep.sensitivity import figures_of, sensitivity
 
         found = sensitivity(path, metric)
     tell_report("sensitivity", "sensitivity", found, figures_of, out, _print_sensitivity, as_json=as_json, quiet=quiet)

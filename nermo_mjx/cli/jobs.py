@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from nermo_mjx.cli import options
-from nermo_mjx.cli.choices import EXPERIMENTS, PROFILES
+from nermo_mjx.cli.choices import EXPERIMENT_PROFILES, EXPERIMENTS
 from nermo_mjx.cli.options import FileKind, assigned
 from nermo_mjx.cli.output import WrongUse, print_json, print_table, sayer, stdout_reserved
 from nermo_mjx.cli.progress import Progress, Stages, duration
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from nermo_mjx.optimize.tuning_run import MethodCost
     from nermo_mjx.runs.workers import Workers
     from nermo_mjx.sweep import Sweep, SweepResult
-    from nermo_mjx.sweep.forecast import Forecast
+    from nermo_mjx.sweep.run import Forecast
 
 
 #: What a job ends with: its content for --json, and what prints it for people.
@@ -165,7 +165,7 @@ def sweep_command(
         raise click.UsageError("--dry-run estimates for this machine: leave out --workers.")
     if dry_run or out is None:
         with stdout_reserved():
-            from nermo_mjx.sweep.forecast import forecast
+            from nermo_mjx.sweep.run import forecast
 
             found = forecast(_read_sweep(spec, rows, seed), out, **{name: how[name] for name in _FORECAST})
         return dataclasses.asdict(found), lambda: _print_forecast(found)
@@ -290,7 +290,7 @@ def merge_command(sources: tuple[Path, ...], out: Path, accept_new_code: bool, q
     from the first of them.
     """
     with stdout_reserved():
-        from nermo_mjx.sweep.merging import merge_sweeps
+        from nermo_mjx.sweep import merge_sweeps
 
         result = merge_sweeps(sources, out, accept_new_code=accept_new_code, warn=sayer("merge", quiet))
 
@@ -801,9 +801,11 @@ def _print_training(result: TrainingResult, exported: Path | None) -> None:
 
 def _print_training_cost(cost: TrainingCost) -> None:
     click.echo(f"{cost.iterations:,} iterations of {cost.steps_per_iteration:,} control steps, {cost.steps:,} in all")
-    time = f"about {duration(cost.wall_seconds)} here" if math.isfinite(cost.wall_seconds) else "for an unknown time"
+    known = math.isfinite(cost.wall_seconds)
+    time = f"about {duration(cost.wall_seconds)} here with compiling" if known else "for an unknown time"
     click.echo(f"{duration(cost.simulated_seconds)} simulated; {time} on the engine {cost.engine}, and "
-               f"{cost.disk_bytes / 1e6:.3g} MB on disk")  # fmt: skip
+               f"{cost.disk_bytes / 1e6:.3g} MB on disk; then the evaluation simulates "
+               f"{duration(cost.evaluated_seconds)}, and compiles, on top")  # fmt: skip
     click.echo(cost.rate_from)
 
 
@@ -825,7 +827,7 @@ _WIDEST = 72
     "experiment",
     EXPERIMENT_EPILOG,
     click.argument("name", type=click.Choice((*EXPERIMENTS, ALL))),
-    options.choice("--profile", ("all", *PROFILES), "Set-up: as published, as described, as built."),
+    options.choice("--profile", ("all", *EXPERIMENT_PROFILES), "Set-up: as published, as described, as built."),
     options.number("--repeats", "Starts of each case; by default 3, or 1 with --quick.", click.IntRange(1)),
     options.number("--seed", "Seed of the shifts between repeats.", click.IntRange(0), default=0),
     options.number(
@@ -867,10 +869,10 @@ def experiment_command(
             options.crew(workers, ray_address, stages.say) as crew,
         ):
             result = run_experiments(
-                EXPERIMENTS if name == ALL else [name], out, engine=engine,
-                profiles=PROFILES if profile == "all" else (profile,), repeats=repeats, seed=seed, quick=quick,
-                values=values, controller=controller, bodies=bodies, video=not no_video, again=again,
-                accept_new_code=accept_new_code, progress=stages.share, notify=stages.say, workers=crew,
+                EXPERIMENTS if name == ALL else [name], out, engine=engine, repeats=repeats, seed=seed, quick=quick,
+                profiles=EXPERIMENT_PROFILES if profile == "all" else (profile,), values=values, controller=controller,
+                bodies=bodies, video=not no_video, again=again, accept_new_code=accept_new_code,
+                progress=stages.share, notify=stages.say, workers=crew,
             )  # fmt: skip
     run = {each.name: {"kept": each.kept} for each in result.results}
     return {"out": result.out, "run": run, **result.report}, lambda: _print_experiments(result)
@@ -887,8 +889,8 @@ def _body_values(assignments: tuple[str, ...]) -> dict[str, float]:
 
 
 def _print_experiments(result: ExperimentsResult) -> None:
-    from nermo_mjx.experiments.catalogue import EXPERIMENTS as CATALOGUE
     from nermo_mjx.experiments.report import HEADINGS, cells
+    from nermo_mjx.experiments.run import EXPERIMENTS as CATALOGUE
 
     content = result.report
     for each in result.results:

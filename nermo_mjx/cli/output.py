@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import gc
+import io
 import json
 import os
 import signal
@@ -43,6 +44,35 @@ class WrongUse(Failure):
 class CommandGroup(click.Group):
     """A group that turns the package's own errors into exit codes, and an interruption into a sentence."""
 
+    def main(self, *args: Any, **kwargs: Any) -> Any:
+        """As click does it; a log on a full disk stops no job, but output that is lost is a failure."""
+        before = sys.stdout, sys.stderr
+        out, errors = _Lossy(sys.stdout or io.StringIO()), _Lossy(sys.stderr or io.StringIO())
+        sys.stdout, sys.stderr = out, errors
+        try:
+            try:
+                return super().main(*args, **kwargs)
+            finally:
+                out.flush()
+                errors.flush()
+        except SystemExit as ending:
+            if out.lost is None or ending.code:
+                raise
+            sentence = f"nermo-mjx: done, but standard output cannot be written: {out.lost.strerror}."
+            click.echo(sentence, err=True)
+            raise SystemExit(1) from None
+        finally:
+            sys.stdout, sys.stderr = before
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """As click does it, for texts that files, tables and pages can hold."""
+        for arg in args:
+            try:
+                arg.encode()
+            except UnicodeEncodeError:
+                raise click.UsageError(f"{arg!a} is not UTF-8: rename the file or folder.", ctx) from None
+        return super().parse_args(ctx, args)
+
     def invoke(self, ctx: click.Context) -> Any:
         with _terminate_as_interrupt(), _seldom_collected():
             try:
@@ -65,6 +95,36 @@ class CommandGroup(click.Group):
             hint = f" Did you mean {near[0]!r}?" if near else f" There are: {', '.join(self.commands)}."
             raise click.UsageError(f"No such command {name!r}.{hint}", ctx)
         return super().resolve_command(ctx, args)
+
+
+class _Lossy:
+    """A standard stream that loses what a full disk does not take, and remembers that it did.
+
+    A reader that is gone ends the command, as everywhere.
+    """
+
+    def __init__(self, stream: Any) -> None:
+        self._stream = stream
+        self.lost: OSError | None = None
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+    def write(self, text: str) -> Any:
+        return self._kept(self._stream.write, text)
+
+    def flush(self) -> None:
+        self._kept(self._stream.flush)
+
+    def _kept(self, act: Callable[..., Any], *given: Any) -> Any:
+        try:
+            return act(*given)
+        except BrokenPipeError:
+            raise
+        except OSError as error:
+            self.lost = self.lost or error
+            # What is buffered would fail again, at the latest when Python ends.
+            os.dup2(os.open(os.devnull, os.O_WRONLY), self._stream.fileno())
 
 
 @contextmanager

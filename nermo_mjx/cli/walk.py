@@ -132,16 +132,19 @@ LINES = (
     ("lateral_drift", "lateral drift", "mm", 1e3),
     ("slip", "slip of loaded feet", "mm/s", 1e3),
     ("servo_work", "servo work", "J", 1.0),
-    ("cost_of_transport", "cost of transport", "", 1.0),
+    ("cost_of_transport", "cost of transport, mechanical", "", 1.0),
+    ("electrical_cost_of_transport", "cost of transport, electrical", "", 1.0),
 )
 
 
 def print_walk(report: dict[str, Any], plan: Plan, files: list[Path]) -> None:
     """Print a report of what `walk` had planned."""
+    from nermo_mjx.robot import GAIT_NAMES
     from nermo_mjx.rollout.metrics import Ending
 
     metrics, setup = report["metrics"], report["setup"]
-    how = setup["controller"] or f"{setup['gait']} at {report['parameters']['frequency']:g} Hz, spine {setup['spine']}"
+    gait = GAIT_NAMES.get(setup["gait"], setup["gait"]).replace("_", " ") if "gait" in setup else ""
+    how = setup["controller"] or f"{gait} at {report['parameters']['frequency']:g} Hz, spine {setup['spine']}"
     what = f"{how}, {setup['tail']} tail, engine {report['engine']}"
     lines = [("speed", metrics.get("speed"), "mm/s", 1e3)]
     if math.isfinite(theory := plan.theory):

@@ -307,7 +307,7 @@ def published_controller(
         spine: auxiliary modes, "none", "stride_extension", "balance", "harmonics", and of Nermo 4.1
             "sagittal_extension" and "pitch_balance", or several joined by "+" (or a tuple of names).
         pilot: "open_loop" holds `pilot.turn_rate`, "straight", "arc" and "waypoints" follow a path, "external" calls
-            `command`. All but the last command `gait.speed`.
+            `command`. All but the last command `gait.commanded_speed`.
         waypoints: (x, y) of the points that the pilot "waypoints" passes [m], see `course.course_through`.
         command: (speed, turn rate) at a simulated time, for the pilot "external"; see `pilot.tabulated`.
         trajectory: form of the foot path, "cubic", "linear" or "parabolic"; "free" is the cubic one with parameters for

@@ -249,7 +249,7 @@ class Tail:
     angle: Any = quantity(0.0, "rad", -1.0, 1.0, "servo angle about which it moves")
     swing_amplitude: Any = quantity(0.5, "rad", 0.0, 1.0, "largest servo amplitude of the swing")
     swing_gain: Any = quantity(
-        4.5, "rad s^2/m^2", 0.0, 1e4, "servo amplitude of the swing over the square of gait.speed"
+        4.5, "rad s^2/m^2", 0.0, 1e4, "servo amplitude of the swing over the square of commanded_speed"
     )
     swing_phase: Any = quantity(
         np.pi, "rad", -2 * np.pi, 2 * np.pi, "of the swing A cos(2 pi phase + tail.swing_phase)"

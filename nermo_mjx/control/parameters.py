@@ -84,11 +84,13 @@ class Gait:
 
     frequency: Any = quantity(0.67, "Hz", 0.0, 5.0, "gait cycles per second", open_low=True)
     stride: Any = quantity(1.0, "1", 0.0, 1.2, "stride length, as a share of the maximum")
-    duty: Any = quantity(0.5, "1", 0.0, 1.0, "stance share of the gait cycle", open_low=True, open_high=True)
+    duty: Any = quantity(0.5, "1", 0.01, 1.0, "stance share of the gait cycle", open_high=True)
     gait_factor: Any = quantity(
         2.0, "1", 0.5, 100.0, "strides of body travel per cycle (5.21); 1 / duty where not given"
     )
-    speed: Any = quantity(1.0, "m/s", 0.0, 10.0, "commanded speed on the controller's clock; the stride saturates")
+    commanded_speed: Any = quantity(
+        1.0, "m/s", 0.0, 10.0, "commanded speed on the controller's clock; the stride saturates"
+    )
     offset: Any = quantity(
         (0.5, 0.0, 0.0, 0.5), "1", 0.0, 1.0, "cycle share at which the limb's stance starts", labels=LIMBS
     )

@@ -86,7 +86,7 @@ class OpenLoop(PilotLike):
     """Holds the gait's speed and `pilot.turn_rate`."""
 
     def start(self, params: ControlParameters) -> tuple[Any, Drive]:
-        return (), limited(params.gait.speed, params.pilot.turn_rate)
+        return (), limited(params.gait.commanded_speed, params.pilot.turn_rate)
 
     def init(self, params: ControlParameters, memory: Any, sensors: Sensors, walk: Walk) -> Any:
         return memory
@@ -171,7 +171,7 @@ class Follow(PilotLike):
     def _guided(self, params: ControlParameters, curvature: Scalar) -> Drive:
         """The gait's speed, and the turn rate for a curvature [1/m]."""
         turn_rate = params.pilot.guidance * turning.turn_rate_for(params, curvature / params.pilot.grip)
-        return limited(params.gait.speed, turn_rate)
+        return limited(params.gait.commanded_speed, turn_rate)
 
 
 def heading(point: PathPoint, sensors: Sensors, geometry: Geometry) -> Scalar:

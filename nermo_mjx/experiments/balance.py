@@ -10,7 +10,7 @@ import dataclasses
 import functools
 import itertools
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any, Final
 
 import jax
@@ -22,15 +22,15 @@ from jaxtyping import Array, Float
 from scipy.spatial.transform import Rotation
 
 from nermo_mjx.control import spine_modes
-from nermo_mjx.control.parameters import AS_BUILT, PUBLISHED_CLOCK_RATIO, ControlParameters, Spine, body_values
-from nermo_mjx.experiments.cases import BODY, LABELS, Column, Outcome, Settings, body_count
+from nermo_mjx.control.parameters import AS_BUILT, ControlParameters, Spine, body_values
+from nermo_mjx.experiments.cases import BODY, Outcome, Settings, clock
 from nermo_mjx.experiments.theory import stability
 from nermo_mjx.kinematics.body import attitude, diagonal_distance, hips, shoulders
 from nermo_mjx.kinematics.leg import forward, four_legs, inverse
 from nermo_mjx.kinematics.spine import joint_angle
-from nermo_mjx.physics import Engine, Trace, Variation, make_engine
+from nermo_mjx.physics import Variation, make_engine
 from nermo_mjx.physics.variation import compile_model
-from nermo_mjx.recording import Recording, recording_of
+from nermo_mjx.recording import recording_of
 from nermo_mjx.robot import LIMBS, ModelParameters, Robot, ServoAngles, load_robot
 from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.quantity import check_quantities, choice, quantities, replace_quantities, values_of
@@ -236,32 +236,6 @@ DIAGONAL: Final = ((1, 2), (0, 3), (0, 3), (1, 2))
 #: any small number will do; this one is a thousandth of a foot's load.
 TOUCH: Final = 0.001
 
-ABOUT: Final = {
-    "passed": Column("1", "upright, and the lifted foot clear of the ground"),
-    "upright": Column("1", "no tilt, from the lift on, that would bring the lifted foot down again"),
-    "clear": Column("1", "the lifted foot never touches the ground while it swings"),
-    "contact_share": Column("1", "share of the swing with the lifted foot on the ground"),
-    "clearance": Column("m", "least height of the lifted sole above the ground during the swing"),
-    "tilt_max": Column("rad", "largest angle of the torso from upright, from the lift on"),
-    "pitch_stand": Column("rad", "mean pitch on four feet, positive nose down"),
-    "pitch_rest": Column("rad", "resting pitch: mean pitch with the leg lifted, at rest before it swings"),
-    "roll_rest": Column("rad", "mean roll at the same time, positive leans left"),
-    "pitch_swing_min": Column("rad", "least pitch during the swing"),
-    "pitch_swing_max": Column("rad", "largest pitch during the swing"),
-    "com_height": Column("m", "height of the centre of mass on four feet"),
-    **{
-        f"com_margin_{phase}": Column("m", f"{how} signed distance (5.35), {phase}: positive inside the diagonal")
-        for phase, how in (("stand", "mean"), ("shift", "mean"), ("lift", "mean"), ("swing", "least"))
-    },
-    "impact": Column("s", "from the begin of the lift to the lifted foot's first touch-down, protocol's clock; or NaN"),
-    "third_share": Column("1", "share of the swing with the foot opposite the lifted one on the ground"),
-    **{
-        f"force_{phase}_{limb}": Column("N", f"mean force of the {limb.replace('_', ' ')} foot, {phase}")
-        for phase in PHASES
-        for limb in LIMBS
-    },
-}
-
 
 @functools.cache
 def tip_angle() -> float:
@@ -344,7 +318,7 @@ def measure(
     shown: Mapping[str, np.ndarray],
     sole: float,
 ) -> dict[str, float | bool]:
-    """All of `ABOUT` for one world.
+    """All columns of one world that are measured; see `experiments.yaml`.
 
     Args:
         limb: the lifted one.
@@ -383,7 +357,7 @@ def measure(
     }
     for phase, when in still.items():
         values |= {f"force_{phase}_{name}": force[when, i].mean() for i, name in enumerate(LIMBS)}
-    return {name: values[name] for name in ABOUT}
+    return values
 
 
 # --- the experiment
@@ -398,48 +372,13 @@ SETTABLE: Final = frozenset(SPINE_NAMES) | {
 #: The published offset compensation (5.31) is on; the text of the balance test does not specify it. Without it the bent
 #: robot rests on either side of its diagonal, depending on the speed of the bend: see `BalanceLoop.servos`.
 OFFSET_COMPENSATION: Final = 1.0
-_LABELS: Final = LABELS | {
-    "leg": Column("1", "the lifted leg"),
-    "sbc": Column("1", "with spine balance compensation"),
-    "theory_margin": Column("m", "(5.34, 5.35): distance of the centre of mass from the diagonal, positive inside"),
-}
-
-
-@dataclasses.dataclass(frozen=True)
-class Lift:
-    """One world: profile, lifted limb (index in `LIMBS`), SBC or not, number of the repeat and of the body, or 0."""
-
-    profile: str
-    limb: int
-    sbc: bool
-    repeat: int
-    body: int = 0
-
-    @property
-    def name(self) -> str:
-        """Name of its recording."""
-        return f"balance {LIMBS[self.limb]}" + (" sbc" if self.sbc else "")
-
-    @property
-    def clock_ratio(self) -> float:
-        """Simulated seconds per second of the protocol."""
-        return PUBLISHED_CLOCK_RATIO if self.profile == "as_published" else 1.0
-
-    def labels(self) -> dict[str, Any]:
-        """Its cells in the columns of the cases."""
-        body = {BODY: self.body} if self.body else {}
-        return {"profile": self.profile, **body, "leg": LIMBS[self.limb], "sbc": self.sbc, "repeat": self.repeat}
-
-    def values(self, settings: Settings) -> dict[str, float]:
-        """Its parameters of body and spine: the profile's, those set for all worlds, and the body's own."""
-        built = {name: AS_BUILT[name] for name in SPINE_NAMES if name in AS_BUILT}
-        drawn = {name: float(of[self.body - 1]) for name, of in (settings.bodies or {}).items()}
-        own = body_values(self.profile) | (built if self.profile == "as_built" else {})
-        return {"spine.offset_compensation": OFFSET_COMPENSATION} | own | dict(settings.values) | drawn
 
 
 def run(settings: Settings, scene: str = "balance_stand") -> Outcome:
     """Run the balance experiment.
+
+    The recordings also hold `readings` as sensors, and in their metadata `phases`: begin and end of each phase in
+    simulated time [s].
 
     Args:
         settings: of the profiles the body and the clock apply; quick: one repeat; values: body parameters such as
@@ -449,17 +388,25 @@ def run(settings: Settings, scene: str = "balance_stand") -> Outcome:
     Raises:
         ParameterError: a parameter that does not apply here.
     """
-    for name in {**settings.values, **(settings.bodies or {})}:
+    bodies = settings.bodies or {}
+    for name in {**settings.values, **bodies}:
         choice("values", name, sorted(SETTABLE))
-    numbers = range(1, body_count(settings.bodies) + 1) or (0,)
+    labels: list[dict[str, Any]] = []
+    given: list[dict[str, float]] = []
+    starts: list[Nudge] = []
+    numbers = range(1, settings.body_count + 1) or (0,)
     repeats = range(1 if settings.quick else settings.repeats)
-    cases = [
-        Lift(profile, limb, sbc, repeat, body)
-        for body, profile, limb, sbc, repeat in itertools.product(
-            numbers, settings.profiles, range(4), (False, True), repeats
-        )
-    ]
-    given = [case.values(settings) for case in cases]
+    for body, profile, limb, sbc, repeat in itertools.product(
+        numbers, settings.profiles, range(4), (False, True), repeats
+    ):
+        numbered = {BODY: body} if body else {}
+        labels.append({"profile": profile, **numbered, "leg": LIMBS[limb], "sbc": sbc, "repeat": repeat})
+        built = {name: AS_BUILT[name] for name in SPINE_NAMES if name in AS_BUILT} if profile == "as_built" else {}
+        drawn = {name: float(of[body - 1]) for name, of in bodies.items()}
+        own = body_values(profile) | built | dict(settings.values) | drawn
+        given.append({"spine.offset_compensation": OFFSET_COMPENSATION} | own)
+        # The perturbation of a start is the same in all profiles.
+        starts.append(nudge(settings.seed, 2 * limb + sbc, repeat + max(body - 1, 0)))
     defaults = dict(values_of(ModelParameters())) | {
         f"spine.{name}": value for name, value in values_of(ControlParameters().spine)
     }
@@ -476,36 +423,22 @@ def run(settings: Settings, scene: str = "balance_stand") -> Outcome:
     check_quantities(spine, "spine.")
     robot = load_robot(scene=scene)
     loop = BalanceLoop(robot)
-    runner = make_engine(settings.engine, robot, loop)
-    # The perturbation of a start is the same in all profiles.
-    starts = [nudge(settings.seed, 2 * case.limb + case.sbc, case.repeat + max(case.body - 1, 0)) for case in cases]
-    params = _batch(cases, starts, spine, np.broadcast_to(model_parameters.servo.top_speed, len(cases)))
-    qpos = np.stack([start_pose(robot, start) for start in starts])
-    fields = Variation(robot).batch(model_parameters, len(cases), on_body)
-    ticks = [round(DURATION * case.clock_ratio / loop.dt) for case in cases]
-    margins = _theory(loop, params, len(cases))
-    history = _simulate(runner, loop, params, qpos, fields, max(ticks), settings.progress)
+    engine = make_engine(settings.engine, robot, loop)
 
-    @functools.cache
-    def model_of(masses: tuple[tuple[str, float], ...]) -> mujoco.MjModel:
-        """The model that gives the centre of mass."""
-        return compile_model(robot, dict(masses))
-
-    rows, recordings = [], {}
-    for i, (case, length) in enumerate(zip(cases, ticks, strict=True)):
-        masses = tuple((name, values[i]) for name, values in on_body.items() if name.startswith("mass."))
-        row, recording = _evaluate(case, _one(history, i, length), robot, model_of(masses))
-        rows.append(row | {"theory_margin": margins[i]})
-        if case.repeat == case.body == 0 and case.profile == cases[0].profile:
-            about = {"engine": runner.name, "parameters": {name: float(values[i]) for name, values in columns.items()}}
-            recordings[case.name] = dataclasses.replace(recording, metadata={**recording.metadata, **about})
-    table = {name: np.array([row[name] for row in rows]) for name in rows[0]}
-    known = _LABELS | ABOUT
-    return Outcome("balance", table, {name: known[name] for name in table}, recordings)
-
-
-def _theory(loop: BalanceLoop, params: BalanceParameters, worlds: int) -> list[float]:
-    """Margin of each world by (5.34, 5.35), in the commanded posture [m]."""
+    # Parameters of all worlds, every leaf with a leading axis, in JAX's default precision.
+    n, limbs = len(labels), [LIMBS.index(row["leg"]) for row in labels]
+    ratios = np.array([clock(row["profile"]) for row in labels])
+    spines = jax.tree.map(lambda leaf: np.broadcast_to(leaf, n), dataclasses.replace(spine, harmonics=0.0))
+    params = BalanceParameters(
+        lifted=np.eye(4)[limbs],
+        sbc=np.array([row["sbc"] for row in labels]),
+        clock_ratio=ratios,
+        spine=dataclasses.replace(spines, harmonics=np.broadcast_to(spine.harmonics, (n, *np.shape(spine.harmonics)))),
+        start=np.stack([start.servo for start in starts]),
+        servo_speed=np.broadcast_to(model_parameters.servo.top_speed, n),
+    )
+    real = jax.dtypes.canonicalize_dtype(float)
+    params = jax.tree.map(lambda leaf: np.asarray(leaf).astype(real), params)
 
     @jax.jit
     def posture(params: BalanceParameters) -> tuple[jax.Array, jax.Array]:
@@ -514,79 +447,49 @@ def _theory(loop: BalanceLoop, params: BalanceParameters, worlds: int) -> list[f
         return forward(four_legs(Geometry()), STANCE, ROUTING).foot, bends
 
     feet, bends = (np.asarray(each) for each in posture(params))
-    limbs = np.argmax(np.asarray(params.lifted), axis=1)
-    return [stability(loop.robot.mass_model, feet, limbs[i], float(bends[i])) for i in range(worlds)]
 
-
-def _batch(cases: Sequence[Lift], starts: Sequence[Nudge], spine: Spine, servo_speed: np.ndarray) -> BalanceParameters:
-    """Parameters of all worlds, every leaf with a leading axis, in JAX's default precision."""
-    values, harmonics = dataclasses.replace(spine, harmonics=0.0), np.asarray(spine.harmonics)
-    spines = [
-        dataclasses.replace(
-            jax.tree.map(lambda leaf, i=i: np.broadcast_to(leaf, len(cases))[i], values), harmonics=harmonics
-        )
-        for i in range(len(cases))
-    ]
-    worlds = [
-        BalanceParameters(np.eye(4)[case.limb], float(case.sbc), case.clock_ratio, each, start.servo, float(speed))
-        for case, start, each, speed in zip(cases, starts, spines, servo_speed, strict=True)
-    ]
-    real = jax.dtypes.canonicalize_dtype(float)
-    return jax.tree.map(lambda *leaves: np.stack(leaves).astype(real), *worlds)
-
-
-def _simulate(
-    engine: Engine,
-    loop: BalanceLoop,
-    params: BalanceParameters,
-    qpos: np.ndarray,
-    fields: dict[str, np.ndarray],
-    ticks: int,
-    progress: Callable[[float], None] | None,
-) -> History:
-    """Run all worlds, and record every tick."""
-    session = engine.open(params, qpos, fields)
-    blocks: list[Trace] = []
+    lengths = [round(DURATION * ratio / loop.dt) for ratio in ratios]
+    qpos = np.stack([start_pose(robot, start) for start in starts])
+    session = engine.open(params, qpos, Variation(robot).batch(model_parameters, n, on_body))
+    blocks = []
     # Whole blocks only: a recorded block of another length would need another program.
-    for done in range(0, ticks, BLOCK):
+    for done in range(0, max(lengths), BLOCK):
         blocks.append(session.record(BLOCK))
-        if progress:
-            progress(min(1.0, (done + BLOCK) / ticks))
-    qpos, qvel, ctrl, data = (
-        np.concatenate([np.asarray(getattr(block, name), float) for block in blocks], axis=1)[:, :ticks]
+        if settings.progress:
+            settings.progress(min(1.0, (done + BLOCK) / max(lengths)))
+    traces = [
+        np.concatenate([np.asarray(getattr(block, name), float) for block in blocks], axis=1)
         for name in ("qpos", "qvel", "ctrl", "sensordata")
-    )
-    sensors = loop.robot.sensors(data)
-    named = {field.name: np.asarray(getattr(sensors, field.name)) for field in dataclasses.fields(sensors)}
-    return History((1 + np.arange(ticks)) * loop.dt, qpos, qvel, ctrl, named)
+    ]
+    read = robot.sensors(traces.pop()[:, : max(lengths)])
+    named = {field.name: np.asarray(getattr(read, field.name)) for field in dataclasses.fields(read)}
 
+    @functools.cache
+    def model_of(masses: tuple[tuple[str, float], ...]) -> mujoco.MjModel:
+        """The model that gives the centre of mass."""
+        return compile_model(robot, dict(masses))
 
-def _one(history: History, world: int, ticks: int) -> History:
-    """The first ticks of one world; its axis stays, with length 1."""
-    one = slice(world, world + 1)
-    qpos, qvel, ctrl = (values[one, :ticks] for values in (history.qpos, history.qvel, history.ctrl))
-    return History(history.time[:ticks], qpos, qvel, ctrl, {k: v[one, :ticks] for k, v in history.sensors.items()})
-
-
-def _evaluate(case: Lift, world: History, robot: Robot, model: mujoco.MjModel) -> tuple[dict[str, Any], Recording]:
-    """A world's row of the table, and its recording.
-
-    The recording also holds `readings` as sensors, and in its metadata `phases`: begin and end of each phase
-    in its own, simulated time [s].
-    """
-    sensors = {name: reading[0] for name, reading in world.sensors.items()}
-    shown = readings(case.limb, model, world.qpos[0], sensors)
-    sole = float(model.geom(f"{LIMBS[0]}_sole").size[0])
-    measured = measure(case.limb, world.time / case.clock_ratio, sensors, shown, sole)
-    row = case.labels() | measured
-    ratio = case.clock_ratio
-    metadata = {
-        "experiment": "balance",
-        "case": case.name,
-        "setup": dataclasses.asdict(robot.config),
-        "metrics": {name: value if isinstance(value, str) else float(value) for name, value in row.items()},
-        "phases": {name: [phase.begin * ratio, phase.end * ratio] for name, phase in PHASES.items()},
-    }
-    shown = {name: reading[None] for name, reading in shown.items()}
-    full = dataclasses.replace(world, sensors=world.sensors | shown)
-    return row, recording_of(full, robot.model, metadata=metadata)
+    sole = float(robot.model.geom(f"{LIMBS[0]}_sole").size[0])
+    rows, recordings = [], {}
+    for i, (row, length, ratio) in enumerate(zip(labels, lengths, ratios, strict=True)):
+        model = model_of(tuple((name, values[i]) for name, values in on_body.items() if name.startswith("mass.")))
+        time, sensors = (1 + np.arange(length)) * loop.dt, {name: of[i, :length] for name, of in named.items()}
+        shown = readings(limbs[i], model, traces[0][i, :length], sensors)
+        row = row | measure(limbs[i], time / ratio, sensors, shown, sole)
+        rows.append(row | {"theory_margin": stability(robot.mass_model, feet, limbs[i], float(bends[i]))})
+        if row["repeat"] == row.get(BODY, 0) == 0 and row["profile"] == labels[0]["profile"]:
+            case = f"balance {row['leg']}" + (" sbc" if row["sbc"] else "")
+            metadata = {
+                "experiment": "balance",
+                "case": case,
+                "setup": dataclasses.asdict(robot.config),
+                "metrics": {name: value if isinstance(value, str) else float(value) for name, value in row.items()},
+                "phases": {name: [phase.begin * ratio, phase.end * ratio] for name, phase in PHASES.items()},
+                "engine": engine.name,
+                "parameters": {name: float(values[i]) for name, values in columns.items()},
+            }
+            world = {name: reading[None] for name, reading in (sensors | shown).items()}
+            poses, speeds, ctrl = (trace[i : i + 1, :length] for trace in traces)
+            history = History(time, poses, speeds, ctrl, world)
+            recordings[case] = recording_of(history, model, metadata=metadata)
+    return Outcome.of("balance", {name: np.array([row[name] for row in rows]) for name in rows[0]}, recordings)

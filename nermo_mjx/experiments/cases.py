@@ -3,22 +3,28 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Callable, Mapping, Sequence
+from importlib import resources
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+import yaml
 
 from nermo_mjx.control.loading import controller_digest, load_controller
-from nermo_mjx.control.parameters import AS_BUILT, PROFILES, body_values, published_values
+from nermo_mjx.control.parameters import AS_BUILT, PUBLISHED_CLOCK_RATIO, body_values, published_values
 from nermo_mjx.control.protocol import ActsUpon
 from nermo_mjx.recording import Recording, recording_of
 from nermo_mjx.robot import ParameterError
 from nermo_mjx.robot.quantity import choice, quantities
-from nermo_mjx.rollout import METRICS, Run, RunResult, Setup, Simulator
+from nermo_mjx.rollout import METRICS, RunResult, Setup, Simulator
 from nermo_mjx.rollout.setup import WorldParameters
 from nermo_mjx.sweep.spec import START_SPREAD
 
+#: The profiles that are compared, in the order of their columns, and those of the simulation, shown side by side.
+PROFILES: Final = ("exact", "as_published", "as_built")
+SIMULATED: Final = PROFILES[:2]
 #: Published amplitude of the stride extension [rad of spine servo]: 0.1 rad in each joint.
 AMPLITUDE: Final = 0.4
 FREQUENCIES: Final = (0.5, 0.67, 0.8)
@@ -29,6 +35,18 @@ BODY: Final = "body"
 Label = str | float | bool
 
 
+def clock(profile: str) -> float:
+    """Simulated seconds per second of the controller's clock."""
+    return PUBLISHED_CLOCK_RATIO if profile == "as_published" else 1.0
+
+
+@functools.cache
+def texts(part: str) -> Any:
+    """A part of `experiments.yaml`: how each experiment is described, what the columns mean, or the maze's course."""
+    content = resources.files("nermo_mjx.experiments").joinpath("experiments.yaml").read_text(encoding="utf-8")
+    return yaml.safe_load(content)[part]
+
+
 @dataclasses.dataclass(frozen=True)
 class Column:
     """Unit and meaning of a column of the result table."""
@@ -37,14 +55,12 @@ class Column:
     doc: str
 
 
-#: Labels that several experiments have.
-LABELS: Final = {
-    "profile": Column("1", "exact, as_published or as_built"),
-    "gait": Column("1", "trt: trot, trt1: walking trot, lat: lateral sequence walk"),
-    "frequency": Column("Hz", "gait cycles per second of the controller's clock"),
-    "repeat": Column("1", "index of the repeat; each starts a little shifted"),
-    BODY: Column("1", "number of the identified body"),
-}
+def columns_about(experiment: str) -> dict[str, Column]:
+    """Unit and meaning of the columns that an experiment may have: its labels, metrics, and what it measures itself."""
+    own, labels = (
+        {name: Column(*about) for name, about in texts("columns")[key].items()} for key in (experiment, "labels")
+    )
+    return labels | {name: Column(metric.unit, metric.doc) for name, metric in METRICS.items()} | own
 
 
 @dataclasses.dataclass(frozen=True)
@@ -63,6 +79,14 @@ class Outcome:
     columns: Mapping[str, np.ndarray]
     about: Mapping[str, Column]
     recordings: Mapping[str, Recording]
+
+    @classmethod
+    def of(
+        cls, experiment: str, columns: Mapping[str, np.ndarray], recordings: Mapping[str, Recording] | None = None
+    ) -> Outcome:
+        """The outcome of a published experiment, whose columns have their known meanings."""
+        about = columns_about(experiment)
+        return cls(experiment, columns, {name: about[name] for name in columns}, recordings or {})
 
     def __len__(self) -> int:
         return len(next(iter(self.columns.values())))
@@ -89,18 +113,12 @@ class Outcome:
         return dataclasses.replace(self, columns=columns, recordings={})
 
 
-def joined(parts: Sequence[Outcome]) -> Outcome:
-    """Outcomes of one experiment with the same columns, concatenated."""
-    columns = {name: np.concatenate([part.columns[name] for part in parts]) for name in parts[0].columns}
-    return dataclasses.replace(parts[0], columns=columns)
-
-
 @dataclasses.dataclass(frozen=True)
-class Substitute:
-    """A controller (a policy) in place of the published one, upon which it acts; the cases set that one's parameters.
+class ReplacementPolicy:
+    """A policy in place of the published controller, upon which it acts; the cases set that one's parameters.
 
     Attributes:
-        acts: the controller.
+        acts: the policy.
         name: of its file, and the hash of its content, as in the settings of a run.
         content: of its file.
     """
@@ -110,7 +128,7 @@ class Substitute:
     content: bytes
 
     @classmethod
-    def of(cls, where: str) -> Substitute:
+    def of(cls, where: str) -> ReplacementPolicy:
         """The controller that a text names.
 
         Raises:
@@ -165,7 +183,7 @@ class Settings:
     seed: int = 0
     quick: bool = False
     values: Mapping[str, float] = dataclasses.field(default_factory=dict)
-    controller: Substitute | None = None
+    controller: ReplacementPolicy | None = None
     engine: str = "auto"
     bodies: Mapping[str, np.ndarray] | None = None
     progress: Callable[[float], None] | None = None
@@ -186,9 +204,9 @@ class Settings:
 
     def as_dict(self) -> dict[str, Any]:
         """The settings that determine the numbers, as written to files."""
+        settings = {name: getattr(self, name) for name in ("repeats", "seed", "quick")}
         other = {} if self.controller is None else {"controller": self.controller.name}
-        return {"profiles": list(self.profiles), "repeats": self.repeats, "seed": self.seed, "quick": self.quick,
-                "values": dict(self.values), **other}  # fmt: skip
+        return {"profiles": list(self.profiles), **settings, "values": dict(self.values), **other}
 
     def setup(self, scene: str, **choices: Any) -> Setup:
         """The setup of a walk in a scene, with choices of the published controller, upon which another may act.
@@ -204,9 +222,10 @@ class Settings:
         """The same, except for what is named."""
         return dataclasses.replace(self, **other)
 
-    def of_one_run(self) -> Settings:
-        """Labels of a run to show: the first profile, and the first start."""
-        return self.but(profiles=self.profiles[:1], repeats=1)
+    @property
+    def body_count(self) -> int:
+        """Number of bodies; 0 if there is only the default one."""
+        return len(next(iter(self.bodies.values()))) if self.bodies else 0
 
 
 def check_whole(name: str, value: Any, least: int) -> None:
@@ -217,20 +236,6 @@ def check_whole(name: str, value: Any, least: int) -> None:
     """
     if not isinstance(value, int | np.integer) or isinstance(value, bool) or value < least:
         raise ParameterError(f"{name} is {value!r}: allowed is a whole number of at least {least}.")
-
-
-def body_count(bodies: Mapping[str, np.ndarray] | None) -> int:
-    """Number of bodies; 0 if there is only the default one.
-
-    Raises:
-        ParameterError: parameters with different numbers of values, or without any.
-    """
-    if bodies is None:
-        return 0
-    sizes = {len(values) for values in bodies.values()}
-    if len(sizes) != 1 or sizes == {0}:
-        raise ParameterError(f"bodies has {sorted(sizes)} values of its parameters: allowed is one number, at least 1.")
-    return sizes.pop()
 
 
 @dataclasses.dataclass(frozen=True)
@@ -275,12 +280,17 @@ def worlds(cases: Sequence[Case], defaults: Mapping[str, float], settings: Setti
         defaults: value of every parameter that no case names.
         settings: of the experiment; of several bodies, the column `BODY` numbers them from 1.
     """
+
+    def shift(repeat: int) -> dict[str, float]:
+        random = np.random.default_rng((settings.seed, repeat))
+        return {name: float(random.uniform(-width, width)) for name, width in START_SPREAD.items()}
+
     labels: list[dict[str, Label]] = []
     rows: list[dict[str, float]] = []
-    bodies, count = settings.bodies or {}, body_count(settings.bodies)
-    for body in range(max(count, 1)):
-        drawn = {name: float(values[body]) for name, values in bodies.items()}
-        shifts = [_shift(settings.seed, body + repeat) for repeat in range(settings.repeats)]
+    for body in range(max(settings.body_count, 1)):
+        drawn = {name: float(values[body]) for name, values in (settings.bodies or {}).items()}
+        numbered: dict[str, Label] = {BODY: body + 1} if settings.body_count else {}
+        shifts = [shift(body + repeat) for repeat in range(settings.repeats)]
         for profile in settings.profiles:
             built = AS_BUILT if profile == "as_built" else {}
             for case in cases:
@@ -288,18 +298,12 @@ def worlds(cases: Sequence[Case], defaults: Mapping[str, float], settings: Setti
                     continue
                 named = published_values(case.gait, steering=case.steering, profile=profile)
                 given = {**body_values(profile), **named, **settings.values, **drawn, **case.values, **built}
-                for repeat, shift in enumerate(shifts):
-                    numbered = {BODY: body + 1} if count else {}
+                for repeat, start in enumerate(shifts):
                     labels.append({"profile": profile, **numbered, **case.labels, "repeat": repeat})
-                    rows.append({**shift, **given})
+                    rows.append({**start, **given})
     names = dict.fromkeys(name for row in rows for name in row)
     values = {name: np.array([row.get(name, defaults[name]) for row in rows]) for name in names}
     return Worlds({name: np.array([row[name] for row in labels]) for name in labels[0]}, values)
-
-
-def _shift(seed: int, repeat: int) -> dict[str, float]:
-    random = np.random.default_rng((seed, repeat))
-    return {name: float(random.uniform(-width, width)) for name, width in START_SPREAD.items()}
 
 
 def settable(cases: Sequence[Case]) -> frozenset[str]:
@@ -310,23 +314,9 @@ def settable(cases: Sequence[Case]) -> frozenset[str]:
     return frozenset(name for name, _ in quantities(WorldParameters)) - decided
 
 
-def measured(
-    simulator: Simulator, batch: Worlds, run: Run, *, progress: Callable[[float], None] | None = None
-) -> tuple[dict[str, np.ndarray], dict[str, Column]]:
-    """Labels, metrics and status of each world, and what the measured columns mean."""
-    return columns_of(batch, simulator.run(batch.values, run, progress=progress))
-
-
-def columns_of(batch: Worlds, result: RunResult) -> tuple[dict[str, np.ndarray], dict[str, Column]]:
-    """See `measured`."""
-    columns = {**batch.labels, **result.metrics, "status": result.status}
-    about = {name: Column(metric.unit, metric.doc) for name, metric in METRICS.items()}
-    return columns, about | {"status": Column("1", "ok, or how the run ended")}
-
-
-def recorded(simulator: Simulator, batch: Worlds, run: Run, names: Sequence[str]) -> dict[str, Recording]:
-    """The recording of each world, by the names given."""
-    return recordings_of(simulator, batch, simulator.run(batch.values, run, record=True), dict(enumerate(names)))
+def measured(batch: Worlds, result: RunResult) -> dict[str, np.ndarray]:
+    """Labels, metrics and status of each world."""
+    return {**batch.labels, **result.metrics, "status": result.status}
 
 
 def recordings_of(
@@ -335,13 +325,13 @@ def recordings_of(
     """The recordings of the worlds whose name is given."""
     recordings = {}
     for world, name in names.items():
+        metrics = {key: float(column[world]) for key, column in result.metrics.items()}
         metadata = {
             "case": name,
             "setup": {"scene": simulator.setup.scene, "spine": simulator.setup.spine},
             "labels": {key: column[world].item() for key, column in batch.labels.items()},
             "parameters": {key: float(column[world]) for key, column in batch.values.items()},
-            "metrics": {key: float(column[world]) for key, column in result.metrics.items()}
-            | {"status": str(result.status[world])},
+            "metrics": metrics | {"status": str(result.status[world])},
             "engine": result.engine,
         }
         recordings[name] = recording_of(result.trace, simulator.robot.model, world=world, metadata=metadata)

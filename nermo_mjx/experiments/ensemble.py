@@ -13,6 +13,8 @@ centres hardly matter. Since the Sobol sample is part of that mean, no weight ca
 from __future__ import annotations
 
 import dataclasses
+import functools
+import itertools
 import math
 from collections.abc import Callable, Mapping
 from typing import Any, Final
@@ -29,6 +31,7 @@ from scipy.linalg import solve_triangular
 from scipy.spatial.distance import cdist
 from scipy.stats import qmc
 
+from nermo_mjx.experiments.cases import texts
 from nermo_mjx.experiments.report import number
 from nermo_mjx.plotting.page import Page
 from nermo_mjx.plotting.style import BAND, BEST, COLOURS, INK, LINE, MUTED, SMALL
@@ -55,28 +58,16 @@ class Free:
     why: str
 
 
-#: Searched. The sole's contact is not: it is that of the author's own model (time constant 8 ms, damping ratio 2,
-#: friction 1.4) with a soft onset, the default of `ModelParameters`. The bounds have physical reasons only.
-FREE: Final[dict[str, Free]] = {
-    "kp": Free(
-        ("servo.kp",), 4.5, 20.0, "stall torque at an error of 2 degrees to 0.45, about twice a hobby servo's dead band"
-    ),
-    "kv": Free(("servo.kv",), 0.01, 0.3, "stall torque at 16 to 0.5 rad/s"),
-    "leg_damping": Free(
-        ("damping.knee", "damping.ankle"), 0.002, 0.03, "printed hinges that creep back within a tenth of a second"
-    ),
-    "spine_damping": Free(("damping.spine",), 0.003, 0.1, "the same, ten times as stiff"),
-}
-#: Not searched but uncertain: free in the ensemble, where each body has its own.
-UNCERTAIN: Final[dict[str, Free]] = {
-    "friction": Free(("contact.friction",), 1.0, 1.8, "rubber on a mat, about the author's 1.4"),
-    "tail_friction": Free(("contact.tail_friction",), 0.2, 1.0, "printed plastic on a mat, to the author's 1.0"),
-}
-#: The space of the ensemble.
+def _space(of: Mapping[str, Any]) -> dict[str, Free]:
+    return {name: Free(**about | {"names": tuple(about["names"])}) for name, about in of.items()}
+
+
+#: What is searched, what is not but uncertain and so free in the ensemble, and its space; see `experiments.yaml`.
+FREE: Final = _space(texts("identification")["free"])
+UNCERTAIN: Final = _space(texts("identification")["uncertain"])
 ALL: Final = FREE | UNCERTAIN
-_STIFF: Final = Free(("servo.kp",), 5.0, 120.0, "to the gain at which the author's servos tremble at his time step")
 #: What is searched in the set-up of the published tests, whose servos are stiffer.
-FREE_IN: Final = {"exact": FREE, "as_published": FREE | {"kp": _STIFF}}
+FREE_IN: Final = {"exact": FREE, "as_published": FREE | _space({"kp": texts("identification")["stiff"]})}
 
 #: To four significant digits, as their decimal text reads, so that printed and shipped values are the simulated ones.
 _rounded: Final = np.vectorize(lambda value: float(f"{value:.4g}"), otypes=[float])
@@ -93,12 +84,8 @@ def parameters_of(point: np.ndarray, space: Mapping[str, Free] = FREE) -> dict[s
 
 def point_of(parameters: Mapping[str, float], space: Mapping[str, Free] = FREE) -> np.ndarray:
     """Inverse of `parameters_of`, shape (d,)."""
-    return np.array(
-        [
-            np.clip(math.log(parameters[free.names[0]] / free.low) / math.log(free.high / free.low), 0.0, 1.0)
-            for free in space.values()
-        ]
-    )
+    shares = [math.log(parameters[f.names[0]] / f.low) / math.log(f.high / f.low) for f in space.values()]
+    return np.clip(shares, 0.0, 1.0)
 
 
 def names(space: Mapping[str, Free] = ALL) -> tuple[str, ...]:
@@ -117,15 +104,6 @@ _INSIDE: Final = 20_000
 
 
 @dataclasses.dataclass(frozen=True)
-class Sweep:
-    """One sweep: how many points it proposed, the level its centres lay within, and the share within the tolerance."""
-
-    proposed: int
-    level: float
-    acceptance: float
-
-
-@dataclasses.dataclass(frozen=True)
 class Sample:
     """Points within the tolerance.
 
@@ -133,7 +111,8 @@ class Sample:
         points: in the cube, (m, d).
         costs: their objective, (m,).
         weights: of a uniform distribution over the region, (m,); their sum is 1.
-        sweeps: the Sobol sample, and the sweeps after it.
+        sweeps: of the Sobol sample, and the sweeps after it: number of `candidates`, the `level` within which its
+            centres lay, and `acceptance`, the share within the tolerance.
         share: estimated share of the cube within the tolerance, a few per cent too low if it is small.
         effective: effective sample size (Kish).
     """
@@ -141,20 +120,27 @@ class Sample:
     points: np.ndarray
     costs: np.ndarray
     weights: np.ndarray
-    sweeps: tuple[Sweep, ...]
+    sweeps: list[dict[str, float]]
     share: float
     effective: float
 
 
 class _Mixture:
-    """Normal distributions with a common covariance around centres (k, d), with shares (k,), truncated to the unit
-    cube."""
+    """Normal distributions about weighted centres (k, d), with a common covariance and the bandwidth of a density
+    estimate (Silverman), truncated to the unit cube."""
 
     def __init__(
-        self, centres: np.ndarray, shares: np.ndarray, covariance: np.ndarray, random: np.random.Generator
+        self, centres: np.ndarray, weights: np.ndarray, seeds: np.ndarray | None, random: np.random.Generator
     ) -> None:
-        self.centres, self.shares = centres, shares
-        self.root = np.linalg.cholesky(covariance)
+        self.centres, self.shares, d = centres, weights / weights.sum(), centres.shape[1]
+        away = centres - self.shares @ centres
+        covariance = (away.T * self.shares) @ away + 1e-4 * np.eye(d)
+        width = (4 / ((d + 2) * _effective(weights))) ** (2 / (d + 4))
+        if seeds is not None and len(seeds):
+            self.centres = np.vstack([centres, seeds])
+            seeded = np.full(len(seeds), _SEEDED / len(seeds))
+            self.shares = np.concatenate([(1 - _SEEDED) * self.shares, seeded])
+        self.root = np.linalg.cholesky(width * covariance)
         self.inside = float(np.mean(_in_cube(self._unbounded(_INSIDE, random))))
 
     def draw(self, n: int, random: np.random.Generator) -> np.ndarray:
@@ -203,31 +189,41 @@ def sample(
     random = np.random.default_rng((seed, dimension, size))
     points = qmc.Sobol(dimension, rng=random).random_base2(max(size - 1, 1).bit_length())[:size]
     fewest = min(max(dimension + 2, int(_CENTRES * size)), size)
-    costs, mixtures, made = evaluate(points), list[_Mixture](), [Sweep(size, np.inf, 0.0)]
+    costs, mixtures, levels = evaluate(points), list[_Mixture](), [np.inf]
     while True:
-        weights = _weights(points, mixtures)
+        # The prior's density, 1, over the mean proposal density; sweeps are of equal size.
+        proposals = [np.ones(len(points)), *(mixture.density(points) for mixture in mixtures)]
+        weights = len(proposals) / functools.reduce(np.add, proposals)
         within = costs <= tolerance
-        if len(made) > sweeps or _effective(weights[within]) >= size:
+        if len(levels) > sweeps or _effective(weights[within]) >= size:
             break
         level = max(tolerance, float(np.sort(costs)[fewest - 1]))
         near = costs <= level
-        mixtures.append(_mixture(points[near], weights[near], seeds if len(made) == 1 else None, random))
+        mixtures.append(_Mixture(points[near], weights[near], seeds if len(levels) == 1 else None, random))
         proposed = mixtures[-1].draw(size, random)
         points, costs = np.vstack([points, proposed]), np.concatenate([costs, evaluate(proposed)])
-        made.append(Sweep(size, level, 0.0))
-    found = [dataclasses.replace(each, acceptance=float(np.mean(within[i * size : (i + 1) * size])))
-             for i, each in enumerate(made)]  # fmt: skip
-    share = float(np.sum(weights[within]) / len(points))
-    total = weights[within].sum() or 1.0
-    return Sample(points[within], costs[within], weights[within] / total, tuple(found), share,
-                  _effective(weights[within]))  # fmt: skip
+        levels.append(level)
+    rounds = [
+        {"candidates": size, "level": level, "acceptance": float(np.mean(within[i * size : (i + 1) * size]))}
+        for i, level in enumerate(levels)
+    ]
+    taken = weights[within]
+    share, total = float(np.sum(taken) / len(points)), taken.sum() or 1.0
+    return Sample(points[within], costs[within], taken / total, rounds, share, _effective(taken))
 
 
 def thin(sample: Sample, n: int, seed: int) -> Sample:
     """At most n of the points, selected roughly in proportion to weight, so that the remaining weights are similar."""
     if len(sample.points) <= n:
         return sample
-    taken = _inclusion(sample.weights, n)
+    # Probability that each point is among n, in proportion to its weight but at most 1.
+    certain = np.zeros(len(sample.weights), bool)
+    while True:
+        rest = np.where(certain, 0.0, sample.weights)
+        taken = np.where(certain, 1.0, rest * (n - certain.sum()) / rest.sum())
+        if not (over := (taken > 1.0) & ~certain).any():
+            break
+        certain |= over
     random = np.random.default_rng((seed, n))
     order = random.permutation(len(taken))
     # Systematic sampling: marks one apart on the line of the shares, from one random start.
@@ -235,42 +231,8 @@ def thin(sample: Sample, n: int, seed: int) -> Sample:
     marks = np.floor(ends - random.uniform())
     kept = np.sort(order[np.diff(marks, prepend=-1.0) > 0])
     weights = sample.weights[kept] / taken[kept]
-    return dataclasses.replace(sample, points=sample.points[kept], costs=sample.costs[kept],
-                               weights=weights / weights.sum())  # fmt: skip
-
-
-def _inclusion(weights: np.ndarray, n: int) -> np.ndarray:
-    """Probability that each point is among n, in proportion to its weight but at most 1, (m,)."""
-    certain = np.zeros(len(weights), bool)
-    while True:
-        rest = np.where(certain, 0.0, weights)
-        chance = np.where(certain, 1.0, rest * (n - certain.sum()) / rest.sum())
-        over = (chance > 1.0) & ~certain
-        if not over.any():
-            return chance
-        certain |= over
-
-
-def _mixture(
-    centres: np.ndarray, weights: np.ndarray, seeds: np.ndarray | None, random: np.random.Generator
-) -> _Mixture:
-    """Normal distributions about weighted centres, with the bandwidth of a density estimate (Silverman)."""
-    shares, d = weights / weights.sum(), centres.shape[1]
-    away = centres - shares @ centres
-    covariance = (away.T * shares) @ away + 1e-4 * np.eye(d)
-    width = (4 / ((d + 2) * _effective(weights))) ** (2 / (d + 4))
-    if seeds is not None and len(seeds):
-        centres = np.vstack([centres, seeds])
-        shares = np.concatenate([(1 - _SEEDED) * shares, np.full(len(seeds), _SEEDED / len(seeds))])
-    return _Mixture(centres, shares, width * covariance, random)
-
-
-def _weights(points: np.ndarray, mixtures: list[_Mixture]) -> np.ndarray:
-    """The prior's density, 1, over the mean proposal density; sweeps are of equal size."""
-    proposed = np.ones(len(points))
-    for mixture in mixtures:
-        proposed += mixture.density(points)
-    return (1 + len(mixtures)) / proposed
+    weights = weights / weights.sum()
+    return dataclasses.replace(sample, points=sample.points[kept], costs=sample.costs[kept], weights=weights)
 
 
 def _effective(weights: np.ndarray) -> float:
@@ -294,62 +256,16 @@ class Bodies:
 
     Attributes:
         values: model parameter -> (n,).
-        objective: (n,).
-        weights: (n,); their sum is 1.
+        objective, weights: (n,); the sum of the weights is 1.
         tolerance: of the objective.
-        sweeps: of the sampler that found them.
-        found: distinct bodies within the tolerance, from which these were selected.
-        effective: effective sample size of those found.
-        share: estimated share of the prior within the tolerance.
+        found: the sample from which these were selected.
     """
 
     values: dict[str, np.ndarray]
     objective: np.ndarray
     weights: np.ndarray
     tolerance: float
-    sweeps: tuple[Sweep, ...]
-    found: int
-    effective: float
-    share: float
-
-
-def find_bodies(
-    evaluate: Callable[[np.ndarray], np.ndarray],
-    best: Mapping[str, float],
-    objective: float,
-    near: np.ndarray,
-    *,
-    defaults: Mapping[str, float],
-    bodies: int,
-    sweeps: int,
-    tolerance: float,
-    seed: int,
-    space: Mapping[str, Free] = ALL,
-) -> Bodies:
-    """Sample the bodies within the tolerance.
-
-    Args:
-        evaluate: objective of points (n, d) of the space.
-        best: result of the search, at the default frictions, and its objective; becomes the first body.
-        near: the search's points within the tolerance, (k, d of the search); the first sweep also starts around them.
-        defaults: of all parameters.
-        bodies: requested number; sweeps: maximum number.
-    """
-    friction = point_of(defaults, UNCERTAIN)
-    seeds = np.hstack([near, np.tile(friction, (len(near), 1))])
-    found = sample(evaluate, len(space), tolerance=tolerance, size=bodies, sweeps=sweeps, seed=seed,
-                   seeds=seeds)  # fmt: skip
-    first = objective <= tolerance
-    kept = thin(found, bodies - first, seed)
-    drawn = parameters_of(kept.points, space)
-    values = {name: drawn[name] for name in names(space)}
-    costs, weights = kept.costs, kept.weights
-    if first:
-        values = {name: np.append(best.get(name, defaults[name]), column) for name, column in values.items()}
-        costs = np.append(objective, costs)
-        # The default body has the average weight of the others.
-        weights = np.append(1.0, weights * len(weights)) / (1 + len(weights))
-    return Bodies(values, costs, weights, tolerance, found.sweeps, len(found.points), found.effective, found.share)
+    found: Sample
 
 
 # --- an ensemble in identification.json, in ensemble.csv, and as a section to read
@@ -366,12 +282,10 @@ def ensemble_content(bodies: Bodies, space: Mapping[str, Free] = ALL) -> dict[st
     content: dict[str, Any] = {
         "size": size,
         "tolerance": bodies.tolerance,
-        "found": bodies.found,
-        "effective_size": bodies.effective,
-        "share_of_prior": bodies.share,
-        "sweeps": [
-            {"candidates": each.proposed, "level": each.level, "acceptance": each.acceptance} for each in bodies.sweeps
-        ],
+        "found": len(bodies.found.points),
+        "effective_size": bodies.found.effective,
+        "share_of_prior": bodies.found.share,
+        "sweeps": bodies.found.sweeps,
         "better_than_default": int(np.sum(bodies.objective < bodies.objective[0])) if size else 0,
         "parameters": {
             free.names[0]: {"low": free.low, "high": free.high, "why": free.why, "names": list(free.names)}
@@ -433,34 +347,10 @@ def ensemble_section(content: Mapping[str, Any]) -> str:
     if ensemble is None:
         return ""
     tried = sum(sweep["candidates"] for sweep in ensemble["sweeps"])
-    size, found, tolerance = ensemble["size"], ensemble["found"], ensemble["tolerance"]
-    text = f"""\
-## Ensemble
-
-Bodies whose objective is at most {tolerance:g}. Free are the parameters above and, within their plausible ranges, the
-friction of sole and tail; the prior is even in their logarithms. {found} of {tried} candidates are within it, which is
-{ensemble["share_of_prior"]:.2%} of the prior.
-"""
-    if not size:
+    text = texts("report")["ensemble"].format(tried=tried, **ensemble)
+    if not ensemble["size"]:
         return f"{text}\nThere is no body to draw.\n\n"
     better = ensemble["better_than_default"]
-    nearer = f"{better or 'none'} of the others {'come' if better > 1 else 'comes'}"
-    return f"""\
-{text}
-The ensemble has {size} bodies. The first is the default, the best at the default frictions; with frictions of its own,
-{nearer} nearer to the published speeds. The others were taken from those found about as often as they weigh, and keep
-the weight that is left. Those found know as much as {ensemble["effective_size"]:.0f} bodies drawn independently.
-
-{table(["parameter", "5 %", "median", "95 %", "default", "bounds", "why these"], _rows(ensemble), "lrrrrll")}
-Correlations of the logarithms beyond {_WORTH:g}: {_related(ensemble["correlations"])}.
-
-{table(["sweep", "candidates", "begun from bodies within", "within the tolerance"], _sweeps(ensemble), "lrrr")}
-`ensemble.csv` has all bodies.
-
-"""
-
-
-def _rows(ensemble: Mapping[str, Any]) -> list[list[str]]:
     units = {name: about.unit for name, about in quantities(ModelParameters)}
     rows = []
     for name, about in ensemble["parameters"].items():
@@ -468,23 +358,35 @@ def _rows(ensemble: Mapping[str, Any]) -> list[list[str]]:
         bounds = f"{about['low']:g} to {about['high']:g}"
         default = number(ensemble["bodies"][name][0])
         rows.append([", ".join(about["names"]) + unit, *map(number, about["quantiles"]), default, bounds, about["why"]])
-    return rows
-
-
-def _sweeps(ensemble: Mapping[str, Any]) -> list[list[str]]:
-    return [
-        [str(i) if i else "even", str(sweep["candidates"]), f"{sweep['level']:.2f}" if i else MISSING,
-         f"{sweep['acceptance']:.0%}"]
+    sweeps = [
+        [
+            str(i) if i else "even",
+            str(sweep["candidates"]),
+            f"{sweep['level']:.2f}" if i else MISSING,
+            f"{sweep['acceptance']:.0%}",
+        ]
         for i, sweep in enumerate(ensemble["sweeps"])
-    ]  # fmt: skip
-
-
-def _related(correlations: Mapping[str, Mapping[str, float]]) -> str:
-    names = list(correlations)
-    pairs = [(correlations[a][b], a, b) for i, a in enumerate(names) for b in names[:i]]
-    told = [f"{a} with {b} {value:+.2f}" for value, a, b in sorted(pairs, key=lambda pair: -abs(pair[0]))
-            if abs(value) > _WORTH]  # fmt: skip
-    return "; ".join(told) or "none"
+    ]
+    names, matrix = list(ensemble["correlations"]), ensemble["correlations"]
+    pairs = [(matrix[a][b], a, b) for i, a in enumerate(names) for b in names[:i] if abs(matrix[a][b]) > _WORTH]
+    related = [f"{a} with {b} {value:+.2f}" for value, a, b in sorted(pairs, key=lambda pair: -abs(pair[0]))]
+    return (
+        text
+        + "\n"
+        + texts("report")["bodies"].format(
+            **ensemble,
+            better=f"{better or 'none'} of the others {'come' if better > 1 else 'comes'}",
+            worth=_WORTH,
+            related="; ".join(related) or "none",
+            parameter_table=table(
+                ["parameter", "5 %", "median", "95 %", "default", "bounds", "why these"], rows, "lrrrrll"
+            ),
+            sweep_table=table(
+                ["sweep", "candidates", "begun from bodies within", "within the tolerance"], sweeps, "lrrr"
+            ),
+        )
+        + "\n"
+    )
 
 
 # --- its figure: the distribution of each parameter within its bounds, and pairs
@@ -506,21 +408,38 @@ def ensemble_figure(content: Mapping[str, Any]) -> Figure:
     bounds = [(content["parameters"][name]["low"], content["parameters"][name]["high"]) for name in names]
     objective, weights = np.asarray(bodies["objective"], float), np.asarray(bodies["weight"], float)
     n, shades = len(names), Normalize(objective.min(), content["tolerance"])
+    order = np.argsort(-objective, kind="stable")  # the best on top
+    units = {name: about.unit for name, about in quantities(ModelParameters)}
+    labels = [f"{_SHORT.get(name, name.replace('.', chr(10), 1))}\n[{units.get(name, '1')}]" for name in names]
     page = Page("Bodies that walk as published within the tolerance", (_PANEL * n + 0.9, _PANEL * n + 0.9), n, n)
-    for i, name in enumerate(names):
-        for j in range(n):
-            ax: Axes = page.axes[i, j]
-            if j > i:
-                ax.set_axis_off()
-            elif j == i:
-                _marginal(ax, values[i], weights, bounds[i], content["parameters"][name]["quantiles"])
-            else:
-                order = np.argsort(-objective, kind="stable")  # the best on top
-                ax.scatter(values[j][order], values[i][order], c=objective[order], s=7, lw=0, cmap=COLOURS, norm=shades)
-                ax.plot(values[j][0], values[i][0], marker="+", ms=9, mew=1.6, color=BEST)
-                _scale(ax, bounds[i], "y")
-            _scale(ax, bounds[j], "x")
-            _label(ax, names, i, j)
+    for i, j in itertools.product(range(n), range(n)):
+        ax: Axes = page.axes[i, j]
+        if j > i:
+            ax.set_axis_off()
+        elif j == i:
+            edges = np.geomspace(*bounds[i], _BINS + 1)
+            shares, _ = np.histogram(np.clip(values[i], *bounds[i]), edges, weights=weights)
+            ax.stairs(shares, edges, fill=True, color=BAND)
+            ax.axhline(1 / _BINS, color=MUTED, lw=0.9)
+            quantiles = content["parameters"][names[i]]["quantiles"]
+            for each in (quantiles[0], quantiles[-1]):
+                ax.axvline(each, color=LINE, ls="--", lw=1)
+            ax.axvline(values[i][0], color=BEST, lw=1.6)
+            ax.set_ylim(0, 1.12 * max(shares.max(), 1 / _BINS))
+            ax.set_yticks([])
+            ax.spines["left"].set_visible(False)
+        else:
+            ax.scatter(values[j][order], values[i][order], c=objective[order], s=7, lw=0, cmap=COLOURS, norm=shades)
+            ax.plot(values[j][0], values[i][0], marker="+", ms=9, mew=1.6, color=BEST)
+            _scale(ax, bounds[i], "y")
+        _scale(ax, bounds[j], "x")
+        # Names at the left and at the bottom only.
+        ax.tick_params(labelsize=SMALL - 1, labelbottom=i == n - 1, labelleft=j == 0 and i > 0)
+        if i == n - 1:
+            ax.set_xlabel(labels[j], fontsize=SMALL, color=INK)
+            ax.tick_params(axis="x", rotation=45)
+        if j == 0 and i > 0:
+            ax.set_ylabel(labels[i], fontsize=SMALL, color=INK)
     page.figure.align_labels()
     place = page.axes[0, -1].inset_axes((-2.2, 0.6, 3.0, 0.13))  # in the empty corner, and ignored by the layout
     place.set_in_layout(False)
@@ -528,26 +447,12 @@ def ensemble_figure(content: Mapping[str, Any]) -> Figure:
     bar.set_label("objective [1]", fontsize=SMALL)
     bar.outline.set_visible(False)
     handles = [
-        Patch(color=BAND, label="share of the bodies"), Line2D([], [], color=LINE, ls="--", lw=1, label="5 and 95 %"),
+        Patch(color=BAND, label="share of the bodies"),
+        Line2D([], [], color=LINE, ls="--", lw=1, label="5 and 95 %"),
         Line2D([], [], color=MUTED, lw=1, label="share in the prior"),
         Line2D([], [], color=BEST, marker="+", ms=9, mew=1.6, lw=1.6, label="default body"),
-    ]  # fmt: skip
+    ]
     return page.finish(handles, f"{content['size']} bodies; an axis spans a parameter's bounds.")
-
-
-def _marginal(
-    ax: Axes, values: np.ndarray, weights: np.ndarray, bounds: tuple[float, float], quantiles: list[float]
-) -> None:
-    edges = np.geomspace(*bounds, _BINS + 1)
-    shares, _ = np.histogram(np.clip(values, *bounds), edges, weights=weights)
-    ax.stairs(shares, edges, fill=True, color=BAND)
-    ax.axhline(1 / _BINS, color=MUTED, lw=0.9)
-    for each in (quantiles[0], quantiles[-1]):
-        ax.axvline(each, color=LINE, ls="--", lw=1)
-    ax.axvline(values[0], color=BEST, lw=1.6)
-    ax.set_ylim(0, 1.12 * max(shares.max(), 1 / _BINS))
-    ax.set_yticks([])
-    ax.spines["left"].set_visible(False)
 
 
 def _scale(ax: Axes, bounds: tuple[float, float], axis: str) -> None:
@@ -555,23 +460,7 @@ def _scale(ax: Axes, bounds: tuple[float, float], axis: str) -> None:
     low, high = bounds
     middle = float(f"{np.sqrt(low * high):.{1 if high > 2 * low else 2}g}")
     along = ax.xaxis if axis == "x" else ax.yaxis
-    (ax.set_xscale if axis == "x" else ax.set_yscale)("log")
-    (ax.set_xlim if axis == "x" else ax.set_ylim)(low, high)
+    ax.set(**{f"{axis}scale": "log", f"{axis}lim": (low, high)})
     along.set_major_locator(FixedLocator([low, middle, high]))
     along.set_major_formatter(FormatStrFormatter("%g"))
     along.set_minor_locator(NullLocator())
-
-
-def _label(ax: Axes, names: list[str], i: int, j: int) -> None:
-    """Names at the left and at the bottom only."""
-    units = {name: about.unit for name, about in quantities(ModelParameters)}
-
-    def text(name: str) -> str:
-        return "\n".join((_SHORT.get(name, name.replace(".", "\n", 1)), f"[{units.get(name, '1')}]"))
-
-    ax.tick_params(labelsize=SMALL - 1, labelbottom=i == len(names) - 1, labelleft=j == 0 and i > 0)
-    if i == len(names) - 1:
-        ax.set_xlabel(text(names[j]), fontsize=SMALL, color=INK)
-        ax.tick_params(axis="x", rotation=45)
-    if j == 0 and i > 0:
-        ax.set_ylabel(text(names[i]), fontsize=SMALL, color=INK)

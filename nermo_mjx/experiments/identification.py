@@ -15,7 +15,7 @@ import math
 import os
 import shlex
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -24,21 +24,8 @@ from matplotlib.figure import Figure
 from scipy.stats import qmc
 
 from nermo_mjx.control.parameters import AS_PUBLISHED_BODY, body_values
-from nermo_mjx.experiments.cases import AMPLITUDE, Case, Settings, worlds
-from nermo_mjx.experiments.ensemble import (
-    FREE_IN,
-    TOLERANCE,
-    UNCERTAIN,
-    Bodies,
-    Free,
-    csv_text,
-    ensemble_content,
-    ensemble_figure,
-    ensemble_section,
-    find_bodies,
-    parameters_of,
-    point_of,
-)
+from nermo_mjx.experiments import ensemble
+from nermo_mjx.experiments.cases import AMPLITUDE, Case, Settings, texts, worlds
 from nermo_mjx.experiments.report import number, published_text
 from nermo_mjx.optimize.methods import strategy
 from nermo_mjx.physics.making import resolve_engine
@@ -56,11 +43,8 @@ from nermo_mjx.runs.status import Status, last_command
 from nermo_mjx.runs.text import MISSING, listed, table, to_json
 from nermo_mjx.runs.workers import LocalWorkers, TaskFailed, Workers, WorkersLost
 
-#: Where the search starts: the values of an earlier prototype of this robot.
-START: Final[dict[str, float]] = {
-    "servo.kp": 6.3, "servo.kv": 0.03, "damping.knee": 0.005, "damping.ankle": 0.005, "damping.spine": 0.01,
-}  # fmt: skip
-#: The same by profile; in the set-up of the published tests, the author's values.
+#: Where the search starts, by profile: the values of an earlier prototype of this robot, or the author's.
+START: Final[dict[str, float]] = texts("identification")["start"]
 STARTS: Final = {"exact": START, "as_published": {name: AS_PUBLISHED_BODY[name] for name in START}}
 
 # --- targets
@@ -83,36 +67,23 @@ class Target:
         return (over + np.minimum(logarithm - math.log(self.low), 0.0)) / self.tolerance
 
 
-#: An order: at least this ratio.
-_ORDER: Final = Target(1.0, math.inf, 0.02)
-#: A walk: gait, frequency, and whether with the spine.
-_Walk = tuple[str, float, bool]
-#: Section 6.2.1 of the publication; the spine makes the trot faster by between 5 % and 22 %, the latter at 0.8 Hz. Each
-#: target is the speed of one walk over that of another, or over the no-slip speed of the trot at 0.8 Hz (5.22).
-_RATIOS: Final[dict[str, tuple[Target, _Walk, _Walk | None]]] = {
-    "trt, 0.8 Hz, over theory": (Target(0.9, 0.9), ("trt", 0.8, False), None),
-    "trt, 0.8 Hz, spine over none": (Target(1.22, 1.22), ("trt", 0.8, True), ("trt", 0.8, False)),
-    "trt, 0.5 Hz, spine over none": (Target(1.05, 1.22), ("trt", 0.5, True), ("trt", 0.5, False)),
-    "trt1, 0.8 Hz, spine over none": (_ORDER, ("trt1", 0.8, True), ("trt1", 0.8, False)),
-    "trt1, 0.5 Hz, spine over none": (_ORDER, ("trt1", 0.5, True), ("trt1", 0.5, False)),
-    "trt, 0.8 Hz, over lat": (Target(1.27, 1.27), ("trt", 0.8, False), ("lat", 0.8, False)),
-    "trt with spine, 0.8 Hz, over lat": (Target(1.48, 1.48), ("trt", 0.8, True), ("lat", 0.8, False)),
-    "trt, 0.8 Hz, over trt1": (_ORDER, ("trt", 0.8, False), ("trt1", 0.8, False)),
-    "trt, 0.5 Hz, over trt1": (_ORDER, ("trt", 0.5, False), ("trt1", 0.5, False)),
-    "trt1, 0.8 Hz, over lat": (_ORDER, ("trt1", 0.8, False), ("lat", 0.8, False)),
-    "trt1, 0.5 Hz, over lat": (_ORDER, ("trt1", 0.5, False), ("lat", 0.5, False)),
+#: A target is the speed of one walk (gait, frequency, with the spine) over that of another, or over the theory's.
+_RATIOS: Final[dict[str, tuple[Target, Any, Any]]] = {
+    name: (Target(low, high, tolerance), tuple(one), other and tuple(other))
+    for name, (low, high, tolerance, one, other) in texts("identification")["targets"].items()
 }
 TARGETS: Final = {name: target for name, (target, _, _) in _RATIOS.items()}
+#: Without the author's PD pilot, as on the straight line.
+_NO_PILOT: Final = {"pilot.error_gain": 0.0, "pilot.change_gain": 0.0}
 CASES: Final = tuple(
     Case(
-        {"gait": gait, "frequency": frequency, "spine": spine}, gait,
-        # Without the author's PD pilot, as on the straight line.
-        values={"frequency": frequency, "spine.amplitude": AMPLITUDE * spine, "pilot.error_gain": 0.0,
-                "pilot.change_gain": 0.0},
+        {"gait": gait, "frequency": frequency, "spine": spine},
+        gait,
+        values={"frequency": frequency, "spine.amplitude": AMPLITUDE * spine, **_NO_PILOT},
     )
     for frequency in (0.5, 0.8)
     for gait, spine in (("trt", False), ("trt", True), ("trt1", False), ("trt1", True), ("lat", False))
-)  # fmt: skip
+)
 #: No-slip speed of the trot at 0.8 Hz (5.22) [m/s].
 _THEORY: Final = 0.096
 #: Objective of a candidate that falls, diverges, or walks backwards: worse than any completed walk.
@@ -173,6 +144,9 @@ class CandidateFile:
         about: settings of the search and the robot, which determine the candidates.
         code: short name of the code that adds candidates, see `nermo_mjx.runs.code`.
 
+    Attributes:
+        known: points (n, d) as bytes -> speed, and whether the walk was completed, (n, cases) each.
+
     Raises:
         ParameterError: the file belongs to another search.
         DirectoryError: it cannot be written.
@@ -181,19 +155,16 @@ class CandidateFile:
 
     def __init__(self, path: Path, about: dict[str, object], code: str) -> None:
         self.path, self.code = path, code
-        self._known: dict[bytes, tuple[np.ndarray, np.ndarray]] = {}
-        lines = path.read_text().splitlines() if path.exists() else []
-        if not lines:
+        self.known: dict[bytes, tuple[np.ndarray, np.ndarray]] = {}
+        first, rows = (found := _rows_of(path))[:1], found[1:]
+        if not first:
             self._append(about)
-        elif _parsed(lines[0]) != json.loads(json.dumps(about)):
+        elif first[0] != json.loads(json.dumps(about)):
             raise ParameterError(f"{path} belongs to a search with other settings: choose another directory.")
-        for row in remembered(lines[1:]):
-            key = np.array(row["points"], float).tobytes()
-            self._known[key] = np.array(row["speed"], float), np.array(row["walked"], bool)
-
-    def recall(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-        """Speed and whether the walk was completed, (n, cases) each, of known points (n, d); else None."""
-        return self._known.get(np.ascontiguousarray(points, float).tobytes())
+        for row in rows:
+            if {"points", "speed", "walked"} <= set(row):
+                walks = np.array(row["speed"], float), np.array(row["walked"], bool)
+                self.known[np.array(row["points"], float).tobytes()] = walks
 
     def keep(self, points: np.ndarray, speed: np.ndarray, walked: np.ndarray) -> None:
         """Remember the speeds of points."""
@@ -205,19 +176,19 @@ class CandidateFile:
             append_line(self.path, json.dumps(row))
 
 
-def remembered(lines: Iterable[str]) -> Iterator[dict[str, Any]]:
-    """The batches in the lines after the first."""
-    yield from (row for row in map(_parsed, lines) if {"points", "speed", "walked"} <= set(row))
+def _rows_of(path: Path) -> list[dict[str, Any]]:
+    """The lines of a file of candidates; a truncated one is empty."""
+    rows = []
+    for line in path.read_text().splitlines() if path.exists() else []:
+        try:
+            row = json.loads(line)
+        except ValueError:
+            row = {}
+        rows.append(row if isinstance(row, dict) else {})
+    return rows
 
 
-def _parsed(line: str) -> dict[str, Any]:
-    try:
-        row = json.loads(line)
-    except ValueError:
-        return {}
-    return row if isinstance(row, dict) else {}
-
-
+@dataclasses.dataclass
 class Candidates:
     """Evaluates points of a space, and records all of them and the best.
 
@@ -230,17 +201,18 @@ class Candidates:
         report: called after each batch.
     """
 
-    def __init__(
-        self, workers: Workers, cases: Mapping[str, np.ndarray], space: Mapping[str, Free], batch: int,
-        memory: CandidateFile | None, report: Callable[[], None],
-    ) -> None:  # fmt: skip
-        self.workers, self.cases, self.space, self.batch = workers, cases, space, batch
-        self.memory, self.report = memory, report
-        self.points: list[np.ndarray] = []
-        self.costs: list[float] = []
-        self.best, self.best_point = math.inf, np.full(len(space), 0.5)
-        self.first_figures: dict[str, float] = {}
-        self.best_figures: dict[str, float] = {}
+    workers: Workers
+    cases: Mapping[str, np.ndarray]
+    space: Mapping[str, ensemble.Free]
+    batch: int
+    memory: CandidateFile | None
+    report: Callable[[], None]
+    points: list[np.ndarray] = dataclasses.field(default_factory=list)
+    costs: list[float] = dataclasses.field(default_factory=list)
+    best: float = math.inf
+    best_point: Any = None
+    first_figures: dict[str, float] = dataclasses.field(default_factory=dict)
+    best_figures: dict[str, float] = dataclasses.field(default_factory=dict)
 
     def evaluate(self, points: np.ndarray) -> np.ndarray:
         """Objective of points (n, d) of the unit cube, (n,); in batches of as equal a size as possible.
@@ -249,26 +221,25 @@ class Candidates:
             WorkersLost: no worker is left; finished walks are kept.
         """
         blocks = np.array_split(points, -(-len(points) // self.batch))
-        walked = self._walk(blocks)
-        return np.concatenate([self._judge(block, *walked[k]) for k, block in enumerate(blocks)])
+        walked, costs = self._walk(blocks), []
+        for k, block in enumerate(blocks):
+            speed, completed = (column[: len(block)] for column in walked[k])
+            found = figures(speed)
+            costs.append(objective(found, ~np.all(completed, axis=1)))
+            if not self.costs:
+                self.first_figures = {name: float(column[0]) for name, column in found.items()}
+            least = int(np.argmin(costs[-1]))
+            if costs[-1][least] < self.best:
+                self.best, self.best_point = float(costs[-1][least]), block[least]
+                self.best_figures = {name: float(column[least]) for name, column in found.items()}
+            self.points += list(block)
+            self.costs += costs[-1].tolist()
+        return np.concatenate(costs)
 
     def near(self, tolerance: float) -> np.ndarray:
         """Points within a tolerance of the objective, (k, d), in the order they were tried."""
         within = [point for point, cost in zip(self.points, self.costs, strict=True) if cost <= tolerance]
         return np.reshape(within, (len(within), len(self.space)))
-
-    def _judge(self, points: np.ndarray, speed: np.ndarray, walked: np.ndarray) -> np.ndarray:
-        found = figures(speed[: len(points)])
-        costs = objective(found, ~np.all(walked[: len(points)], axis=1))
-        if not self.costs:
-            self.first_figures = {name: float(column[0]) for name, column in found.items()}
-        least = int(np.argmin(costs))
-        if costs[least] < self.best:
-            self.best, self.best_point = float(costs[least]), points[least]
-            self.best_figures = {name: float(column[least]) for name, column in found.items()}
-        self.points += list(points)
-        self.costs += costs.tolist()
-        return costs
 
     def _walk(self, blocks: list[np.ndarray]) -> dict[int, tuple[np.ndarray, np.ndarray]]:
         """For each block, padded to a batch: speed in each case, and whether the walk was completed, (n, cases)."""
@@ -276,15 +247,15 @@ class Candidates:
         batches = [np.resize(block, (self.batch, len(self.space))) for block in blocks]
         found = {}
         for k, points in enumerate(batches):
-            if self.memory is not None and (known := self.memory.recall(points)) is not None:
-                found[k] = known
+            if self.memory is not None and points.tobytes() in self.memory.known:
+                found[k] = self.memory.known[points.tobytes()]
                 self.report()
 
         def tasks() -> Iterator[tuple[int, dict[str, np.ndarray]]]:
             for k, points in enumerate(batches):
                 if k not in found:
                     values = {name: np.tile(column, len(points)) for name, column in self.cases.items()}
-                    own = parameters_of(points, self.space)
+                    own = ensemble.parameters_of(points, self.space)
                     yield k, values | {name: np.repeat(column, len(CASES)) for name, column in own.items()}
 
         try:
@@ -320,7 +291,7 @@ class Identified:
     figures: dict[str, tuple[float, float]]
     start_figures: dict[str, tuple[float, float]]
     costs: tuple[float, ...]
-    bodies: Bodies | None = None
+    bodies: ensemble.Bodies | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -345,12 +316,12 @@ class Search:
     population: int = 12
     bodies: int = 256
     sweeps: int = 5
-    tolerance: float = TOLERANCE
+    tolerance: float = ensemble.TOLERANCE
     seed: int = 0
     profile: str = "exact"
 
     def __post_init__(self) -> None:
-        choice("profile", self.profile, FREE_IN)
+        choice("profile", self.profile, ensemble.FREE_IN)
         least = {"samples": 1, "generations": 1, "population": 4, "sweeps": 1, "bodies": 8 if self.bodies else 0}
         for name, lowest in least.items():
             if getattr(self, name) < lowest:
@@ -378,7 +349,7 @@ def identify(
     Raises:
         WorkersLost: no worker is left.
     """
-    population, bodies, seed, free = wanted.population, wanted.bodies, wanted.seed, FREE_IN[wanted.profile]
+    population, bodies, seed, free = wanted.population, wanted.bodies, wanted.seed, ensemble.FREE_IN[wanted.profile]
     workers, defaults = workers or LocalWorkers(), WALKS.defaults() | body_values(wanted.profile)
     workers.begin(Walking(resolve_engine(engine)))
     cases = worlds(CASES, defaults, Settings((wanted.profile,), repeats=1, seed=seed)).values
@@ -393,29 +364,44 @@ def identify(
 
     search = Candidates(workers, cases, free, population, memory, report)
     design = qmc.Sobol(len(free), rng=seed).random_base2((wanted.samples - 1).bit_length())[: wanted.samples]
-    search.evaluate(np.vstack([point_of(STARTS[wanted.profile], free), design]))
+    search.evaluate(np.vstack([ensemble.point_of(STARTS[wanted.profile], free), design]))
     evolution = strategy(search.best_point, 0.15, population, np.random.default_rng(seed + 1), bounds=[0.0, 1.0])
     for _ in range(wanted.generations):
         points = np.array(evolution.ask())
         evolution.tell(list(points), search.evaluate(points).tolist())
-    best = {name: float(value) for name, value in parameters_of(search.best_point, free).items()}
-    ensemble = None
+    best = {name: float(value) for name, value in ensemble.parameters_of(search.best_point, free).items()}
+    several = None
     if bodies:
-        wide = Candidates(workers, cases, free | UNCERTAIN, population, memory, report)
-        ensemble = find_bodies(
-            wide.evaluate, best, search.best, search.near(wanted.tolerance), defaults=defaults, bodies=bodies,
-            sweeps=wanted.sweeps, tolerance=wanted.tolerance, seed=seed, space=free | UNCERTAIN,
-        )  # fmt: skip
+        wide = Candidates(workers, cases, free | ensemble.UNCERTAIN, population, memory, report)
+        # The first sweep also starts around the search's points within the tolerance, at the default frictions.
+        near, tolerance, space = search.near(wanted.tolerance), wanted.tolerance, free | ensemble.UNCERTAIN
+        friction = np.tile(ensemble.point_of(defaults, ensemble.UNCERTAIN), (len(near), 1))
+        found = ensemble.sample(
+            wide.evaluate,
+            len(space),
+            tolerance=tolerance,
+            size=bodies,
+            sweeps=wanted.sweeps,
+            seed=seed,
+            seeds=np.hstack([near, friction]),
+        )
+        first = search.best <= tolerance
+        kept = ensemble.thin(found, bodies - first, seed)
+        drawn, costs, weights = ensemble.parameters_of(kept.points, space), kept.costs, kept.weights
+        values = {name: drawn[name] for name in ensemble.names(space)}
+        if first:  # the best one is the first, with the average weight of the others
+            values = {name: np.append(best.get(name, defaults[name]), column) for name, column in values.items()}
+            costs = np.append(search.best, costs)
+            weights = np.append(1.0, weights * len(weights)) / (1 + len(weights))
+        several = ensemble.Bodies(values, costs, weights, tolerance, found)
     if progress:
         progress(1.0)
-    return Identified(
-        best, search.best, search.costs[0], _with_residuals(search.best_figures), _with_residuals(search.first_figures),
-        tuple(search.costs), ensemble,
-    )  # fmt: skip
 
+    def with_residuals(found: Mapping[str, float]) -> dict[str, tuple[float, float]]:
+        return {name: (value, float(TARGETS[name].residual(np.asarray(value)))) for name, value in found.items()}
 
-def _with_residuals(found: Mapping[str, float]) -> dict[str, tuple[float, float]]:
-    return {name: (value, float(TARGETS[name].residual(np.asarray(value)))) for name, value in found.items()}
+    end, start = with_residuals(search.best_figures), with_residuals(search.first_figures)
+    return Identified(best, search.best, search.costs[0], end, start, tuple(search.costs), several)
 
 
 # --- a directory
@@ -426,12 +412,13 @@ FORMULA: Final = (
     "or goes backwards"
 )
 TARGET_HEADINGS: Final = (
-    ("ratio of speeds", "left"), ("published", "right"), ("tolerance", "right"), ("before", "right"),
-    ("identified", "right"), ("residual [tolerances]", "right"),
-)  # fmt: skip
-PARAMETER_HEADINGS: Final = (
-    ("parameter", "left"), ("start", "right"), ("identified", "right"), ("bounds", "left"), ("why these", "left"),
-)  # fmt: skip
+    ("ratio of speeds", "left"),
+    *((name, "right") for name in ("published", "tolerance", "before", "identified", "residual [tolerances]")),
+)
+PARAMETER_HEADINGS: Final = tuple(
+    (name, "right" if name in ("start", "identified") else "left")
+    for name in ("parameter", "start", "identified", "bounds", "why these")
+)
 #: A parameter is at a bound if it is closer to it than this share of the range of its logarithm.
 _AT_BOUND: Final = 0.01
 
@@ -502,7 +489,7 @@ def _publish(written: Written, content: dict[str, Any], notify: Callable[[str], 
     """Create the rest of the directory from its result, which has `plots` when everything exists."""
     folder = written.held.out
     if content["ensemble"] and content["ensemble"]["size"]:
-        written.write(folder / "ensemble.csv", csv_text(content).encode())
+        written.write(folder / "ensemble.csv", ensemble.csv_text(content).encode())
     plots = write_figures(figures_of(content), folder / "plots", written.write)
     content = content | {"plots": [written.name(path) for path in plots]}
     written.write(folder / "identification.md", _page(content).encode())
@@ -515,26 +502,26 @@ def _publish(written: Written, content: dict[str, Any], notify: Callable[[str], 
 def _content(found: Identified, profile: str) -> dict[str, Any]:
     """The search and its result."""
     known = dict(quantities(ModelParameters))
-    targets = {
-        name: {
-            "published": target.low if target.low == target.high
-            else [target.low, target.high if math.isfinite(target.high) else None],
-            "tolerance": target.tolerance,
-            "value": found.figures[name][0], "residual": found.figures[name][1],
-            "start": found.start_figures[name][0], "start_residual": found.start_figures[name][1],
-        }
-        for name, target in TARGETS.items()
-    }  # fmt: skip
+    targets = {}
+    for name, target in TARGETS.items():
+        ends = [target.low, target.high if math.isfinite(target.high) else None]
+        (value, residual), (start, start_residual) = found.figures[name], found.start_figures[name]
+        targets[name] = {"published": target.low if target.low == target.high else ends, "tolerance": target.tolerance}
+        targets[name] |= {"value": value, "residual": residual, "start": start, "start_residual": start_residual}
     free = {}
-    for name, about in FREE_IN[profile].items():
+    for name, about in ensemble.FREE_IN[profile].items():
         value = found.parameters[about.names[0]]
         place = math.log(value / about.low) / math.log(about.high / about.low)
-        bound = "lower" if place < _AT_BOUND else "upper" if place > 1 - _AT_BOUND else None
         free[name] = {
-            "parameters": list(about.names), "unit": known[about.names[0]].unit, "low": about.low, "high": about.high,
-            "why": about.why, "default": [STARTS[profile][each] for each in about.names], "value": value,
-            "at_bound": bound,
-        }  # fmt: skip
+            "parameters": list(about.names),
+            "unit": known[about.names[0]].unit,
+            "low": about.low,
+            "high": about.high,
+            "why": about.why,
+            "default": [STARTS[profile][each] for each in about.names],
+            "value": value,
+            "at_bound": "lower" if place < _AT_BOUND else "upper" if place > 1 - _AT_BOUND else None,
+        }
     rounded = {name: f"{value:.4g}" for name, value in found.parameters.items()}
     return {
         "parameters": found.parameters,
@@ -545,24 +532,23 @@ def _content(found: Identified, profile: str) -> dict[str, Any]:
         "free": free,
         "candidates": len(found.costs),
         "costs": list(found.costs),
-        "ensemble": None if found.bodies is None else ensemble_content(found.bodies, FREE_IN[profile] | UNCERTAIN),
+        "ensemble": None
+        if found.bodies is None
+        else ensemble.ensemble_content(found.bodies, ensemble.FREE_IN[profile] | ensemble.UNCERTAIN),
     }
 
 
 def target_rows(content: Mapping[str, Any]) -> list[list[str]]:
     """Rows of texts under `TARGET_HEADINGS`."""
-
-    def text(value: float | None, form: Callable[[float], str] = number) -> str:
-        return MISSING if value is None else form(value)
-
-    def published(value: Any) -> str:
-        return f"at least {value[0]:g}" if isinstance(value, list) and value[1] is None else published_text(value)
-
-    return [
-        [name, published(target["published"]), f"{target['tolerance']:.0%}", text(target["start"]),
-         text(target["value"]), text(target["residual"], lambda value: f"{value + 0.0:+.2f}")]
-        for name, target in content["targets"].items()
-    ]  # fmt: skip
+    rows = []
+    for name, target in content["targets"].items():
+        published, residual = target["published"], target["residual"]
+        order = isinstance(published, list) and published[1] is None
+        values = [MISSING if target[key] is None else number(target[key]) for key in ("start", "value")]
+        away = MISSING if residual is None else f"{residual + 0.0:+.2f}"
+        text = f"at least {published[0]:g}" if order else published_text(published)
+        rows.append([name, text, f"{target['tolerance']:.0%}", *values, away])
+    return rows
 
 
 def parameter_rows(content: Mapping[str, Any]) -> list[list[str]]:
@@ -577,61 +563,32 @@ def parameter_rows(content: Mapping[str, Any]) -> list[list[str]]:
 
 
 def _page(content: Mapping[str, Any]) -> str:
-    end, search = content["objective"], content["settings"]
-    pictures = "".join(f"![{Path(p).stem}]({p})\n\n" for p in content["plots"] if p.endswith(".png"))
-    return f"""\
-# Identification of what the publication does not give
-
-Servo gain and damping, and damping of the joints, were searched within physical bounds for the published speeds on the
-straight line, in the profile {search["profile"]}. Nothing else was looked at. The contact of the soles is that of the
-author's model.
-
-**Objective {end["start"]:.3f} at the start, {end["end"]:.3f} after {content["candidates"]} candidates.**
-
-## Published speeds
-
-{table([name for name, _ in TARGET_HEADINGS], target_rows(content), "lrrrrr")}
-A residual is a deviation in units of the tolerance: 1 is the deviation declared acceptable beforehand.
-
-## Parameters
-
-{table([name for name, _ in PARAMETER_HEADINGS], parameter_rows(content), "lrrll")}
-To use them in `nermo-mjx experiment` and `nermo-mjx walk`:
-
-```sh
-{content["options"]}
-```
-
-In a sweep file:
-
-```yaml
-{content["yaml"]}```
-
-{ensemble_section(content)}{pictures}## How
-
-- Objective: {end["formula"]}.
-- Search: {search["samples"]} points of a Sobol sequence, then {search["generations"]} times {search["population"]} by
-  CMA-ES from the best of them; both in the logarithms of the parameters.
-- Seed {search["seed"]}, engine {content["engine"]}, {content["wall_seconds"]:.0f} s, begun on {content["started"]}.
-- Command: `{content["command"]}`
-- Model {content["model"]}, code {", ".join(content["codes"])}; versions: {listed(content["versions"])}
-- Machine: {listed(content["machine"])}
-"""
+    """identification.md."""
+    targets = table([name for name, _ in TARGET_HEADINGS], target_rows(content), "lrrrrr")
+    return texts("report")["identification"].format(
+        **content,
+        target_table=targets,
+        parameter_table=table([name for name, _ in PARAMETER_HEADINGS], parameter_rows(content), "lrrll"),
+        ensemble_section=ensemble.ensemble_section(content),
+        pictures="".join(f"![{Path(p).stem}]({p})\n\n" for p in content["plots"] if p.endswith(".png")),
+        code_names=", ".join(content["codes"]),
+        version_names=listed(content["versions"]),
+        machine_names=listed(content["machine"]),
+    )
 
 
 def status(out: Path) -> Status:
     """Number of candidates that an identification has simulated."""
-    lines = (out / FILE).read_text().splitlines() if (out / FILE).exists() else []
     # A batch that was padded contains some of its points twice.
-    done = len({tuple(point) for row in remembered(lines[1:]) for point in row["points"]})
+    done = len({tuple(point) for row in _rows_of(out / FILE)[1:] for point in row.get("points", ())})
     try:
         content: dict[str, Any] = json.loads((out / RESULT).read_text(encoding="utf-8"))
     except (OSError, ValueError):
         content = {}
     complete = "plots" in content  # comes last
     command = f"nermo-mjx plot {shlex.quote(str(out))}" if complete else last_command(out)
-    return Status("candidates", done, done if complete else None, complete, command, engine_of(out),
-                  sessions=[content] if content else [])  # fmt: skip
+    sessions = [content] if content else []
+    return Status("candidates", done, done if complete else None, complete, command, engine_of(out), sessions=sessions)
 
 
 # --- figures
@@ -644,8 +601,8 @@ def figures_of(content: Mapping[str, Any]) -> Iterator[tuple[str, Figure]]:
     """The figures of identification.json's content."""
     yield "identification-search", _search(content)
     yield "identification-residuals", _residuals(content)
-    if (ensemble := content.get("ensemble")) and ensemble["size"]:
-        yield "identification-ensemble", ensemble_figure(ensemble)
+    if (several := content.get("ensemble")) and several["size"]:
+        yield "identification-ensemble", ensemble.ensemble_figure(several)
 
 
 def drawn(out: Path) -> Figures:

@@ -1,69 +1,42 @@
-"""The figures of an experiment, in the form of the published ones."""
+"""The figures of an experiment, in the form of the published ones.
+
+One colour has one meaning throughout. The profile that is judged, `as_published`, is drawn in full colour, the others
+lighter, and published values in black outline.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from pathlib import Path
+import dataclasses
+import itertools
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any, Final
 
+import jax.numpy as jnp
 import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Polygon, Rectangle
+from matplotlib.patches import Patch, Polygon, Rectangle
 from matplotlib.ticker import FuncFormatter, MultipleLocator
 
-from nermo_mjx.control.parameters import PROFILES, SIMULATED
 from nermo_mjx.experiments import stands, walks
-from nermo_mjx.experiments.cases import Outcome
-from nermo_mjx.experiments.catalogue import EXPERIMENTS
-from nermo_mjx.experiments.directory import Directory
-from nermo_mjx.experiments.lines import AGREES, Line, compare
-from nermo_mjx.experiments.marks import (
-    ANGLES,
-    CLOCK,
-    COMPENSATED,
-    FAIL,
-    GAIT,
-    PASS,
-    SPINE,
-    STRATEGY,
-    WITH,
-    Bar,
-    angles,
-    axis_label,
-    bar_entries,
-    draw_bars,
-    mark_published,
-    only,
-    profile_swatches,
-    profiles,
-    published,
-    published_entry,
-    repeats,
-    seen_from_above,
-    shade_phases,
-    shown,
-    spine_strokes,
-    spine_swatches,
-    spread_note,
-    stroke,
-    swatch,
-    tone,
-)
-from nermo_mjx.experiments.measures import clock
-from nermo_mjx.plotting.files import Figures
+from nermo_mjx.experiments.cases import PROFILES, SIMULATED, Outcome, clock
+from nermo_mjx.experiments.published import AGREES, Line
+from nermo_mjx.kinematics.body import attitude
+from nermo_mjx.plotting import style
 from nermo_mjx.plotting.page import Page
-from nermo_mjx.plotting.style import BEST, FOOT, GRID, INK, LINE, MISSING, MUTED, SERIES, SHADE, horizontal_grid
+from nermo_mjx.plotting.shown import shown as in_shown_unit
+from nermo_mjx.plotting.style import BEST, FOOT, GRID, INK, LINE, MISSING, MUTED, OKABE_ITO, SERIES, SHADE
 from nermo_mjx.recording import Recording
 from nermo_mjx.robot import LIMBS, load_robot
 from nermo_mjx.robot.parameters import ROUTINGS
-from nermo_mjx.runs.files import DirectoryError
 
 Drawn = Iterator[tuple[str, Figure | None]]
 Lines = Sequence[Line]
+Published = float | tuple[float, float] | None
 
 
 def figures_of(outcome: Outcome, lines: Lines) -> Iterator[tuple[str, Figure]]:
@@ -76,28 +49,248 @@ def figures_of(outcome: Outcome, lines: Lines) -> Iterator[tuple[str, Figure]]:
         lines: of its report, with the published values, which are drawn next to the simulated ones.
     """
     lines = [line for line in lines if line.experiment == outcome.experiment]
-    drawers: tuple[Callable[[Outcome, Lines], Drawn], ...] = (_DRAWERS[outcome.experiment], _agreement)
-    for drawer in drawers:
-        for name, figure in drawer(outcome, lines):
-            if figure is not None:
-                yield f"{outcome.experiment}-{name}", figure
+    draw = _DRAWERS.get(outcome.experiment, lambda outcome, lines: iter(()))
+    for name, figure in itertools.chain(draw(outcome, lines), _agreement(outcome, lines)):
+        if figure is not None:
+            yield f"{outcome.experiment}-{name}", figure
 
 
-def figures(out: Path) -> Figures:
-    """The images of all experiments that a directory holds.
+# --- what figures share: colours by meaning, marks and entries of legends, and grouped bars
 
-    Raises:
-        DirectoryError: it contains no readable experiment.
+SPINE: Final = {False: OKABE_ITO["blue"], True: OKABE_ITO["vermilion"]}
+WITH: Final = {False: "without spine", True: "with spine"}
+COMPENSATED: Final = OKABE_ITO["purple"]
+STRATEGY: Final = {"leg": OKABE_ITO["green"], "spine": OKABE_ITO["purple"], "mix": OKABE_ITO["orange"]}
+PASS, FAIL = "#c6dff0", "#f6cfb5"
+GAIT: Final = {"trt": "trot", "trt1": "walking trot", "lat": "lateral walk"}
+CLOCK: Final = "times and speeds are those of the controller's clock"
+ANGLES: Final = ("roll", "pitch", "yaw")
+#: Share of a group's width that its bars fill.
+_FILLED: Final = 0.82
+_HATCH: Final = "/////"
+_THEORY: Final[dict[str, Any]] = {"color": INK, "lw": 1.6, "ls": (0, (1, 0.6))}
+_FAILED: Final[dict[str, Any]] = {"color": INK, "ls": "none", "marker": "x", "ms": 5, "mew": 1.6}
+
+
+def published(lines: Iterable[Line], figure: str) -> Published:
+    """The publication's number or interval for a figure of the report; None if the lines do not have it."""
+    for line in lines:
+        if line.figure == figure and line.published is not None and not isinstance(line.published, bool | str):
+            return tuple(line.published) if isinstance(line.published, list) else line.published
+    return None
+
+
+def profiles(outcome: Outcome) -> list[str]:
+    """The simulated profiles of an outcome, `as_published` first; the few cases of `as_built` stand in the report."""
+    found = set(map(str, outcome.columns["profile"]))
+    return [name for name in reversed(SIMULATED) if name in found] or sorted(found)
+
+
+def tone(colour: str, profile: str) -> str:
+    """The colour in a profile."""
+    return style.light(colour) if profile == "exact" else colour
+
+
+def plain(name: str) -> str:
+    """A name's display form."""
+    return name.replace("_", " ")
+
+
+def swatch(name: str, colour: str, **patch: Any) -> Patch:
+    """A legend's entry for a filled area."""
+    return Patch(facecolor=colour, label=name, **patch)
+
+
+def stroke(name: str, colour: str, **line: Any) -> Line2D:
+    """A legend's entry for a line."""
+    return Line2D([], [], color=colour, label=name, **line)
+
+
+def spine_strokes(**line: Any) -> list[Artist]:
+    """Legend entries for lines without and with the spine."""
+    return [stroke(WITH[on], SPINE[on], **({"lw": 1.7} | line)) for on in (False, True)]
+
+
+def profile_swatches(names: Sequence[str]) -> list[Artist]:
+    """Legend entries for the profiles, if there are several."""
+    return [swatch(plain(name), tone("#444444", name)) for name in names] if len(names) > 1 else []
+
+
+def mark_published(ax: Axes, x: float, value: Published) -> None:
+    """The publication's number as a white diamond in black outline; an interval as a bracket around it."""
+    if value is None:
+        return
+    low, high = value if isinstance(value, tuple) else (value, value)
+    middle, half = (low + high) / 2, (high - low) / 2
+    if half > 0:
+        ax.errorbar(x, middle, half, fmt="none", ecolor="black", elinewidth=1.1, capsize=3, zorder=6)
+    ax.scatter(x, middle, s=34, marker="D", fc="white", ec="black", lw=1.2, zorder=7, gid="published")
+
+
+def published_entry() -> Line2D:
+    """The legend's entry of `mark_published`."""
+    return Line2D([], [], ls="none", marker="D", ms=5.5, mfc="white", mec="black", mew=1.2, label="published")
+
+
+def shade_phases(ax: Axes, phases: Mapping[str, Sequence[float]], *, named: bool = True) -> None:
+    """Phases on alternating grey backgrounds, each with its name above the axes."""
+    above: dict[str, Any] = {"ha": "center", "va": "bottom", "fontsize": 7.5, "color": MUTED}
+    for i, (name, (begin, end)) in enumerate(phases.items()):
+        if i % 2 == 0:
+            ax.axvspan(begin, end, color=SHADE, lw=0, zorder=-5)
+        if named:
+            ax.text((begin + end) / 2, 1.01, name, transform=ax.get_xaxis_transform(), **above)
+    ends = [time for phase in phases.values() for time in phase]
+    ax.set_xlim(min(ends), max(ends))
+
+
+def angles(recording: Recording) -> np.ndarray:
+    """Roll, pitch and yaw of the torso over time, (T, 3) [deg]; with unwrapped yaw."""
+    found = np.array(attitude(jnp.asarray(recording.sensors["orientation"])), float)
+    found[:, 2] = np.unwrap(found[:, 2])
+    return np.degrees(found)
+
+
+def seen_from_above(ax: Axes, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(right, ahead) [mm] of positions (..., 2) [m] in the robot's frame at the start (x left, y back); equal axes."""
+    ax.set_aspect("equal")
+    ax.set(xlabel="to the right of the start [mm]", ylabel="ahead of the start [mm]")
+    return -1e3 * places[..., 0], -1e3 * places[..., 1]
+
+
+@dataclasses.dataclass(frozen=True)
+class Bar:
+    """One case: the values of its repeats as shown (n,), NaN for a repeat without one, empty if it was not run; its
+    colour, whether it is hatched, and its theoretical and published values."""
+
+    values: np.ndarray
+    colour: str
+    hatched: bool = False
+    theory: float = math.nan
+    published: Published = None
+
+    @property
+    def good(self) -> np.ndarray:
+        """The repeats with a value."""
+        return self.values[np.isfinite(self.values)]
+
+    @property
+    def mean(self) -> float:
+        """Mean of the repeats with a value; NaN if there are none."""
+        return float(self.good.mean()) if len(self.good) else math.nan
+
+    @property
+    def failed(self) -> bool:
+        """Whether a repeat has no value."""
+        return not np.isfinite(self.values).all()
+
+
+def repeats(outcome: Outcome, column: str, **wanted: object) -> np.ndarray:
+    """Values of the repeats of one case in shown units (deg, mm, mm/s); NaN for a run that did not end well.
+
+    Empty if the table has no such case.
     """
-    directory = Directory(out)
-    found = [stored.outcome for name in EXPERIMENTS if (stored := directory.load(name)) is not None]
-    if not found:
-        raise DirectoryError(f"{out} holds no experiment whose table and recordings can be read: run it again.")
-    return (
-        named
-        for outcome in found
-        for named in figures_of(outcome, compare(outcome, None, EXPERIMENTS[outcome.experiment].figures))
-    )
+    rows = outcome.where(**wanted)
+    values = in_shown_unit(column, outcome.about[column].unit, outcome.columns[column][rows]).values
+    well = outcome.columns["status"][rows] == "ok" if "status" in outcome.columns else np.full(len(values), True)
+    return np.where(well & np.isfinite(values), values, np.nan)
+
+
+def only(values: np.ndarray) -> float:
+    """The value that all repeats share; NaN without one."""
+    good = values[np.isfinite(values)]
+    return float(good[0]) if len(good) else math.nan
+
+
+def axis_label(outcome: Outcome, column: str, name: str) -> str:
+    """Name and shown unit of a column."""
+    return in_shown_unit(name, outcome.about[column].unit, np.zeros(0)).label
+
+
+@dataclasses.dataclass(frozen=True)
+class Panel:
+    """Axes with groups of bars: name on the axis -> bars; the number of bars that fit in a group, by default that of
+    the longest; title and labels."""
+
+    groups: Mapping[str, Sequence[Bar]]
+    title: str = ""
+    xlabel: str = ""
+    ylabel: str = ""
+    slots: int | None = None
+
+    def draw(self, ax: Axes) -> list[Bar]:
+        """Draw groups of bars side by side, and return all bars; without a group, nothing.
+
+        A bar is the mean of the repeats, with an error bar of one standard deviation if there are several. A cross at
+        the foot of a bar, or in its place, marks a repeat without a value.
+        """
+        ax.set(title=self.title, xlabel=self.xlabel, ylabel=self.ylabel)
+        if not self.groups:
+            return []
+        width = _FILLED / (self.slots or max(len(bars) for bars in self.groups.values()))
+        for i, bars in enumerate(self.groups.values()):
+            for j, bar in enumerate(bars):
+                if not len(bar.values):
+                    continue
+                x = i + (j - (len(bars) - 1) / 2) * width
+                if np.isfinite(bar.mean):
+                    hatch = _HATCH if bar.hatched else None
+                    ax.bar(x, bar.mean, 0.9 * width, color=bar.colour, hatch=hatch, ec="white", lw=0, zorder=2)
+                if len(bar.good) > 1:
+                    ax.errorbar(
+                        x, bar.mean, bar.good.std(), fmt="none", ecolor=INK, elinewidth=0.9, capsize=1.8, zorder=5
+                    )
+                if np.isfinite(bar.theory):
+                    ends = [x - 0.45 * width, x + 0.45 * width]
+                    ax.plot(ends, [bar.theory] * 2, zorder=4, gid="theory", **_THEORY)
+                if bar.failed:
+                    foot = ax.get_xaxis_transform()
+                    ax.plot(x, 0.025, transform=foot, zorder=8, gid="failed", clip_on=False, **_FAILED)
+                mark_published(ax, x, bar.published)
+        everything = [bar for bars in self.groups.values() for bar in bars]
+        if not any(np.isfinite(bar.mean) for bar in everything):
+            ax.bar(0, 0, alpha=0)  # the axis still begins at 0
+        ax.set_xticks(range(len(self.groups)), list(self.groups))
+        ax.tick_params(axis="x", length=0)
+        ax.set_xlim(-0.55, len(self.groups) - 0.45)
+        ax.margins(y=0.08)
+        style.horizontal_grid(ax)
+        return everything
+
+
+def bar_page(
+    title: str,
+    size: tuple[float, float],
+    panels: Sequence[Sequence[Panel]],
+    handles: Sequence[Artist],
+    note: str,
+    hatched: str = "",
+    **subplots: Any,
+) -> Figure:
+    """A page of bars, whose legend explains what they show in addition to their height.
+
+    Args:
+        panels: rows of them.
+        handles: entries of the legend before those.
+        note: below; `{spread}` in it says how many repeats there are, and what the error bars mean.
+        hatched: meaning of hatched bars.
+    """
+    page = Page(title, size, len(panels), len(panels[0]), **subplots)
+    bars: list[Bar] = []
+    for ax, panel in zip(page.axes.ravel(), itertools.chain(*panels), strict=True):
+        bars += panel.draw(ax)
+    entries = list(handles)
+    if any(np.isfinite(bar.theory) for bar in bars):
+        entries.append(Line2D([], [], label="theory, no slip", **_THEORY))
+    if any(bar.published is not None for bar in bars):
+        entries.append(published_entry())
+    if any(bar.hatched for bar in bars):
+        entries.append(swatch(hatched, MUTED, hatch=_HATCH, ec="white", lw=0))
+    if any(bar.failed for bar in bars):
+        entries.append(Line2D([], [], label="a repeat without result", **_FAILED))
+    most = max((len(bar.values) for bar in bars), default=0)
+    spread = f"mean of {most} repeats; error bars: one standard deviation" if most > 1 else "one run a case"
+    return page.finish(entries, note.format(spread=spread))
 
 
 # --- agreement: each number as a fraction of the published one; of an effect, of its size, the ratio minus 1
@@ -110,24 +303,51 @@ _TONES: Final = {"as_published": LINE, "exact": "#b9cbd8", "as_built": "#8a6fb0"
 _COLUMNS: Final = {"published": 0.2, "author": 0.4, "as_published": 0.62, "exact": 0.8, "as_built": 1.0}
 
 
+def _number(value: Any) -> float | None:
+    return None if value is None or isinstance(value, bool | str | list | tuple) else float(value)
+
+
 def _agreement(outcome: Outcome, lines: Lines) -> Drawn:
     """All numbers that were published and measured."""
-    lines = [
-        line for line in lines
-        if _reference(line) is not None and any(_number(getattr(line, name)) is not None for name in PROFILES)
-    ]  # fmt: skip
-    if not lines:
+    rows = []
+    for line in lines:
+        # The value that counts as 0, and how far the published one, or an interval's middle, which counts as 1, is off.
+        neutral = 1.0 if line.rule == "effect" else 0.0
+        value = float(np.mean(line.published)) if isinstance(line.published, list) else _number(line.published)
+        if value not in (None, neutral) and any(_number(getattr(line, name)) is not None for name in PROFILES):
+            rows.append((line, neutral, value - neutral))
+    if not rows:
         return
     title = f"What was published, and what was measured: {outcome.experiment.replace('-', ' ')}"
-    page = Page(title, (11.4, 1.5 + 0.255 * len(lines)), 1, 2, sharey=True, gridspec_kw={"width_ratios": [1.2, 1]})
+    page = Page(title, (11.4, 1.5 + 0.255 * len(rows)), 1, 2, sharey=True, gridspec_kw={"width_ratios": [1.2, 1]})
     ax, table = page.axes[0]
     ax.axvspan(1 - AGREES, 1 + AGREES, color=_NEAR, lw=0, zorder=-5)
     ax.axvline(1, color=MUTED, lw=0.8, zorder=0)
-    for y, line in enumerate(lines):
+    for y, (line, neutral, reference) in enumerate(rows):
         ax.axhline(y, color=GRID, lw=0.8, zorder=-1)
-        _agreement_row(ax, table, y, line)
-    ax.set_yticks(range(len(lines)), [line.figure for line in lines], fontsize=8.5)
-    ax.set_ylim(len(lines) - 0.4, -0.9)
+        if isinstance(line.published, list):
+            low, high = (end / reference for end in line.published)
+            ax.plot([low, min(high, MOST)], [y, y], color="black", lw=1.2, marker="|", ms=7, mew=1.2, zorder=3)
+        ax.scatter(1, y, s=34, marker="D", fc="white", ec="black", lw=1.2, zorder=4, gid="published")
+        for profile in reversed(_TONES):
+            value = _number(getattr(line, profile))
+            if value is None or (line.judged_in == "as_built" and profile in SIMULATED):
+                continue
+            share = (value - neutral) / reference
+            place = min(max(share, LEAST), MOST)
+            marker = "o" if share == place else (">" if share > place else "<")
+            ax.scatter(place, y, s=46, marker=marker, color=_TONES[profile], ec="white", lw=0.6, zorder=5, gid=profile)
+        for name, x in _COLUMNS.items():
+            value = getattr(line, name)
+            if isinstance(value, list):
+                text = f"{min(value):.3g} to {max(value):.3g} {line.unit}".rstrip()
+            else:
+                number = _number(value)
+                text = "–" if number is None else f"{number:.3g} {line.unit}".rstrip().replace("-", "−")
+            wrong = name == line.judged_in and line.holds is False
+            table.text(x, y, text, ha="right", va="center", fontsize=7, color=BEST if wrong else INK)
+    ax.set_yticks(range(len(rows)), [line.figure for line, _, _ in rows], fontsize=8.5)
+    ax.set_ylim(len(rows) - 0.4, -0.9)
     ax.set_xlim(min(ax.get_xlim()[0], -0.08), MOST + 0.08)
     ax.set_xlabel("measured over published [1]")
     ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}".replace("-", "−")))
@@ -136,58 +356,15 @@ def _agreement(outcome: Outcome, lines: Lines) -> Drawn:
     table.axis("off")
     table.set_xlim(0, 1)
     for name, x in _COLUMNS.items():
-        table.text(x, -0.75, shown(name), ha="right", va="center", fontsize=7.5, fontweight="bold", color=MUTED)
+        table.text(x, -0.75, plain(name), ha="right", va="center", fontsize=7.5, fontweight="bold", color=MUTED)
     handles: list[Artist] = [published_entry()]
-    handles += [stroke(shown(name), colour, ls="none", marker="o", ms=6.5) for name, colour in _TONES.items()]
+    handles += [stroke(plain(name), colour, ls="none", marker="o", ms=6.5) for name, colour in _TONES.items()]
     handles += [swatch(f"within {AGREES:.0%}".replace("%", " %"), _NEAR)]
     note = (
         "of an effect, a ratio, the share is of the ratio less 1; arrow: beyond the axis; bracket: published as an "
         "interval, of which the diamond is the middle; author: his own model and code; orange: does not hold"
     )
     yield "report", page.finish(handles, note)
-
-
-def _number(value: Any) -> float | None:
-    return None if value is None or isinstance(value, bool | str | list | tuple) else float(value)
-
-
-def _neutral(line: Line) -> float:
-    """The value that counts as 0."""
-    return 1.0 if line.rule == "effect" else 0.0
-
-
-def _reference(line: Line) -> float | None:
-    """The value that counts as 1, relative to `_neutral`: the published number, or an interval's middle."""
-    if isinstance(line.published, list):
-        return float(np.mean(line.published))
-    number = _number(line.published)
-    return None if number is None else (number - _neutral(line)) or None
-
-
-def _agreement_row(ax: Axes, table: Axes, y: int, line: Line) -> None:
-    reference = _reference(line)
-    assert reference is not None
-    if isinstance(line.published, list):
-        low, high = (end / reference for end in line.published)
-        ax.plot([low, min(high, MOST)], [y, y], color="black", lw=1.2, marker="|", ms=7, mew=1.2, zorder=3)
-    ax.scatter(1, y, s=34, marker="D", fc="white", ec="black", lw=1.2, zorder=4, gid="published")
-    for profile in reversed(_TONES):
-        value = _number(getattr(line, profile))
-        if value is None or (line.judged_in == "as_built" and profile in SIMULATED):
-            continue
-        share = (value - _neutral(line)) / reference
-        place = min(max(share, LEAST), MOST)
-        marker = "o" if share == place else (">" if share > place else "<")
-        ax.scatter(place, y, s=46, marker=marker, color=_TONES[profile], ec="white", lw=0.6, zorder=5, gid=profile)
-    for name, x in _COLUMNS.items():
-        value = getattr(line, name)
-        if isinstance(value, list):
-            text = f"{min(value):.3g} to {max(value):.3g} {line.unit}".rstrip()
-        else:
-            number = _number(value)
-            text = "–" if number is None else f"{number:.3g} {line.unit}".rstrip().replace("-", "−")
-        wrong = name == line.judged_in and line.holds is False
-        table.text(x, y, text, ha="right", va="center", fontsize=7, color=BEST if wrong else INK)
 
 
 # --- straight line
@@ -204,24 +381,20 @@ COMPENSATION: Final = {
 
 
 def _straight_line(outcome: Outcome, lines: Lines) -> Drawn:
-    yield "speed", _speed(outcome, lines)
-    yield "speed-over-stride", _speed_over_stride(outcome, lines)
+    # Published speeds by gait, frequency and spine [mm/s]: one is reported, the others follow from reported ratios.
+    speed, gain, over = (published(lines, figure) for figure in (SPEED, GAIN, OVER_LATERAL))
+    reported = {}
+    if isinstance(speed, float):
+        reported["trt", 0.8, False] = speed
+        if isinstance(gain, float):
+            reported["trt", 0.8, True] = speed * gain
+        if isinstance(over, float):
+            reported["lat", 0.8, False] = speed / over
+    yield "speed", _speed(outcome, reported)
+    yield "speed-over-stride", _speed_over_stride(outcome, reported)
     yield "orientation", _orientation(outcome, lines)
     yield "orientation-spread", _spread(outcome)
     yield "offset-compensation", _compensation(outcome, lines)
-
-
-def _speeds_published(lines: Lines) -> dict[tuple[str, float, bool], float]:
-    """Published speed by gait, frequency and spine [mm/s]: one is reported, the others follow from reported ratios."""
-    speed, gain, over = (published(lines, figure) for figure in (SPEED, GAIN, OVER_LATERAL))
-    found = {}
-    if isinstance(speed, float):
-        found["trt", 0.8, False] = speed
-        if isinstance(gain, float):
-            found["trt", 0.8, True] = speed * gain
-        if isinstance(over, float):
-            found["lat", 0.8, False] = speed / over
-    return found
 
 
 def _speeds(outcome: Outcome, column: str, profile: str, **case: object) -> np.ndarray:
@@ -229,9 +402,19 @@ def _speeds(outcome: Outcome, column: str, profile: str, **case: object) -> np.n
 
 
 def _by_gait(
-    outcome: Outcome, title: str, rows: int, height: float, bars: Callable[[int, str, str, float, bool], Bar]
-) -> tuple[Page, list[Bar]] | None:
-    """A column of axes for each gait, with groups of bars for each frequency, profile and spine."""
+    outcome: Outcome,
+    title: str,
+    rows: Sequence[str],
+    height: float,
+    note: str,
+    bar: Callable[[int, str, Mapping[str, Any]], Bar],
+) -> Figure | None:
+    """A column of axes for each gait, with groups of bars for each frequency, profile and spine.
+
+    Args:
+        rows: labels of the rows of axes.
+        bar: of the row's number, a profile and a case.
+    """
     names, gaits = profiles(outcome), {}
     for gait in GAIT:
         walked = outcome.where(gait=gait, stride=1.0, compensated=False)
@@ -241,43 +424,46 @@ def _by_gait(
         return None
     # The lateral walk is run only without the spine, so its groups have half the bars.
     widths = [max(1.2, len(fs) * (0.62 if gait == "lat" else 1.0) + 0.3) for gait, fs in gaits.items()]
-    size = (max(7.4, 2.1 + 0.92 * sum(widths)), height)
-    page = Page(title, size, rows, len(gaits), sharey="row", sharex="col", gridspec_kw={"width_ratios": widths})
-    drawn: list[Bar] = []
-    for i, row in enumerate(page.axes):
-        for ax, (gait, frequencies) in zip(row, gaits.items(), strict=True):
-            made = {
-                f"{f:g}": [bars(i, profile, gait, f, on) for on in (False, True) for profile in names]
-                for f in frequencies
-            }
-            groups = {name: [bar for bar in group if len(bar.values)] for name, group in made.items()}
-            drawn += draw_bars(ax, groups, slots=2 * len(names))
-    for ax, gait in zip(page.axes[0], gaits, strict=True):
-        ax.set_title(GAIT[gait])
-    for ax in page.axes[-1]:
-        ax.set_xlabel("gait frequency [Hz]")
-    return page, drawn
+    panels: list[list[Panel]] = []
+    for i, label in enumerate(rows):
+        panels.append([])
+        for gait, frequencies in gaits.items():
+            groups = {}
+            for f in frequencies:
+                case = {"gait": gait, "frequency": f, "stride": 1.0, "compensated": False}
+                bars = [bar(i, name, case | {"spine": on}) for on in (False, True) for name in names]
+                groups[f"{f:g}"] = [each for each in bars if len(each.values)]
+            head, foot = GAIT[gait] if i == 0 else "", "gait frequency [Hz]" if i == len(rows) - 1 else ""
+            panels[-1].append(Panel(groups, head, foot, "" if panels[-1] else label, slots=2 * len(names)))
+    handles = [*(swatch(WITH[on], SPINE[on]) for on in (False, True)), *profile_swatches(names)]
+    size, ratios = (max(7.4, 2.1 + 0.92 * sum(widths)), height), {"width_ratios": widths}
+    return bar_page(title, size, panels, handles, note, sharey="row", sharex="col", gridspec_kw=ratios)
 
 
-def _speed(outcome: Outcome, lines: Lines) -> Figure | None:
-    reported, names = _speeds_published(lines), profiles(outcome)
+def _speed(outcome: Outcome, reported: Mapping[Any, float]) -> Figure | None:
+    first = profiles(outcome)[0]
 
-    def bar(_: int, profile: str, gait: str, f: float, on: bool) -> Bar:
-        case = {"gait": gait, "frequency": f, "stride": 1.0, "compensated": False, "spine": on}
+    def bar(_: int, profile: str, case: Mapping[str, Any]) -> Bar:
         theory = only(_speeds(outcome, "theory_speed", profile, **case))
-        mark = reported.get((gait, f, on)) if profile == names[0] else None
-        return Bar(_speeds(outcome, "speed", profile, **case), tone(SPINE[on], profile), theory=theory, published=mark)
+        mark = reported.get((case["gait"], case["frequency"], case["spine"])) if profile == first else None
+        values = _speeds(outcome, "speed", profile, **case)
+        return Bar(values, tone(SPINE[case["spine"]], profile), theory=theory, published=mark)
 
-    if (made := _by_gait(outcome, "Speed over the gait frequency", 1, 4.2, bar)) is None:
-        return None
-    page, drawn = made
-    page.axes[0][0].set_ylabel(axis_label(outcome, "speed", "speed"))
-    handles: list[Artist] = [*spine_swatches(), *profile_swatches(names), *bar_entries(drawn)]
-    note = f"{spread_note(drawn)}; {CLOCK}; published with spine and of the lateral walk: by its ratios to the trot"
-    return page.finish(handles, note)
+    note = f"{{spread}}; {CLOCK}; published with spine and of the lateral walk: by its ratios to the trot"
+    label = axis_label(outcome, "speed", "speed")
+    return _by_gait(outcome, "Speed over the gait frequency", [label], 4.2, note, bar)
 
 
-def _speed_over_stride(outcome: Outcome, lines: Lines) -> Figure | None:
+def _spread(outcome: Outcome) -> Figure | None:
+    def bar(i: int, profile: str, case: Mapping[str, Any]) -> Bar:
+        return Bar(repeats(outcome, f"{ANGLES[i]}_std", profile=profile, **case), tone(SPINE[case["spine"]], profile))
+
+    title = "How far the torso sways: standard deviation of its orientation"
+    labels = [axis_label(outcome, f"{angle}_std", f"{angle}, std") for angle in ANGLES]
+    return _by_gait(outcome, title, labels, 7.2, "{spread}", bar)
+
+
+def _speed_over_stride(outcome: Outcome, reported: Mapping[Any, float]) -> Figure | None:
     names = profiles(outcome)
     walked = outcome.only(gait="trt", frequency=0.8, compensated=False, profile=names[0])
     strides = sorted(set(walked.columns["stride"].tolist()))
@@ -285,26 +471,25 @@ def _speed_over_stride(outcome: Outcome, lines: Lines) -> Figure | None:
         return None
     page = Page("Speed over the length of the stride: trot at 0.8 Hz", (6.4, 4.6))
     ax = page.axes[0, 0]
-    for profile in names:
-        for on in (False, True):
-            case = {"gait": "trt", "frequency": 0.8, "spine": on, "compensated": False}
-            runs = [Bar(_speeds(outcome, "speed", profile, stride=s, **case), "") for s in strides]
-            colour = tone(SPINE[on], profile)
-            ax.plot(strides, [run.mean for run in runs], "-o", color=colour, ms=5, lw=1.8, zorder=4)
-            if profile == names[0]:
-                theory = [only(_speeds(outcome, "theory_speed", profile, stride=s, **case)) for s in strides]
-                ax.plot(strides, theory, ":", color=SPINE[on], lw=1.3, zorder=2)
-            lost = [s for s, run in zip(strides, runs, strict=True) if len(run.values) and run.failed]
-            ax.plot(lost, [0.02] * len(lost), "x", ms=6, mew=1.6, color=colour, transform=ax.get_xaxis_transform(),
-                    gid="failed")  # fmt: skip
-    reported = [value for (gait, _, _), value in _speeds_published(lines).items() if gait == "trt"]
-    for value in reported:
+    foot = {"transform": ax.get_xaxis_transform(), "gid": "failed"}
+    for profile, on in itertools.product(names, (False, True)):
+        case = {"gait": "trt", "frequency": 0.8, "spine": on, "compensated": False}
+        runs = [Bar(_speeds(outcome, "speed", profile, stride=s, **case), "") for s in strides]
+        colour = tone(SPINE[on], profile)
+        ax.plot(strides, [run.mean for run in runs], "-o", color=colour, ms=5, lw=1.8, zorder=4)
+        if profile == names[0]:
+            theory = [only(_speeds(outcome, "theory_speed", profile, stride=s, **case)) for s in strides]
+            ax.plot(strides, theory, ":", color=SPINE[on], lw=1.3, zorder=2)
+        lost = [s for s, run in zip(strides, runs, strict=True) if len(run.values) and run.failed]
+        ax.plot(lost, [0.02] * len(lost), "x", ms=6, mew=1.6, color=colour, **foot)
+    marks = [value for (gait, _, _), value in reported.items() if gait == "trt"]
+    for value in marks:
         mark_published(ax, 1.0, value)
     ax.set(xlabel="normalised stride [1]", ylabel=axis_label(outcome, "speed", "speed"))
     ax.margins(y=0.07)
-    horizontal_grid(ax)
+    style.horizontal_grid(ax)
     handles = [*spine_strokes(marker="o", ms=5), *profile_swatches(names), stroke("theory, no slip", INK, ls=":")]
-    handles += [published_entry()] if reported else []
+    handles += [published_entry()] if marks else []
     note = "published with spine: by its ratio to the speed without; a cross at the foot: a repeat without result; "
     return page.finish(handles, note + CLOCK)
 
@@ -331,26 +516,10 @@ def _orientation(outcome: Outcome, lines: Lines) -> Figure | None:
     for ax, name in zip(page.axes[:, 0], ANGLES, strict=True):
         ax.set(ylabel=f"{name} [deg]", xlim=(0, 2), xticks=np.arange(0, 2.1, 0.5))
         ax.margins(y=0.08)
-        horizontal_grid(ax)
+        style.horizontal_grid(ax)
         ax.axvline(1, color=MISSING, lw=0.8, zorder=0)
     page.axes[-1, 0].set_xlabel("gait cycles [1]")
-    return page.finish(handles, f"{shown(labels['profile'])}; positive: leaning left, nose down, turned left")
-
-
-def _spread(outcome: Outcome) -> Figure | None:
-    def bar(i: int, profile: str, gait: str, f: float, on: bool) -> Bar:
-        case = {"gait": gait, "frequency": f, "stride": 1.0, "compensated": False, "spine": on}
-        return Bar(repeats(outcome, f"{ANGLES[i]}_std", profile=profile, **case), tone(SPINE[on], profile))
-
-    title = "How far the torso sways: standard deviation of its orientation"
-    if (made := _by_gait(outcome, title, 3, 7.2, bar)) is None:
-        return None
-    page, drawn = made
-    for row, angle in zip(page.axes, ANGLES, strict=True):
-        row[0].set_ylabel(axis_label(outcome, f"{angle}_std", f"{angle}, std"))
-    return page.finish(
-        [*spine_swatches(), *profile_swatches(profiles(outcome)), *bar_entries(drawn)], spread_note(drawn)
-    )
+    return page.finish(handles, f"{plain(labels['profile'])}; positive: leaning left, nose down, turned left")
 
 
 def _compensation(outcome: Outcome, lines: Lines) -> Figure | None:
@@ -358,27 +527,22 @@ def _compensation(outcome: Outcome, lines: Lines) -> Figure | None:
     here."""
     if not outcome.where(compensated=True).any():
         return None
-    page = Page("Offset compensation: trot at 0.67 Hz with the spine", (6.4, 3.9), 1, 2)
-    drawn: list[Bar] = []
-    for ax, (measure, figure) in zip(page.axes[0], COMPENSATION.items(), strict=True):
+    panels = []
+    for measure, figure in COMPENSATION.items():
         change, groups = published(lines, figure), {}
         for profile in profiles(outcome):
             case = {"profile": profile, "gait": "trt", "frequency": 0.67, "spine": True, "stride": 1.0}
-            off, on = (
-                repeats(outcome, "roll_std", compensated=each, **case) if measure == "std" else
-                0.5 * (repeats(outcome, "roll_max", compensated=each, **case)
-                       - repeats(outcome, "roll_min", compensated=each, **case))
-                for each in (False, True)
-            )  # fmt: skip
+            names = ("roll_std",) if measure == "std" else ("roll_min", "roll_max")
+            ends = [[repeats(outcome, name, compensated=on, **case) for name in names] for on in (False, True)]
+            off, on = (each[0] if measure == "std" else 0.5 * (each[1] - each[0]) for each in ends)
             mean = Bar(off, "").mean
             mark = change * mean if isinstance(change, float) and np.isfinite(mean) else None
             bars = [Bar(off, tone(SPINE[True], profile)), Bar(on, tone(COMPENSATED, profile), published=mark)]
-            groups[shown(profile)] = bars
-        drawn += draw_bars(ax, groups)
-        ax.set_ylabel(axis_label(outcome, "roll_std", f"roll, {measure}"))
-    swatches = [swatch("not compensated", SPINE[True]), swatch("compensated", COMPENSATED)]
-    note = f"published: its relative change, applied to the bar on the left; {spread_note(drawn)}"
-    return page.finish([*swatches, *bar_entries(drawn)], note)
+            groups[plain(profile)] = bars
+        panels.append(Panel(groups, ylabel=axis_label(outcome, "roll_std", f"roll, {measure}")))
+    handles = [swatch("not compensated", SPINE[True]), swatch("compensated", COMPENSATED)]
+    note = "published: its relative change, applied to the bar on the left; {spread}"
+    return bar_page("Offset compensation: trot at 0.67 Hz with the spine", (6.4, 3.9), [panels], handles, note)
 
 
 # --- turning
@@ -392,115 +556,77 @@ _NOT_FOLLOWED: Final = "a repeat did not follow the path"
 
 
 def _turning(outcome: Outcome, lines: Lines) -> Drawn:
-    yield "speed", _turn_speed(outcome, lines)
-    yield "time", _turn_time(outcome, lines)
-    yield "smallest-radius", _smallest_radius(outcome, lines)
-    yield "paths", _paths(outcome)
-
-
-def _turn_bars(
-    outcome: Outcome, title: str, radii: Sequence[float], height: float, bar: Callable[..., Bar]
-) -> tuple[Page, list[Bar]] | None:
-    """A row of axes for each radius, a column for each gait, with groups of bars for each frequency."""
     names = profiles(outcome)
-    radii = [radius for radius in radii if outcome.where(radius=radius, side="left").any()]
-    gaits = [gait for gait in GAIT if gait in outcome.columns["gait"]]
-    if not radii:
-        return None
-    page = Page(title, (max(6.4, 1.2 + 3.2 * len(gaits)), height * len(radii) + 1.3), len(radii), len(gaits),
-                sharey=True, sharex="col")  # fmt: skip
-    drawn: list[Bar] = []
-    for row, radius in zip(page.axes, radii, strict=True):
-        for ax, gait in zip(row, gaits, strict=True):
-            case = {"gait": gait, "radius": radius, "side": "left"}
-            walked = sorted(set(outcome.columns["frequency"][outcome.where(**case)].tolist()))
-            drawn += draw_bars(ax, {
-                f"{f:g}": [bar({**case, "frequency": f, "strategy": strategy, "profile": profile})
-                           for strategy in walks.STRATEGIES for profile in names]
-                for f in walked
-            })  # fmt: skip
-            ax.set_title(GAIT[gait] + (f", R = {1e3 * radius:g} mm" if radius else ""))
-    for ax in page.axes[-1]:
-        ax.set_xlabel("gait frequency [Hz]")
-    return page, drawn
 
+    def strayed(case: Mapping[str, Any]) -> bool:
+        return not outcome.columns["followed"][outcome.where(**case)].all()
 
-def _legend(outcome: Outcome, drawn: Sequence[Bar]) -> list[Artist]:
-    strategies = [swatch(_BASED[name], STRATEGY[name]) for name in walks.STRATEGIES]
-    return [*strategies, *profile_swatches(profiles(outcome)), *bar_entries(drawn, hatched=_NOT_FOLLOWED)]
-
-
-def _strayed(outcome: Outcome, wanted: dict[str, Any]) -> bool:
-    """Whether a repeat did not follow the path."""
-    return not outcome.columns["followed"][outcome.where(**wanted)].all()
-
-
-def _turn_speed(outcome: Outcome, lines: Lines) -> Figure | None:
-    def bar(wanted: dict[str, Any]) -> Bar:
-        profile, mark = wanted["profile"], None
-        at = (wanted["gait"], wanted["frequency"], wanted["radius"], profile)
-        if at == ("trt", 0.67, 0.5, "as_published") and isinstance(
-            time := published(lines, TIME[wanted["strategy"]]), float
-        ):
+    def speed(case: Mapping[str, Any]) -> Bar:
+        profile, mark = case["profile"], None
+        at = (case["gait"], case["frequency"], case["radius"], profile)
+        time = published(lines, TIME[case["strategy"]])
+        if at == ("trt", 0.67, 0.5, "as_published") and isinstance(time, float):
             mark = 1e3 * 0.5 * np.pi / 2 / time
-        values = clock(profile) * repeats(outcome, "speed", **wanted)
-        return Bar(values, tone(STRATEGY[wanted["strategy"]], profile), _strayed(outcome, wanted), published=mark)
+        values = clock(profile) * repeats(outcome, "speed", **case)
+        return Bar(values, tone(STRATEGY[case["strategy"]], profile), strayed(case), published=mark)
 
-    if (made := _turn_bars(outcome, "Speed on quarter circles to the left", walks.RADII, 2.5, bar)) is None:
-        return None
-    page, drawn = made
-    for row in page.axes:
-        row[0].set_ylabel(axis_label(outcome, "speed", "speed"))
-    note = f"{spread_note(drawn)}; {CLOCK}; published: length of the path over the published time"
-    return page.finish(_legend(outcome, drawn), note)
-
-
-def _turn_time(outcome: Outcome, lines: Lines) -> Figure | None:
-    case = {"gait": "trt", "frequency": 0.67, "radius": 0.5}
-    if not outcome.where(**case).any():
-        return None
-    names = profiles(outcome)
-    page = Page("Time for the quarter circle of 500 mm: trot at 0.67 Hz", (6.4, 4.1), 1, 2, sharey=True)
-    drawn: list[Bar] = []
-    for ax, side in zip(page.axes[0], walks.SIDES, strict=True):
-        groups: dict[str, list[Bar]] = {}
-        for strategy in walks.STRATEGIES:
-            for profile in names:
-                wanted = {"profile": profile, "strategy": strategy, "side": side, **case}
-                mark = published(lines, TIME[strategy]) if profile == names[0] else None
-                values = repeats(outcome, "time", **wanted) / clock(profile)
-                bar = Bar(values, tone(STRATEGY[strategy], profile), _strayed(outcome, wanted), published=mark)
-                groups.setdefault(_BASED[strategy], []).append(bar)
-        drawn += draw_bars(ax, groups)
-        ax.set_title(f"to the {side}")
-    page.axes[0, 0].set_ylabel(axis_label(outcome, "time", "time"))
-    handles: list[Artist] = [*profile_swatches(names), *bar_entries(drawn, hatched=_NOT_FOLLOWED)]
-    return page.finish(handles, f"{spread_note(drawn)}; {CLOCK}")
-
-
-def _smallest_radius(outcome: Outcome, lines: Lines) -> Figure | None:
-    names = profiles(outcome)
-
-    def bar(wanted: dict[str, Any]) -> Bar:
-        profile, strategy = wanted["profile"], wanted["strategy"]
-        value = published(lines, RADIUS.get(strategy, "")) if (wanted["gait"], profile) == ("trt", names[0]) else None
+    def lock(case: Mapping[str, Any]) -> Bar:
+        profile, strategy = case["profile"], case["strategy"]
+        value = published(lines, RADIUS.get(strategy, "")) if (case["gait"], profile) == ("trt", names[0]) else None
         mark = 1e3 * value if isinstance(value, float) else None
-        theory = only(repeats(outcome, "theory_radius", **wanted))
-        colour = tone(STRATEGY[strategy], profile)
-        return Bar(repeats(outcome, "turning_radius", **wanted), colour, theory=theory, published=mark)
+        theory, colour = only(repeats(outcome, "theory_radius", **case)), tone(STRATEGY[strategy], profile)
+        return Bar(repeats(outcome, "turning_radius", **case), colour, theory=theory, published=mark)
 
-    if (made := _turn_bars(outcome, "Smallest radius: full lock to the left", [walks.FULL_LOCK], 2.8, bar)) is None:
-        return None
-    page, drawn = made
-    page.axes[0, 0].set_ylabel(axis_label(outcome, "turning_radius", "radius"))
-    # A robot with a radius of metres must not flatten the others.
-    low, high = page.axes[0, 0].get_ylim()
-    page.axes[0, 0].set_ylim(low, min(high, _WIDEST))
-    note = (
-        f"{spread_note(drawn)}; the publication gives no frequency, so that its mark stands at each; "
-        f"the axis ends at {_WIDEST:g} mm"
-    )
-    return page.finish(_legend(outcome, drawn), note)
+    def by_gait(title: str, radii: Sequence[float], height: float, label: str, note: str, bar: Any) -> Figure | None:
+        """A row of axes for each radius, a column for each gait, with groups of bars for each frequency."""
+        radii = [radius for radius in radii if outcome.where(radius=radius, side="left").any()]
+        gaits = [gait for gait in GAIT if gait in outcome.columns["gait"]]
+        if not radii:
+            return None
+        panels: list[list[Panel]] = []
+        for radius in radii:
+            panels.append([])
+            for gait in gaits:
+                case = {"gait": gait, "radius": radius, "side": "left"}
+                kinds = [{"strategy": name, "profile": profile} for name in walks.STRATEGIES for profile in names]
+                walked = sorted(set(outcome.columns["frequency"][outcome.where(**case)].tolist()))
+                groups = {f"{f:g}": [bar({**case, "frequency": f, **kind}) for kind in kinds] for f in walked}
+                head = GAIT[gait] + (f", R = {1e3 * radius:g} mm" if radius else "")
+                foot = "gait frequency [Hz]" if radius == radii[-1] else ""
+                panels[-1].append(Panel(groups, head, foot, "" if panels[-1] else label))
+        handles = [*(swatch(_BASED[name], STRATEGY[name]) for name in walks.STRATEGIES), *profile_swatches(names)]
+        size = (max(6.4, 1.2 + 3.2 * len(gaits)), height * len(radii) + 1.3)
+        return bar_page(title, size, panels, handles, note, _NOT_FOLLOWED, sharey=True, sharex="col")
+
+    title, label = "Speed on quarter circles to the left", axis_label(outcome, "speed", "speed")
+    note = f"{{spread}}; {CLOCK}; published: length of the path over the published time"
+    yield "speed", by_gait(title, walks.RADII, 2.5, label, note, speed)
+
+    circle = {"gait": "trt", "frequency": 0.67, "radius": 0.5}
+    if outcome.where(**circle).any():
+        times: list[Panel] = []
+        for side in walks.SIDES:
+            groups: dict[str, list[Bar]] = {_BASED[strategy]: [] for strategy in walks.STRATEGIES}
+            for strategy, profile in itertools.product(walks.STRATEGIES, names):
+                case = {"profile": profile, "strategy": strategy, "side": side, **circle}
+                mark = published(lines, TIME[strategy]) if profile == names[0] else None
+                values, colour = repeats(outcome, "time", **case) / clock(profile), tone(STRATEGY[strategy], profile)
+                groups[_BASED[strategy]].append(Bar(values, colour, strayed(case), published=mark))
+            label = "" if times else axis_label(outcome, "time", "time")
+            times.append(Panel(groups, f"to the {side}", ylabel=label))
+        title, note = "Time for the quarter circle of 500 mm: trot at 0.67 Hz", f"{{spread}}; {CLOCK}"
+        swatches = profile_swatches(names)
+        yield "time", bar_page(title, (6.4, 4.1), [times], swatches, note, _NOT_FOLLOWED, sharey=True)
+
+    title, label = "Smallest radius: full lock to the left", axis_label(outcome, "turning_radius", "radius")
+    note = "the publication gives no frequency, so that its mark stands at each; the axis ends at"
+    figure = by_gait(title, [walks.FULL_LOCK], 2.8, label, f"{{spread}}; {note} {_WIDEST:g} mm", lock)
+    if figure is not None:
+        # A robot with a radius of metres must not flatten the others.
+        low, high = figure.axes[0].get_ylim()
+        figure.axes[0].set_ylim(low, min(high, _WIDEST))
+    yield "smallest-radius", figure
+    yield "paths", _paths(outcome)
 
 
 def _paths(outcome: Outcome) -> Figure | None:
@@ -522,29 +648,22 @@ def _paths(outcome: Outcome) -> Figure | None:
     ax.add_patch(Polygon(np.stack(seen_from_above(ax, edge), axis=-1), fc=MISSING, lw=0, zorder=1))
     ax.plot(*seen_from_above(ax, arc(radius)), color=INK, ls="--", lw=1.2, zorder=5)
     for run in runs:
-        colour = STRATEGY[str(run.metadata["labels"]["strategy"])]
-        walked, mean = _walked(run, radius)
-        ax.plot(*seen_from_above(ax, walked), color=colour, lw=0.8, alpha=0.55, zorder=3)
+        # Until the torso passes the end of the quarter circle, and the running mean over a gait cycle.
+        labels = run.metadata["labels"]
+        colour, place = STRATEGY[str(labels["strategy"])], np.asarray(run.sensors["position"])[:, :2]
+        past = np.flatnonzero(walks.SIDES[str(labels["side"])] * place[:, 0] >= radius)
+        place = place[: past[0] + 1] if len(past) else place
+        ticks = round(clock(labels["profile"]) / labels["frequency"] / float(np.median(np.diff(run.time))))
+        sums = np.cumsum(np.concatenate([np.zeros((1, 2)), place]), axis=0)
+        mean = (sums[ticks:] - sums[:-ticks]) / ticks if len(place) > ticks else place[:0]
+        ax.plot(*seen_from_above(ax, place), color=colour, lw=0.8, alpha=0.55, zorder=3)
         ax.plot(*seen_from_above(ax, mean), color=colour, lw=2.2, zorder=4)
     ax.grid(color=GRID, lw=0.8)
     ax.margins(0.04)
-    handles: list[Artist] = [
-        *(stroke(_BASED[name], STRATEGY[name], lw=2.2) for name in walks.STRATEGIES),
-        stroke("course", INK, ls="--", lw=1.2), swatch(f"followed: within {1e3 * bound:g} mm", MISSING),
-    ]  # fmt: skip
+    handles: list[Artist] = [stroke(_BASED[name], STRATEGY[name], lw=2.2) for name in walks.STRATEGIES]
+    handles += [stroke("course", INK, ls="--", lw=1.2), swatch(f"followed: within {1e3 * bound:g} mm", MISSING)]
     note = "thick: mean over a gait cycle; thin: the torso's IMU, by which a path is judged"
-    return page.finish(handles, f"{shown(labels['profile'])}; {note}")
-
-
-def _walked(run: Recording, radius: float) -> tuple[np.ndarray, np.ndarray]:
-    """The torso's path until it passes the quarter circle's end, and its running mean over a gait cycle, (T, 2) [m]."""
-    labels = run.metadata["labels"]
-    place = np.asarray(run.sensors["position"])[:, :2]
-    past = np.flatnonzero(walks.SIDES[str(labels["side"])] * place[:, 0] >= radius)
-    place = place[: past[0] + 1] if len(past) else place
-    ticks = round(clock(labels["profile"]) / labels["frequency"] / float(np.median(np.diff(run.time))))
-    sums = np.cumsum(np.concatenate([np.zeros((1, 2)), place]), axis=0)
-    return place, (sums[ticks:] - sums[:-ticks]) / ticks if len(place) > ticks else place[:0]
+    return page.finish(handles, f"{plain(runs[0].metadata['labels']['profile'])}; {note}")
 
 
 # --- balance
@@ -559,37 +678,48 @@ def _balance(outcome: Outcome, lines: Lines) -> Drawn:
     title = "Centre of mass inside of the support diagonal"
     yield "stability", _over_time(outcome, "com_margin", title, "distance inside [mm]", 1e3)
     yield "forces", _forces(outcome)
-    yield "forces-by-phase", _forces_by_phase(outcome)
+    profile = profiles(outcome)[0]
+    phases = [phase for phase in ("stand", "shift", "lift", "swing") if f"force_{phase}_{LIMBS[0]}" in outcome.columns]
+    if not phases:
+        return
+    panels: list[list[Panel]] = []
+    for sbc in (False, True):
+        panels.append([])
+        for limb in LIMBS:
+            case = {"profile": profile, "leg": limb, "sbc": sbc}
+            groups = {
+                phase: [Bar(repeats(outcome, f"force_{phase}_{foot}", **case), FOOT[foot]) for foot in LIMBS]
+                for phase in phases
+            }
+            title = f"{plain(limb)} leg,\n{_SBC[sbc]}"
+            panels[-1].append(Panel(groups, title, ylabel="" if panels[-1] else "force [N]"))
+    handles, note = [swatch(f"{plain(foot)} foot", FOOT[foot]) for foot in LIMBS], f"{plain(profile)}; {{spread}}"
+    title = "Mean forces on the feet in each phase"
+    yield "forces-by-phase", bar_page(title, (10.4, 5.9), panels, handles, note, sharex=True, sharey=True)
 
 
-def _leg(limb: str) -> str:
-    return limb.replace("_", " ")
-
-
-def _lifts(outcome: Outcome, sensor: str) -> dict[tuple[str, bool], Recording]:
-    """The recordings with a sensor, by lifted leg and compensation."""
-    found = {}
+def _lifts(outcome: Outcome, sensor: str) -> tuple[dict[tuple[str, bool], Recording], str]:
+    """The recordings with a sensor, by lifted leg and compensation, and their profile."""
+    found, profile = {}, ""
     for run in outcome.recordings.values():
         case = run.metadata.get("metrics", {})
         if {"leg", "sbc"} <= set(case) and sensor in run.sensors:
             found[str(case["leg"]), bool(case["sbc"])] = run
-    return found
-
-
-def _profile_of(runs: Mapping[Any, Recording]) -> str:
-    return shown(str(next(iter(runs.values())).metadata["metrics"].get("profile", "")))
+            profile = profile or plain(str(case.get("profile", "")))
+    return found, profile
 
 
 def _verdicts(outcome: Outcome, lines: Lines) -> Figure:
     """One tile per leg and source; a tile that differs from the publication's in its set-up has a thick frame."""
-    told = {line.figure: line.published for line in lines}
+    values = {line.figure: line.published for line in lines}
     names = [name for name in PROFILES if name in outcome.columns["profile"]]
     page = Page("Which legs the robot can lift and swing", (10.4, 3.9), 1, 2, sharey=True)
+    frame: dict[str, Any] = {"fc": "none", "ec": "black", "lw": 1.8, "zorder": 4, "gid": "differs"}
     for ax, sbc in zip(page.axes[0], (False, True), strict=True):
-        columns = ["published\nsimulation", *(shown(name).replace(" ", "\n") for name in names), "published\nhardware"]
+        columns = ["published\nsimulation", *(plain(name).replace(" ", "\n") for name in names), "published\nhardware"]
         for row, limb in enumerate(LIMBS):
-            simulated = told.get(f"{_leg(limb)} lifted, {'with' if sbc else 'without'} balance compensation")
-            hardware = told.get(f"hardware: {_leg(limb)} lifted, {'with' if sbc else 'without'} compensation")
+            simulated = values.get(f"{plain(limb)} lifted, {'with' if sbc else 'without'} balance compensation")
+            hardware = values.get(f"hardware: {plain(limb)} lifted, {'with' if sbc else 'without'} compensation")
             tiles = [(simulated, simulated)]
             for profile in names:
                 passed = outcome.columns["passed"][outcome.where(profile=profile, leg=limb, sbc=sbc)]
@@ -597,9 +727,14 @@ def _verdicts(outcome: Outcome, lines: Lines) -> Figure:
                 verdict = {len(passed): "pass", 0: "fail"}.get(n, f"{n} of {len(passed)}") if len(passed) else None
                 tiles.append((verdict, hardware if profile == "as_built" else simulated))
             for column, (tile, wanted) in enumerate([*tiles, (hardware, hardware)]):
-                _tile(ax, column, row, str(tile or "–"), framed=bool(wanted and tile and tile != wanted))
+                text = str(tile or "–")
+                colour = _VERDICT.get(text, SHADE)
+                ax.add_patch(Rectangle((column - 0.46, row - 0.44), 0.92, 0.88, fc=colour, lw=0))
+                if wanted and tile and tile != wanted:
+                    ax.add_patch(Rectangle((column - 0.45, row - 0.43), 0.9, 0.86, **frame))
+                ax.text(column, row, text, ha="center", va="center", fontsize=9, color=INK)
         ax.set_xticks(range(len(columns)), columns, fontsize=8.5)
-        ax.set_yticks(range(len(LIMBS)), [f"{_leg(limb)} leg" for limb in LIMBS])
+        ax.set_yticks(range(len(LIMBS)), [f"{plain(limb)} leg" for limb in LIMBS])
         ax.tick_params(length=0, labelcolor=INK)
         ax.set(xlim=(-0.5, len(columns) - 0.5), ylim=(len(LIMBS) - 0.5, -0.5), title=_SBC[sbc])
         for spine in ax.spines.values():
@@ -609,19 +744,9 @@ def _verdicts(outcome: Outcome, lines: Lines) -> Figure:
     return page.finish(handles, "pass: upright, and the lifted foot off the ground; all repeats of a case count")
 
 
-def _tile(ax: Axes, column: int, row: int, text: str, *, framed: bool) -> None:
-    ax.add_patch(Rectangle((column - 0.46, row - 0.44), 0.92, 0.88, fc=_VERDICT.get(text, SHADE), lw=0))
-    if framed:
-        frame = Rectangle(
-            (column - 0.45, row - 0.43), 0.9, 0.86, fc="none", ec="black", lw=1.8, zorder=4, gid="differs"
-        )
-        ax.add_patch(frame)
-    ax.text(column, row, text, ha="center", va="center", fontsize=9, color=INK)
-
-
 def _over_time(outcome: Outcome, sensor: str, title: str, label: str, factor: float) -> Figure | None:
     """One reading over time, with axes per lifted leg, and lines without and with compensation."""
-    runs = _lifts(outcome, sensor)
+    runs, profile = _lifts(outcome, sensor)
     if not runs:
         return None
     page = Page(title, (9.4, 5.9), 2, 2, sharex=True, sharey="row")
@@ -632,9 +757,9 @@ def _over_time(outcome: Outcome, sensor: str, title: str, label: str, factor: fl
                 run = runs[limb, sbc]
                 ax.plot(run.time, factor * np.asarray(run.sensors[sensor]), color=SPINE[sbc], lw=1.7, zorder=3 + sbc)
                 shade_phases(ax, run.metadata["phases"], named=not sbc or (limb, False) not in runs)
-        ax.set_title(f"{_leg(limb)} leg", pad=16)
+        ax.set_title(f"{plain(limb)} leg", pad=16)
         ax.margins(y=0.08)
-        horizontal_grid(ax)
+        style.horizontal_grid(ax)
         if sensor == "com_margin":
             low = min(ax.get_ylim()[0], -2.0)
             ax.axhspan(low, 0, color=FAIL, alpha=0.45, lw=0, zorder=-4)
@@ -647,51 +772,28 @@ def _over_time(outcome: Outcome, sensor: str, title: str, label: str, factor: fl
     for ax in page.axes[-1]:
         ax.set_xlabel("time [s]")
     sign = "positive: nose down; " if sensor == "pitch" else ""
-    return page.finish(handles, f"{_profile_of(runs)}, first repeat; {sign}compensation bends the spine in the shift")
+    return page.finish(handles, f"{profile}, first repeat; {sign}compensation bends the spine in the shift")
 
 
 def _forces(outcome: Outcome) -> Figure | None:
-    runs = _lifts(outcome, "foot_force")
+    runs, profile = _lifts(outcome, "foot_force")
     if not runs:
         return None
     page = Page("Forces on the feet over time", (9.4, 9.2), len(LIMBS), 2, sharex=True, sharey=True)
     highest = max(float(np.nanpercentile(run.sensors["foot_force"], 99.5)) for run in runs.values())
-    for row, limb in zip(page.axes, LIMBS, strict=True):
-        for ax, sbc in zip(row, (False, True), strict=True):
-            ax.set_title(f"{_leg(limb)} leg, {_SBC[sbc]}", pad=16)
-            ax.set_ylim(-0.03 * highest, 1.12 * highest)
-            ax.grid(axis="y", color=GRID, lw=0.8)
-            if (limb, sbc) in runs:
-                run = runs[limb, sbc]
-                for foot, force in zip(LIMBS, np.asarray(run.sensors["foot_force"]).T, strict=True):
-                    ax.plot(run.time, force, color=FOOT[foot], lw=2.0 if foot == limb else 1.2, zorder=3)
-                shade_phases(ax, run.metadata["phases"])
-        row[0].set_ylabel("force [N]")
-    for ax in page.axes[-1]:
-        ax.set_xlabel("time [s]")
-    handles: list[Artist] = [stroke(f"{_leg(foot)} foot", FOOT[foot], lw=1.8) for foot in LIMBS]
-    note = f"{_profile_of(runs)}, first repeat; thick: the lifted foot; impacts above the axes are cut off"
+    for ax, (limb, sbc) in zip(page.axes.ravel(), itertools.product(LIMBS, (False, True)), strict=True):
+        ax.set_title(f"{plain(limb)} leg, {_SBC[sbc]}", pad=16)
+        ax.set_ylim(-0.03 * highest, 1.12 * highest)
+        ax.grid(axis="y", color=GRID, lw=0.8)
+        if (limb, sbc) in runs:
+            run = runs[limb, sbc]
+            for foot, force in zip(LIMBS, np.asarray(run.sensors["foot_force"]).T, strict=True):
+                ax.plot(run.time, force, color=FOOT[foot], lw=2.0 if foot == limb else 1.2, zorder=3)
+            shade_phases(ax, run.metadata["phases"])
+        ax.set(ylabel="" if sbc else "force [N]", xlabel="time [s]" if limb == LIMBS[-1] else "")
+    handles: list[Artist] = [stroke(f"{plain(foot)} foot", FOOT[foot], lw=1.8) for foot in LIMBS]
+    note = f"{profile}, first repeat; thick: the lifted foot; impacts above the axes are cut off"
     return page.finish(handles, note)
-
-
-def _forces_by_phase(outcome: Outcome) -> Figure | None:
-    profile = profiles(outcome)[0]
-    phases = [phase for phase in ("stand", "shift", "lift", "swing") if f"force_{phase}_{LIMBS[0]}" in outcome.columns]
-    if not phases:
-        return None
-    page = Page("Mean forces on the feet in each phase", (10.4, 5.9), 2, len(LIMBS), sharex=True, sharey=True)
-    drawn: list[Bar] = []
-    for row, sbc in zip(page.axes, (False, True), strict=True):
-        for ax, limb in zip(row, LIMBS, strict=True):
-            drawn += draw_bars(ax, {
-                phase: [Bar(repeats(outcome, f"force_{phase}_{foot}", profile=profile, leg=limb, sbc=sbc), FOOT[foot])
-                        for foot in LIMBS]
-                for phase in phases
-            })  # fmt: skip
-            ax.set_title(f"{_leg(limb)} leg,\n{_SBC[sbc]}")
-        row[0].set_ylabel("force [N]")
-    handles: list[Artist] = [*(swatch(f"{_leg(foot)} foot", FOOT[foot]) for foot in LIMBS), *bar_entries(drawn)]
-    return page.finish(handles, f"{shown(profile)}; {spread_note(drawn)}")
 
 
 # --- maze
@@ -704,15 +806,27 @@ _DOTS, _THINNED = 10.0, 4
 
 
 def _maze(outcome: Outcome, lines: Lines) -> Drawn:
-    runs: dict[str, dict[bool, Recording]] = {}
+    found: dict[str, dict[bool, Recording]] = {}
     for run in outcome.recordings.values():
         labels = run.metadata.get("labels", {})
         if {"profile", "spine"} <= set(labels):
-            runs.setdefault(str(labels["profile"]), {})[bool(labels["spine"])] = run
-    ordered = {name: runs[name] for name in (*reversed(SIMULATED), "as_built") if name in runs}
-    yield "ways", _ways(outcome, ordered) if ordered else None
-    yield "sway", _sway(outcome, ordered) if ordered else None
-    yield "walk", _maze_walk(outcome, lines)
+            found.setdefault(str(labels["profile"]), {})[bool(labels["spine"])] = run
+    runs = {name: dict(sorted(found[name].items())) for name in (*reversed(SIMULATED), "as_built") if name in found}
+    yield "ways", _ways(outcome, runs) if runs else None
+    yield "sway", _sway(outcome, runs) if runs else None
+
+    names = profiles(outcome)
+    panels = []
+    for column, title in _TITLES.items():
+        groups: dict[str, list[Bar]] = {"without": [], "with": []}
+        for on, profile in itertools.product((False, True), names):
+            factor = {"time": 1 / clock(profile), "mean_speed": clock(profile)}.get(column, 1.0)
+            mark = published(lines, f"{plain(column)} {WITH[on]}") if profile == names[0] else None
+            values = factor * repeats(outcome, column, profile=profile, spine=on)
+            groups["with" if on else "without"].append(Bar(values, tone(SPINE[on], profile), published=mark))
+        panels.append(Panel(groups, xlabel="spine", ylabel=axis_label(outcome, column, title)))
+    note = f"{{spread}}; {CLOCK}; the published path is another one of about 5 m"
+    yield "walk", bar_page("The walk through the maze", (9.6, 4.0), [panels], profile_swatches(names), note)
 
 
 def _arrival(outcome: Outcome, profile: str, on: bool) -> float:
@@ -725,43 +839,39 @@ def _ways(outcome: Outcome, runs: Mapping[str, Mapping[bool, Recording]]) -> Fig
     course = walks.maze_course()
     drawn = np.stack([course.x, course.y], axis=-1)
     boxes = walks.box_outlines(load_robot(scene="maze"))
+    beside = {"textcoords": "offset points", "va": "center", "fontsize": 9, "fontweight": "bold", "color": INK}
+    arrived = True
     for ax, (profile, ways) in zip(page.axes[0], runs.items(), strict=True):
         corners = np.stack(seen_from_above(ax, boxes), axis=-1)
         ax.add_collection(PolyCollection(list(corners), fc=MISSING, ec="white", lw=0.8, zorder=1))
         ax.plot(*seen_from_above(ax, drawn), color=INK, ls="--", lw=1.1, zorder=5)
-        for on, run in sorted(ways.items()):
-            _way(ax, _arrival(outcome, profile, on), profile, on, run)
+        for on, run in ways.items():
+            end, time, colour = _arrival(outcome, profile, on), run.time / clock(profile), SPINE[on]
+            walked = time <= end if np.isfinite(end) else np.full(len(time), True)
+            right, ahead = seen_from_above(ax, np.asarray(run.sensors["position"])[walked, :2])
+            ax.plot(right[::_THINNED], ahead[::_THINNED], color=colour, lw=1.5, zorder=3 + on)
+            dots = np.searchsorted(time[walked], np.arange(_DOTS, time[walked][-1], _DOTS))
+            ax.scatter(right[dots], ahead[dots], s=20, color=colour, ec="white", lw=0.6, zorder=5)
+            if not np.isfinite(end):
+                last = {"color": colour, "ec": "white", "lw": 0.8, "zorder": 7, "gid": "failed"}
+                ax.scatter(right[-1], ahead[-1], s=80, marker="X", **last)
+                arrived = False
         for name, place in (("start", drawn[0]), ("end", drawn[-1])):
             right, ahead = seen_from_above(ax, place)
             ax.scatter(right, ahead, s=60, marker="o", fc="white", ec=INK, lw=1.6, zorder=6)
-            ax.annotate(name, (float(right), float(ahead)), (9, 0), textcoords="offset points", va="center",
-                        fontsize=9, fontweight="bold", color=INK)  # fmt: skip
+            ax.annotate(name, (float(right), float(ahead)), (9, 0), **beside)
         ax.autoscale_view()
         ax.margins(0.03)
         ax.xaxis.set_major_locator(MultipleLocator(500))
         ax.yaxis.set_major_locator(MultipleLocator(500))
-        ax.set_title(shown(profile))
+        ax.set_title(plain(profile))
     for ax in page.axes[0][1:]:
         ax.set_ylabel("")
-    handles = spine_strokes()
-    handles += [
-        stroke("course", INK, ls="--", lw=1.1), swatch("boxes", MISSING),
-        Line2D([], [], ls="none", marker="o", ms=4.5, color=MUTED, label=f"every {_DOTS:g} s"),
-    ]  # fmt: skip
-    if not all(np.isfinite(_arrival(outcome, profile, on)) for profile, ways in runs.items() for on in ways):
-        handles.append(Line2D([], [], ls="none", marker="X", ms=8, color=MUTED, label="end not reached"))
+    handles = [*spine_strokes(), stroke("course", INK, ls="--", lw=1.1), swatch("boxes", MISSING)]
+    handles.append(stroke(f"every {_DOTS:g} s", MUTED, ls="none", marker="o", ms=4.5))
+    if not arrived:
+        handles.append(stroke("end not reached", MUTED, ls="none", marker="X", ms=8))
     return page.finish(handles, "the torso's IMU, first repeat; the robot starts upwards")
-
-
-def _way(ax: Axes, end: float, profile: str, on: bool, run: Recording) -> None:
-    time = run.time / clock(profile)
-    walked = time <= end if np.isfinite(end) else np.full(len(time), True)
-    right, ahead = seen_from_above(ax, np.asarray(run.sensors["position"])[walked, :2])
-    ax.plot(right[::_THINNED], ahead[::_THINNED], color=SPINE[on], lw=1.5, zorder=3 + on)
-    dots = np.searchsorted(time[walked], np.arange(_DOTS, time[walked][-1], _DOTS))
-    ax.scatter(right[dots], ahead[dots], s=20, color=SPINE[on], ec="white", lw=0.6, zorder=5)
-    if not np.isfinite(end):
-        ax.scatter(right[-1], ahead[-1], s=80, marker="X", color=SPINE[on], ec="white", lw=0.8, zorder=7, gid="failed")
 
 
 def _sway(outcome: Outcome, runs: Mapping[str, Mapping[bool, Recording]]) -> Figure:
@@ -769,7 +879,7 @@ def _sway(outcome: Outcome, runs: Mapping[str, Mapping[bool, Recording]]) -> Fig
     page = Page("How the torso sways in the maze", (9.4, 1.2 + 2.6 * len(runs)), 2 * len(runs), 1, sharex=True)
     for i, (profile, ways) in enumerate(runs.items()):
         pair = page.axes[2 * i : 2 * i + 2, 0]
-        for on, run in sorted(ways.items()):
+        for on, run in ways.items():
             time, end = run.time / clock(profile), _arrival(outcome, profile, on)
             begin = _FROM * (end if np.isfinite(end) else time[-1])
             part = (time >= begin) & (time <= begin + _SECONDS)
@@ -778,75 +888,52 @@ def _sway(outcome: Outcome, runs: Mapping[str, Mapping[bool, Recording]]) -> Fig
         for ax, name in zip(pair, ("roll", "pitch"), strict=True):
             ax.set_ylabel(f"{name} [deg]")
             ax.margins(x=0, y=0.08)
-            horizontal_grid(ax)
-        pair[0].set_title(shown(profile))
+            style.horizontal_grid(ax)
+        pair[0].set_title(plain(profile))
     page.axes[-1, 0].set_xlabel("time [s]")
     begins = f"each run from {_FROM:.0%} of its time on".replace("%", " %")
     note = f"first repeat; {begins}; times are those of the controller's clock; positive: leaning left, nose down"
     return page.finish(spine_strokes(), note)
 
 
-def _maze_walk(outcome: Outcome, lines: Lines) -> Figure | None:
-    names = profiles(outcome)
-    page = Page("The walk through the maze", (9.6, 4.0), 1, len(_TITLES))
-    drawn: list[Bar] = []
-    for ax, (column, title) in zip(page.axes[0], _TITLES.items(), strict=True):
-        groups: dict[str, list[Bar]] = {}
-        for on in (False, True):
-            for profile in names:
-                factor = {"time": 1 / clock(profile), "mean_speed": clock(profile)}.get(column, 1.0)
-                mark = published(lines, f"{column.replace('_', ' ')} {WITH[on]}") if profile == names[0] else None
-                values = factor * repeats(outcome, column, profile=profile, spine=on)
-                groups.setdefault("with" if on else "without", []).append(
-                    Bar(values, tone(SPINE[on], profile), published=mark)
-                )
-        drawn += draw_bars(ax, groups)
-        ax.set(xlabel="spine", ylabel=axis_label(outcome, column, title))
-    note = f"{spread_note(drawn)}; {CLOCK}; the published path is another one of about 5 m"
-    return page.finish([*profile_swatches(names), *bar_entries(drawn)], note)
-
-
 # --- test stands
 
 
 def _leg_stand(outcome: Outcome, lines: Lines) -> Drawn:
-    names = {"force": "pull withstood by the foot", "speed": "speed of the rising foot", "work": "work of a swing",
-             "coupling": "knee's bend per hip's swing"}  # fmt: skip
+    names = ("pull withstood by the foot", "speed of the rising foot", "work of a swing", "knee's bend per hip's swing")
+    measures = dict(zip(("force", "speed", "work", "coupling"), names, strict=True))
     groups = {
         f"{pair} leg": [{"pair": pair, "routing": routing, "hinges": 1} for routing in ROUTINGS]
         for pair in ("front", "rear")
     }
-    yield "routings", _stand_bars(outcome, "Routings of the knee's tendon", names, groups, ROUTINGS)
+    yield "routings", _stand_bars(outcome, "Routings of the knee's tendon", measures, groups, ROUTINGS)
 
 
 def _spine_stand(outcome: Outcome, lines: Lines) -> Drawn:
-    names = {"force": "force withstood by the hip", "speed": "speed of the hip", "work": "work of a bend",
-             "range": "range of the hip"}  # fmt: skip
+    names = ("force withstood by the hip", "speed of the hip", "work of a bend", "range of the hip")
+    measures = dict(zip(("force", "speed", "work", "range"), names, strict=True))
     groups = {"Nermo 4.1": [{"robot": "nermo_41", "plane": plane} for plane in stands.PLANES]}
-    yield "planes", _stand_bars(outcome, "Lateral, vertical and combined bends", names, groups, tuple(stands.PLANES))
+    planes = tuple(stands.PLANES)
+    yield "planes", _stand_bars(outcome, "Lateral, vertical and combined bends", measures, groups, planes)
 
 
 def _stand_bars(
-    outcome: Outcome, title: str, names: Mapping[str, str], groups: Mapping[str, Sequence[Mapping[str, Any]]],
-    series: Sequence[str],
-) -> Figure:  # fmt: skip
+    outcome: Outcome, title: str, measures: Mapping[str, str], cases: Mapping[str, Any], series: Sequence[str]
+) -> Figure:
     """A panel for each column, with a bar for each case of each group."""
-    page, profile = Page(title, (7.2, 5.2), 2, 2), outcome.columns["profile"][0]
-    for ax, (column, name) in zip(page.axes.ravel(), names.items(), strict=True):
-        draw_bars(ax, {
-            group: [Bar(repeats(outcome, column, profile=profile, **case), SERIES[i]) for i, case in enumerate(cases)]
-            for group, cases in groups.items()
-        })  # fmt: skip
-        ax.set_ylabel(axis_label(outcome, column, name))
+    profile, panels = outcome.columns["profile"][0], []
+    for column, name in measures.items():
+        groups = {}
+        for group, chosen in cases.items():
+            values = [repeats(outcome, column, profile=profile, **case) for case in chosen]
+            groups[group] = [Bar(value, colour) for value, colour in zip(values, SERIES, strict=False)]
+        panels.append(Panel(groups, ylabel=axis_label(outcome, column, name)))
+    handles = [swatch(name, SERIES[i]) for i, name in enumerate(series)]
     note = "on the test stand, without gravity; no such numbers are published"
-    return page.finish([swatch(name, SERIES[i]) for i, name in enumerate(series)], note)
-
-
-def _nothing(outcome: Outcome, lines: Lines) -> Drawn:
-    return iter(())
+    return bar_page(title, (7.2, 5.2), [panels[:2], panels[2:]], handles, note)
 
 
 _DRAWERS: Final[dict[str, Callable[[Outcome, Lines], Drawn]]] = {
-    "straight-line": _straight_line, "turning": _turning, "balance": _balance, "maze": _maze, "body": _nothing,
-    "leg-stand": _leg_stand, "spine-stand": _spine_stand,
-}  # fmt: skip
+    **{"straight-line": _straight_line, "turning": _turning, "balance": _balance, "maze": _maze},
+    **{"leg-stand": _leg_stand, "spine-stand": _spine_stand},
+}

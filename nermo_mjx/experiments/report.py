@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import pyarrow as pa
 
-from nermo_mjx.control.parameters import PROFILES, PUBLISHED_CLOCK_RATIO
-from nermo_mjx.experiments.cases import Column, Outcome
-from nermo_mjx.experiments.lines import AGREES, KINDS, Line, counts, set_ups
+from nermo_mjx.control.parameters import PUBLISHED_CLOCK_RATIO
+from nermo_mjx.experiments.cases import PROFILES, Column, Outcome, texts
+from nermo_mjx.experiments.published import AGREES, KINDS, Line, counts, set_ups
 from nermo_mjx.plotting.shown import shown
 from nermo_mjx.recording import Recording
 from nermo_mjx.runs.text import MISSING, listed, table
@@ -21,7 +21,7 @@ from nermo_mjx.sweep.spec import START_SPREAD
 from nermo_mjx.sweep.table import Columns, meta
 
 if TYPE_CHECKING:
-    from nermo_mjx.experiments.catalogue import Experiment
+    from nermo_mjx.experiments.run import Experiment
 
 # --- a table: one row per world, with the roles `case` (what tells the cases apart), `index` (repeat), `metric`,
 # `status`, and `code` (that made it)
@@ -60,62 +60,32 @@ def case_columns(outcome: Outcome) -> list[str]:
     return names[: names.index(REPEAT)] if REPEAT in names else [PROFILE]
 
 
-@dataclasses.dataclass(frozen=True)
-class CaseTable:
-    """Cases of one profile for display: headings with units, their alignment, and one row of texts per case."""
-
-    profile: str
-    headings: list[str]
-    sides: str
-    rows: list[list[str]]
-
-
-def case_tables(
-    outcome: Outcome, metrics: Sequence[str], needs: Mapping[str, str] | None = None
-) -> Iterator[CaseTable]:
-    """A table of the cases of each profile, with the mean and standard deviation of `metrics` over their repeats.
+def case_table(outcome: Outcome, profile: str, metrics: Sequence[str], needs: Mapping[str, str]) -> tuple[str, int]:
+    """A Markdown table of the cases of a profile, mean and standard deviation of `metrics` over their repeats, and
+    the number of cases.
 
     Args:
         needs: metric -> column that must be a number for the metric to be meaningful.
     """
-    needs = needs or {}
     labels = [name for name in case_columns(outcome) if name != PROFILE]
     metrics = [name for name in metrics if name in outcome.columns]
-    headings = [_heading(outcome, name) for name in labels] + [
-        _heading(outcome, name, shown_unit=True) for name in metrics
+
+    def heading(name: str) -> str:
+        unit = outcome.about[name].unit if name in outcome.about else ""
+        unit = shown("", unit, np.zeros(1)).unit if name in metrics else unit
+        return name.replace("_", " ") if unit in ("", "1") else f"{name.replace('_', ' ')} [{unit}]"
+
+    def label(value: Any) -> str:
+        return f"{value:g}" if isinstance(value, float) else setting_text(value)
+
+    cases: dict[tuple[Any, ...], list[int]] = {}
+    for row in np.flatnonzero(outcome.where(profile=profile)):
+        cases.setdefault(tuple(outcome.columns[name][row].item() for name in labels), []).append(int(row))
+    rows = [
+        [*map(label, case), *(_over_repeats(outcome, name, members, needs.get(name, "")) for name in metrics)]
+        for case, members in cases.items()
     ]
-    for profile in dict.fromkeys(outcome.columns[PROFILE].tolist()):
-        cases: dict[tuple[Any, ...], list[int]] = {}
-        for row in np.flatnonzero(outcome.where(profile=profile)):
-            cases.setdefault(tuple(outcome.columns[name][row].item() for name in labels), []).append(int(row))
-        texts = [
-            [_label(value) for value in case]
-            + [_over_repeats(outcome, name, members, needs.get(name, "")) for name in metrics]
-            for case, members in cases.items()
-        ]
-        yield CaseTable(profile, headings, "l" * len(labels) + "r" * len(metrics), texts)
-
-
-def number(value: float, digits: int = 3) -> str:
-    """A number with the given significant digits and no exponent; "–" where it is not finite, "0" below 5e-5."""
-    if not math.isfinite(value):
-        return MISSING
-    if abs(value) < 5e-5:
-        return "0"
-    decimals = min(max(digits - 1 - math.floor(math.log10(abs(value))), 0), 7)
-    return f"{round(value, decimals) + 0.0:,.{decimals}f}"
-
-
-def _heading(outcome: Outcome, name: str, *, shown_unit: bool = False) -> str:
-    unit = outcome.about[name].unit if name in outcome.about else ""
-    unit = shown("", unit, np.zeros(1)).unit if shown_unit else unit
-    return name.replace("_", " ") if unit in ("", "1") else f"{name.replace('_', ' ')} [{unit}]"
-
-
-def _label(value: Any) -> str:
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    return f"{value:g}" if isinstance(value, float) else str(value)
+    return table([*map(heading, (*labels, *metrics))], rows, "l" * len(labels) + "r" * len(metrics)), len(rows)
 
 
 def _over_repeats(outcome: Outcome, name: str, rows: list[int], need: str) -> str:
@@ -139,15 +109,24 @@ def _over_repeats(outcome: Outcome, name: str, rows: list[int], need: str) -> st
     return text if len(good) == len(values) else f"{text} ({len(good)} of {len(values)})"
 
 
+def number(value: float, digits: int = 3) -> str:
+    """A number with the given significant digits and no exponent; "–" where it is not finite, "0" below 5e-5."""
+    if not math.isfinite(value):
+        return MISSING
+    if abs(value) < 5e-5:
+        return "0"
+    decimals = min(max(digits - 1 - math.floor(math.log10(abs(value))), 0), 7)
+    return f"{round(value, decimals) + 0.0:,.{decimals}f}"
+
+
 # --- report.json
 
 #: Headings of a table of lines, and their alignment.
 HEADINGS = (
-    ("figure", "left"), ("kind", "left"), ("published", "right"), ("author's model", "right"),
-    ("as published", "right"), ("exact", "right"), ("as built", "right"), ("90 %", "right"), ("in it", "left"),
-    ("holds", "left"),
-)  # fmt: skip
-_WORDS: Final = {"values": "parameters", "quick": "quick run"}
+    *((name, "left") for name in ("figure", "kind")),
+    *((name, "right") for name in ("published", "author's model", "as published", "exact", "as built", "90 %")),
+    *((name, "left") for name in ("in it", "holds")),
+)
 
 
 def entry_of(title: str, outcome: Outcome, about: Mapping[str, Any], lines: Sequence[Line]) -> dict[str, Any]:
@@ -178,32 +157,34 @@ def collect(entries: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
         `set_ups` of the author's model; `differences`: sentences, if they were not all run in the same way; `started`,
         `command`, `versions`, `machine` of the latest, `wall_seconds` of all.
     """
+
+    def summary(lines: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+        by_kind = {kind: [line for line in lines if line["kind"] == kind] for kind in KINDS}
+        return counts(lines) | {"by_kind": {kind: counts(found) for kind, found in by_kind.items() if found}}
+
+    def conditions(entry: Mapping[str, Any]) -> dict[str, Any]:
+        made = {f"version of {name}": entry["versions"].get(name, "unknown") for name in ("nermo-mjx", "mujoco", "jax")}
+        return {**entry["settings"], "engine": entry["engine"], "code": entry.get("code", "unknown"), **made}
+
     lines = [line for entry in entries.values() for line in entry["lines"]]
     latest = max(entries.values(), key=lambda entry: entry["started"], default={})
-    hidden = ("experiment", "lines", "files", "finished")
+    hidden, unlike = ("experiment", "lines", "files", "finished"), []
+    for name in list(entries)[1:]:
+        first = next(iter(entries))
+        if found := differences(conditions(entries[name]), conditions(entries[first])):
+            unlike.append(f"{name} was run otherwise than {first}: {'; '.join(found)}.")
     return {
         "lines": lines,
-        "summary": {
-            **counts(lines),
-            "by_kind": _by_kind(lines),
-            "by_experiment": {
-                name: counts(entry["lines"]) | {"by_kind": _by_kind(entry["lines"])} for name, entry in entries.items()
-            },
-        },
+        "summary": summary(lines)
+        | {"by_experiment": {name: summary(entry["lines"]) for name, entry in entries.items()}},
         "experiments": {
             name: {key: value for key, value in entry.items() if key not in hidden} for name, entry in entries.items()
         },
         "set_ups": set_ups(),
-        "differences": _differences(entries),
+        "differences": unlike,
         "wall_seconds": sum(entry["wall_seconds"] for entry in entries.values()),
         **{key: latest.get(key) for key in ("started", "command", "versions", "machine")},
     }
-
-
-def _by_kind(lines: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, int]]:
-    """`counts` of the lines of each kind; kinds without lines are omitted."""
-    by_kind = {kind: [line for line in lines if line["kind"] == kind] for kind in KINDS}
-    return {kind: counts(found) for kind, found in by_kind.items() if found}
 
 
 def cells(line: Mapping[str, Any]) -> list[str]:
@@ -211,12 +192,11 @@ def cells(line: Mapping[str, Any]) -> list[str]:
     name = f"{line['figure']} [{line['unit']}]" if line["unit"] not in ("", "1") else line["figure"]
     published = published_text(line["published"], at_most=line["rule"] == "at_most")
     values = [_value(line[profile]) for profile in ("as_published", "exact", "as_built")]
-    words = {True: "yes", False: "no", None: MISSING}
     spread = MISSING if line["low"] is None else f"{number(line['low'])} to {number(line['high'])}"
     if line["low"] is None and line["ensemble"] is not None:
         spread = f"{line['ensemble']:.0%} of the bodies"
-    author = published_text(line["author"])
-    return [name, line["kind"], published, author, *values, spread, words[line["covered"]], words[line["holds"]]]
+    judged = (_value(line["covered"]), _value(line["holds"]))
+    return [name, line["kind"], published, published_text(line["author"]), *values, spread, *judged]
 
 
 def published_text(value: Any, *, at_most: bool = False) -> str:
@@ -230,48 +210,32 @@ def published_text(value: Any, *, at_most: bool = False) -> str:
 
 
 def _value(value: Any) -> str:
-    if value is None:
-        return MISSING
-    if isinstance(value, bool):
-        return "yes" if value else "no"
+    if value is None or isinstance(value, bool):
+        return {None: MISSING, True: "yes", False: "no"}[value]
     return number(value) if isinstance(value, int | float) else str(value)
 
 
 def differences(one: Mapping[str, Any], other: Mapping[str, Any]) -> list[str]:
     """Differences between settings, in words: "seed: 0 instead of 1"."""
+    words = {"values": "parameters", "quick": "quick run"}
     return [
-        f"{_WORDS.get(name, name)}: {said(one.get(name))} instead of {said(other.get(name))}"
+        f"{words.get(name, name)}: {setting_text(one.get(name))} instead of {setting_text(other.get(name))}"
         for name in dict.fromkeys((*one, *other))
         if one.get(name) != other.get(name)
     ]
 
 
-def said(value: Any) -> str:
+def setting_text(value: Any) -> str:
     """A setting in words."""
     if value is None:
         return "the published one"
     if isinstance(value, bool):
-        return "yes" if value else "no"
+        return _value(value)
     if isinstance(value, list | tuple):
         return " and ".join(map(str, value))
     if isinstance(value, Mapping):
         return ", ".join(f"{name}={number:g}" for name, number in value.items()) or "as they are"
     return str(value)
-
-
-def _differences(entries: Mapping[str, Mapping[str, Any]]) -> list[str]:
-    """A sentence on each experiment that was run differently from the first."""
-    sentences, conditions = [], {name: _conditions(entry) for name, entry in entries.items()}
-    for name in list(entries)[1:]:
-        first = next(iter(entries))
-        if found := differences(conditions[name], conditions[first]):
-            sentences.append(f"{name} was run otherwise than {first}: {'; '.join(found)}.")
-    return sentences
-
-
-def _conditions(entry: Mapping[str, Any]) -> dict[str, Any]:
-    made = {f"version of {name}": entry["versions"].get(name, "unknown") for name in ("nermo-mjx", "mujoco", "jax")}
-    return {**entry["settings"], "engine": entry["engine"], "code": entry.get("code", "unknown"), **made}
 
 
 # --- report.md
@@ -298,7 +262,9 @@ def page(content: Mapping[str, Any], experiments: Mapping[str, Experiment], outc
     parts = ["# The published experiments, simulated again\n", *_summary(content, chosen)]
     for each in chosen:
         parts += _experiment(content, each, outcomes.get(each.name))
-    parts += [*_what_was_run(content, chosen), *_conventions(content)]
+    parts += [*_what_was_run(content, chosen), "## Conventions\n"]
+    parts += [f"- Author's model, `{name}`: {text}." for name, text in content["set_ups"].items()]
+    parts.append(texts("report")["conventions"].format(faster=1 / PUBLISHED_CLOCK_RATIO))
     return "\n".join(parts).rstrip() + "\n"
 
 
@@ -310,60 +276,42 @@ def headline(summary: Mapping[str, Any]) -> str:
     return f"{text}; {predicted['covered']} of {spread} published values lie in the 90 % interval" if spread else text
 
 
+def _judged(counted: Mapping[str, Any]) -> int:
+    return int(counted["hold"] + counted["do_not_hold"])
+
+
 def _summary(content: Mapping[str, Any], chosen: list[Experiment]) -> Iterator[str]:
-    summary = content["summary"]
+    summary, by_kind = content["summary"], content["summary"]["by_kind"]
     yield (
         f"**{headline(summary)}.** In all, {summary['hold']} of {_judged(summary)} figures hold. Only predicted lines "
         f"count as evidence. Published figures: {_SOURCE}.\n"
     )
-    by_kind = summary["by_kind"]
-    rows = [
-        [kind, _MEANING[kind], *(str(by_kind[kind][name]) for name in _COUNTS)] for kind in KINDS if kind in by_kind
-    ]
-    rows.append(["all", "", *(str(summary[name]) for name in _COUNTS)])
-    counted = ["figures", "hold", "do not hold", "not judged or measured"]
-    yield table(["kind", "what it is", *counted], rows, "llrrrr")
-    rows = [
-        [
-            f"[{each.title}](#{_anchor(each.title)})",
-            *(_held(summary["by_experiment"][each.name]["by_kind"].get(kind)) for kind in KINDS),
-            *(str(summary["by_experiment"][each.name][name]) for name in _COUNTS),
-        ]
-        for each in chosen
-    ]
-    yield table(["experiment", *KINDS, *counted], rows, f"l{'r' * len(KINDS)}rrrr")
-    yield (
-        "- **author's model**: what his model and code give, run headless (settings below). A criterion that they fail "
-        "is no criterion.\n"
-        "- **as published**: the simulation of the publication's tests; its simulation figures are judged here.\n"
-        "- **exact**: closed-form kinematics, one clock, the stance of Table A.7; shown, not judged.\n"
-        "- **as built**: the robot with faults of its hardware; the hardware's figures are judged here.\n"
-        "- **90 %**: interval of the judged profile over identified bodies and starts, if bodies were run; **in it**: "
-        "whether the published value lies in it.\n"
-        f"- **holds**: a number is within {AGREES:.0%} of the published one. An effect, a ratio that says how much "
-        f"something changes, is judged on its size, the ratio less 1: within {AGREES:.0%} of the published size. Half "
-        "a unit of the last published digit counts as rounding. A bound or a range is not widened; a trend or an "
-        "outcome is the published one. Where a rule is another, its reason is given.\n"
-    )
+
+    def counted(of: Mapping[str, Any]) -> list[str]:
+        return [str(of[name]) for name in _COUNTS]
+
+    headings = ["figures", "hold", "do not hold", "not judged or measured"]
+    rows = [[kind, _MEANING[kind], *counted(by_kind[kind])] for kind in KINDS if kind in by_kind]
+    yield table(["kind", "what it is", *headings], [*rows, ["all", "", *counted(summary)]], "llrrrr")
+    rows = []
+    for each in chosen:
+        own = summary["by_experiment"][each.name]
+        held = [own["by_kind"].get(kind) for kind in KINDS]
+        anchor = "".join(c for c in each.title.lower().replace(" ", "-") if c.isalnum() or c == "-")  # as GitHub's
+        held_texts = [f"{of['hold']} of {_judged(of)}" if of else MISSING for of in held]
+        rows.append([f"[{each.title}](#{anchor})", *held_texts, *counted(own)])
+    yield table(["experiment", *KINDS, *headings], rows, f"l{'r' * len(KINDS)}rrrr")
+    yield texts("report")["legend"].format(agrees=AGREES)
     settings = {each.title: content["experiments"][each.name]["settings"] for each in chosen}
     if quick := [title for title, own in settings.items() if own["quick"]]:
         yield f"> **A quick run** of {', '.join(quick)}: fewer cases, and other figures than a full run's.\n"
     for title, own in settings.items():
         if own["values"]:
-            yield f"> {title} was run with other parameters than the default: {said(own['values'])}.\n"
+            yield f"> {title} was run with other parameters than the default: {setting_text(own['values'])}.\n"
         if walker := own.get("controller"):
             yield f"> In {title}, {walker} walked in place of the published controller, upon which it acts.\n"
     for sentence in content["differences"]:
         yield f"> **Run in different ways.** {sentence}\n"
-
-
-def _judged(counted: Mapping[str, Any]) -> int:
-    return int(counted["hold"] + counted["do_not_hold"])
-
-
-def _held(counted: Mapping[str, Any] | None) -> str:
-    """Number of lines that hold, out of all."""
-    return f"{counted['hold']} of {_judged(counted)}" if counted else MISSING
 
 
 def _experiment(content: Mapping[str, Any], each: Experiment, outcome: Outcome | None) -> Iterator[str]:
@@ -373,14 +321,13 @@ def _experiment(content: Mapping[str, Any], each: Experiment, outcome: Outcome |
     yield each.description + "\n"
     rows = []
     for line in lines:
-        *texts, holds = cells(line)
+        *first, holds = cells(line)
         source = f"{line['section']}: {line['sentence']}" if line["sentence"] else line["section"]
-        rows.append([*texts, "**no**" if holds == "no" else holds, source])
+        rows.append([*first, "**no**" if holds == "no" else holds, source])
     yield table([*(name for name, _ in HEADINGS), "source"], rows, "llrrrrrrlll")
     if about.get("bodies"):
         yield f"Intervals: the starts of the default body, and {about['bodies']} identified bodies, a start each.\n"
-    reasons = [line for line in lines if line["reason"] or line["holds"] is False]
-    if reasons:
+    if reasons := [line for line in lines if line["reason"] or line["holds"] is False]:
         yield "What does not hold, and where a rule has a reason:\n"
         for line in reasons:
             bold = "**no**, " if line["holds"] is False else ""
@@ -389,10 +336,10 @@ def _experiment(content: Mapping[str, Any], each: Experiment, outcome: Outcome |
     if outcome is not None:
         yield "### Simulation and theory\n"
         yield "Mean ± standard deviation over the repeats, in simulated time.\n"
-        for cases in case_tables(outcome, each.metrics, each.needs):
-            title = f"{cases.profile.replace('_', ' ')}, {len(cases.rows)} cases"
-            yield f"<details><summary>{title}</summary>\n"
-            yield table(cases.headings, cases.rows, cases.sides)
+        for profile in dict.fromkeys(outcome.columns[PROFILE].tolist()):
+            text, count = case_table(outcome, profile, each.metrics, each.needs)
+            yield f"<details><summary>{profile.replace('_', ' ')}, {count} cases</summary>\n"
+            yield text
             yield "</details>\n"
     for path in map(PurePosixPath, about["plots"]):
         if path.suffix == ".png":
@@ -402,7 +349,7 @@ def _experiment(content: Mapping[str, Any], each: Experiment, outcome: Outcome |
         pace = "in real time" if video["speed"] == 1 else f"{video['speed']:g} times as fast as real time"
         yield f"Video: [{video['file']}]({video['file']}), {video['shows']}, {pace}.\n"
     yield from (f"{note}\n" for note in about["notes"])
-    recordings = "".join(f", [{path}]({path})" for path in about["recordings"]).removeprefix(", ")
+    recordings = ", ".join(f"[{path}]({path})" for path in about["recordings"])
     files = f" Recordings: {recordings}." if recordings else ""
     yield f"Every world: [{about['table']}]({about['table']}).{files}\n"
 
@@ -413,18 +360,22 @@ def _what_was_run(content: Mapping[str, Any], chosen: list[Experiment]) -> Itera
     for each in chosen:
         about = content["experiments"][each.name]
         settings = about["settings"]
-        went = ", ".join(f"{count} {status}" for status, count in about["status"].items()) or MISSING
-        profiles = said([name for name in PROFILES if name in settings["profiles"]]).replace("_", " ")
-        rows.append(
-            [
-                each.name, str(about["cases"]), profiles, str(settings["repeats"]), str(settings["seed"]),
-                str(about["worlds"]), went, about["engine"], about.get("code", MISSING), said(settings["values"]),
-                f"{about['wall_seconds']:.0f} s", about["started"][:16].replace("T", " "),
-            ]
-        )  # fmt: skip
-    headings = ["experiment", "cases", "profiles", "repeats", "seed", "worlds", "went", "engine", "code",
-                "parameters", "took", "on"]  # fmt: skip
-    yield table(headings, rows, "lrlrrrllllrl")
+        row = {
+            "experiment": each.name,
+            "cases": about["cases"],
+            "profiles": setting_text([n for n in PROFILES if n in settings["profiles"]]).replace("_", " "),
+            "repeats": settings["repeats"],
+            "seed": settings["seed"],
+            "worlds": about["worlds"],
+            "went": ", ".join(f"{count} {status}" for status, count in about["status"].items()) or MISSING,
+            "engine": about["engine"],
+            "code": about.get("code", MISSING),
+            "parameters": setting_text(settings["values"]),
+            "took": f"{about['wall_seconds']:.0f} s",
+            "on": about["started"][:16].replace("T", " "),
+        }
+        rows.append(row)
+    yield table(list(rows[0]) if rows else [], [[*map(str, row.values())] for row in rows], "lrlrrrllllrl")
     for each in chosen:
         if content["experiments"][each.name]["settings"]["quick"]:
             yield f"- {each.name} was a quick run: {each.quick}."
@@ -437,25 +388,3 @@ def _what_was_run(content: Mapping[str, Any], chosen: list[Experiment]) -> Itera
         yield f"- Command: `{command}`"
     yield f"- Versions of the latest run: {listed(content['versions'])}"
     yield f"- Machine of the latest run: {listed(content['machine'])}\n"
-
-
-def _conventions(content: Mapping[str, Any]) -> Iterator[str]:
-    yield "## Conventions\n"
-    for name, text in content["set_ups"].items():
-        yield f"- Author's model, `{name}`: {text}."
-    yield (
-        "- Angles in degrees, lengths in millimetres or metres, as each heading says; the tables in `results/` and the "
-        "recordings have SI units and radians.\n"
-        "- Positive pitch is nose down, positive roll leans left, positive yaw turns left.\n"
-        "- Published times and speeds are those of the controller's clock. In the profile as published that clock runs "
-        f"{1 / PUBLISHED_CLOCK_RATIO:g} times too fast: the tables of figures convert to it; the tables of cases and "
-        "the files have simulated time; plots say which they show.\n"
-        "- std is the standard deviation over time, amplitude half the range from the least to the largest angle.\n"
-        "- No constant is chosen for a case. What the publication does not give (contact, servo gains, damping) is "
-        "the same in all experiments."
-    )
-
-
-def _anchor(title: str) -> str:
-    """The link target that GitHub gives a heading."""
-    return "".join(c for c in title.lower().replace(" ", "-") if c.isalnum() or c == "-")

@@ -15,7 +15,7 @@ import jax
 import mujoco
 import numpy as np
 
-from nermo_mjx.experiments.cases import BODY, LABELS, Column, Outcome, Settings, body_count
+from nermo_mjx.experiments.cases import BODY, Outcome, Settings
 from nermo_mjx.kinematics import leg
 from nermo_mjx.kinematics.spine import joint_angle
 from nermo_mjx.robot import LIMBS, ModelParameters, ParameterError, assemble_leg, assemble_spine, load_robot
@@ -32,8 +32,9 @@ BODY_SETTABLE: Final = frozenset(name for name, _ in quantities(ModelParameters)
 STAND_SETTABLE: Final = BODY_SETTABLE - {
     f"servo.{name}" for name in ("supply_voltage", "back_emf", "dead_band", "backlash")
 }
-#: Time in which a stand comes to rest, and in which a motion or a load is slow: inertia and damping hardly matter [s].
-REST, SLOW = 2.0, 8.0
+#: Time in which a stand comes to rest, so often at most where damping is low; and in which a motion or a load is slow:
+#: inertia and damping hardly matter [s].
+REST, PATIENCE, SLOW = 2.0, 15, 8.0
 #: A servo saturates at this share of its torque limit, which it only approaches.
 _SATURATED: Final = 0.999
 #: Numbers of hinges whose bend is compared.
@@ -52,19 +53,20 @@ class Stand:
         self.model = spec.compile()
         self.data = mujoco.MjData(self.model)
 
-    def settle(self, servo: Any) -> Stand:
-        """Command the servos, and wait until all is at rest.
+    def settle(self, servo: Any, times: int = 1) -> Stand:
+        """Command the servos, and wait until all is at rest, at least so many times `REST`.
 
         Raises:
             ParameterError: it does not come to rest.
         """
         self.data.ctrl[:] = servo
-        for _ in range(self._steps(REST)):
-            mujoco.mj_step(self.model, self.data)
-        if not np.abs(self.data.qvel).max() < 1e-2:
-            raise ParameterError(f"the stand of {self.name} does not come to rest with these parameters.")
-        mujoco.mj_forward(self.model, self.data)
-        return self
+        for waited in range(1, PATIENCE + 1):
+            for _ in range(self._steps(REST)):
+                mujoco.mj_step(self.model, self.data)
+            mujoco.mj_forward(self.model, self.data)
+            if waited >= times and np.abs(self.data.qvel).max() < 1e-2:
+                return self
+        raise ParameterError(f"the stand of {self.name} does not come to rest with these parameters.")
 
     def site(self, name: str) -> np.ndarray:
         """Where a site is [m]."""
@@ -73,8 +75,8 @@ class Stand:
     def angle(self, joint: str) -> float:
         """Of a joint, the sum over its hinges [rad]."""
         model = self.model
-        return float(sum(self.data.qpos[model.jnt_qposadr[i]] for i in range(model.njnt)
-                         if chain_of(model.joint(i).name) == joint))  # fmt: skip
+        own = [i for i in range(model.njnt) if chain_of(model.joint(i).name) == joint]
+        return float(sum(self.data.qpos[model.jnt_qposadr[i]] for i in own))
 
     def held(self, site: str, direction: Sequence[float], most: float) -> float:
         """The force along a direction at a site [N], growing slowly, at which a servo reaches its torque limit.
@@ -119,71 +121,57 @@ def bend(spec: Any, joints: Sequence[str], torque: float = TORQUE) -> float:
         if chain_of(loaded.model.joint(i).name) in joints:
             loaded.data.qfrc_applied[loaded.model.jnt_dofadr[i]] = torque
     for stand in (free, loaded):
-        # Springs alone come to rest slowly.
-        stand.settle(np.zeros(loaded.model.nu)).settle(np.zeros(loaded.model.nu))
+        stand.settle(np.zeros(loaded.model.nu), times=2)  # springs alone come to rest slowly
     return sum(loaded.angle(joint) - free.angle(joint) for joint in joints)
 
 
 def _measured(
-    name: str, settings: Settings, about: Mapping[str, Column], cases: Sequence[Mapping[str, Any]],
-    measure: Callable[..., dict[str, float]], settable: frozenset[str],
-) -> Outcome:  # fmt: skip
+    name: str, settings: Settings, cases: Sequence[Mapping[str, Any]], measure: Any, settable: frozenset[str]
+) -> Outcome:
     """All cases, once for each profile, with the same values; there are no repeats, and the engine is MuJoCo C.
 
     Args:
-        about: the columns of cases and measured values.
-        measure: of the body's parameters and a case.
+        measure: the columns of the body's parameters and a case.
 
     Raises:
         ParameterError: a parameter that does not apply, or values with which a stand does not come to rest.
     """
-    bodies, count = settings.bodies or {}, body_count(settings.bodies)
-    for parameter in {**settings.values, **bodies}:
+    for parameter in {**settings.values, **(settings.bodies or {})}:
         choice("values", parameter, sorted(settable))
     rows: list[dict[str, Any]] = []
-    for i in range(max(count, 1)):
-        values = {**settings.values} | {parameter: float(of[i]) for parameter, of in bodies.items()}
+    count = max(settings.body_count, 1)
+    for i in range(count):
+        values = {**settings.values} | {parameter: float(of[i]) for parameter, of in (settings.bodies or {}).items()}
         parameters = replace_quantities(ModelParameters(), {of: np.asarray(value) for of, value in values.items()})
         check_quantities(parameters)
-        numbered = {BODY: i + 1} if count else {}
+        numbered = {BODY: i + 1} if settings.bodies else {}
         for case in cases:
             found = measure(parameters, **case)
             rows += [{"profile": profile, **numbered, **case, "repeat": 0, **found} for profile in settings.profiles]
             if settings.progress:
-                settings.progress(len(rows) / len(settings.profiles) / (max(count, 1) * len(cases)))
-    columns = {column: np.array([row[column] for row in rows]) for column in rows[0]}
-    return Outcome(name, columns, {**{each: LABELS[each] for each in ("profile", "repeat", BODY)}, **about}, {})
+                settings.progress(len(rows) / len(settings.profiles) / (count * len(cases)))
+    return Outcome.of(name, {column: np.array([row[column] for row in rows]) for column in rows[0]})
 
 
 # --- the body alone
 
-BODY_ABOUT: Final = {
-    "mass": Column("kg", "of the whole robot"),
-    "servos": Column("1", "servos, with that of the articulated tail"),
-    "length": Column("m", "from the nose to the tip of the tail, standing, by the visible parts"),
-    "height": Column("m", "from the ground, standing, by the visible parts"),
-    "width": Column("m", "over all visible parts, standing"),
-    "scapula_pelvis": Column("m", "from the shoulder axes to the hip axes, along the robot"),
-    "bend_front_knee": Column("rad", f"of a front knee under {TORQUE:g} N m, without its tendon"),
-    "bend_rear_knee": Column("rad", f"of a rear knee under {TORQUE:g} N m, without its tendon"),
-    "bend_spine": Column("rad", f"of the four spine joints together, each under {TORQUE:g} N m"),
-    "spine_joint_limit": Column("rad", "angle of each spine joint at the end of the servo's range (5.26)"),
-}
 _LATERAL: Final = tuple(f"spine_joint_{i}" for i in range(1, 5))
 
 
 def run_body(settings: Settings) -> Outcome:
     """Measure the body; see `_measured`."""
-    return _measured("body", settings, BODY_ABOUT, [{}], _measure_body, BODY_SETTABLE)
 
+    def measure(parameters: ModelParameters) -> dict[str, float]:
+        bends = {
+            f"bend_{pair}_knee": bend(assemble_leg(f"{pair}_left", parameters=parameters), [f"{pair}_left_knee"])
+            for pair in ("front", "rear")
+        }
+        bends["bend_spine"] = bend(assemble_spine(parameters=parameters), _LATERAL)
+        sizes, limit = _dimensions(), float(joint_angle(np.asarray(SERVO_RANGE["spine"][1]), Geometry()))
+        mass = float(parameters.mass.front + parameters.mass.rear)
+        return {"mass": mass, **sizes, **bends, "spine_joint_limit": limit}
 
-def _measure_body(parameters: ModelParameters) -> dict[str, float]:
-    numbers = _dimensions() | {"mass": float(parameters.mass.front + parameters.mass.rear)}
-    for pair in ("front", "rear"):
-        spec = assemble_leg(f"{pair}_left", parameters=parameters)
-        numbers[f"bend_{pair}_knee"] = bend(spec, [f"{pair}_left_knee"])
-    numbers["bend_spine"] = bend(assemble_spine(parameters=parameters), _LATERAL)
-    return {name: numbers[name] for name in BODY_ABOUT}
+    return _measured("body", settings, [{}], measure, BODY_SETTABLE)
 
 
 @functools.cache
@@ -192,7 +180,18 @@ def _dimensions() -> dict[str, float]:
     model, data = robot.model, mujoco.MjData(robot.model)
     mujoco.mj_forward(model, data)
     visible = (model.geom_bodyid > 0) & (model.geom_group == VISUAL_GROUP)
-    corners = np.array([_outline(model, data, geom) for geom in np.flatnonzero(visible).tolist()])
+    ends = []  # smallest and largest coordinates of the visible parts [m]
+    for geom in np.flatnonzero(visible).tolist():
+        turned, place = data.geom_xmat[geom].reshape(3, 3), data.geom_xpos[geom]
+        if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH:
+            mesh = model.mesh(model.geom_dataid[geom])
+            first, count = int(mesh.vertadr[0]), int(mesh.vertnum[0])
+            points = place + model.mesh_vert[first : first + count] @ turned.T
+            ends.append([points.min(axis=0), points.max(axis=0)])
+        else:
+            centre, half = place + turned @ model.geom_aabb[geom][:3], np.abs(turned) @ model.geom_aabb[geom][3:]
+            ends.append([centre - half, centre + half])
+    corners = np.array(ends)
     low, high = corners[:, 0].min(axis=0), corners[:, 1].max(axis=0)
     soles = [model.geom(f"{limb}_sole") for limb in LIMBS]
     ground = min(data.geom_xpos[sole.id, 2] - sole.size[0] for sole in soles)
@@ -203,20 +202,7 @@ def _dimensions() -> dict[str, float]:
         "height": float(high[2] - ground),
         "width": float(high[0] - low[0]),
         "scapula_pelvis": float(axes[1] - axes[0]),
-        "spine_joint_limit": float(joint_angle(np.asarray(SERVO_RANGE["spine"][1]), Geometry())),
     }
-
-
-def _outline(model: Any, data: Any, geom: int) -> np.ndarray:
-    """Smallest and largest coordinates of a geom in the world, (2, 3) [m]."""
-    turned, place = data.geom_xmat[geom].reshape(3, 3), data.geom_xpos[geom]
-    if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH:
-        mesh = model.mesh(model.geom_dataid[geom])
-        first, number = int(mesh.vertadr[0]), int(mesh.vertnum[0])
-        points = place + model.mesh_vert[first : first + number] @ turned.T
-        return np.stack([points.min(axis=0), points.max(axis=0)])
-    centre, half = place + turned @ model.geom_aabb[geom][:3], np.abs(turned) @ model.geom_aabb[geom][3:]
-    return np.stack([centre - half, centre + half])
 
 
 # --- one leg: what its tendon's routing does to force, speed and work of the knee's servo
@@ -227,16 +213,6 @@ _MOST_LEG, _MOST_SPINE = 20.0, 40.0
 _STEP, _SWING = 0.05, 0.2
 #: The foot of a swing, as long and as high as in the experiments [m].
 _STRIDE, _LIFT = 0.060, 0.010
-LEG_ABOUT: Final = {
-    "pair": Column("1", "front or rear leg"),
-    "routing": Column("1", "of the knee's tendon"),
-    "hinges": Column("1", "of each compliant joint"),
-    "force": Column("N", "downward pull at the neutral foot at which the first servo reaches its torque limit"),
-    "speed": Column("m/s", "of the rising foot per rad/s of the knee servo, times that servo's 15 rad/s"),
-    "work": Column("J", "of both servos where they drive, in a slow swing of the foot"),
-    "coupling": Column("1", "knee's bend per swing of the hip to the side that it bends to, knee servo held"),
-    "bend": Column("rad", f"of the knee under {TORQUE:g} N m, without its tendon"),
-}
 LEG_CASES: Final = tuple(
     {"pair": pair, "routing": routing, "hinges": hinges}
     for pair in LEGS
@@ -247,27 +223,27 @@ _inverse: Final = jax.jit(leg.inverse, static_argnames="routing")
 
 def run_leg(settings: Settings) -> Outcome:
     """Measure all routings of a leg, and chains of hinges; see `_measured`."""
-    return _measured("leg-stand", settings, LEG_ABOUT, LEG_CASES, _measure_leg, STAND_SETTABLE)
 
+    def measure(parameters: ModelParameters, pair: str, routing: str, hinges: int) -> dict[str, float]:
+        limb, joints = f"{pair}_left", (f"{pair}_left_hip", f"{pair}_left_knee")
 
-def _measure_leg(parameters: ModelParameters, pair: str, routing: str, hinges: int) -> dict[str, float]:
-    limb, neutral = f"{pair}_left", np.array(LEGS[pair].neutral_foot)
+        def settled(servo: Any) -> Stand:
+            return Stand(assemble_leg(limb, routing, parameters, hinges)).settle(servo)
 
-    def stand() -> Stand:
-        return Stand(assemble_leg(limb, routing, parameters, hinges))
+        rest = servo_angles(pair, np.array(LEGS[pair].neutral_foot), routing)
+        higher, lower = (settled(rest + np.array([0.0, step])).site(f"{limb}_foot")[2] for step in (_STEP, -_STEP))
+        swung = [settled(rest + np.array([angle, 0.0])) for angle in (_SWING, -_SWING)]
+        hip, knee = (swung[0].angle(joint) - swung[1].angle(joint) for joint in joints)
+        swing = swing_of(pair, routing)
+        return {
+            "force": settled(rest).held(f"{limb}_foot", (0.0, 0.0, -1.0), _MOST_LEG),
+            "speed": float(abs(higher - lower) / (2 * _STEP) * parameters.servo.speed),
+            "work": settled(swing(0.0)).work(swing)[1],
+            "coupling": LEGS[pair].knee_direction * knee / hip,
+            "bend": bend(assemble_leg(limb, routing, parameters, hinges), joints[1:]),
+        }
 
-    rest = servo_angles(pair, neutral, routing)
-    higher, lower = (stand().settle(rest + np.array([0.0, step])).site(f"{limb}_foot")[2] for step in (_STEP, -_STEP))
-    swung = [stand().settle(rest + np.array([angle, 0.0])) for angle in (_SWING, -_SWING)]
-    hip, knee = (swung[0].angle(f"{limb}_{joint}") - swung[1].angle(f"{limb}_{joint}") for joint in ("hip", "knee"))
-    swing = swing_of(pair, routing)
-    return {
-        "force": stand().settle(rest).held(f"{limb}_foot", (0.0, 0.0, -1.0), _MOST_LEG),
-        "speed": float(abs(higher - lower) / (2 * _STEP) * parameters.servo.speed),
-        "work": stand().settle(swing(0.0)).work(swing)[1],
-        "coupling": LEGS[pair].knee_direction * knee / hip,
-        "bend": bend(assemble_leg(limb, routing, parameters, hinges), [f"{limb}_knee"]),
-    }
+    return _measured("leg-stand", settings, LEG_CASES, measure, STAND_SETTABLE)
 
 
 def servo_angles(pair: str, foot: np.ndarray, routing: str) -> np.ndarray:
@@ -293,18 +269,6 @@ PLANES: Final = {
     "vertical": ((0.0, 1.0), _VERTICAL, (0.0, 0.0, -1.0)),
     "combined": ((1.0, 1.0), _LATERAL + _VERTICAL, (-(0.5**0.5), 0.0, -(0.5**0.5))),
 }
-_ENDS: Final = f"{SPINE.max_servo_angle:g} rad of the servos"
-SPINE_ABOUT: Final = {
-    "robot": Column("1", "whose spine"),
-    "plane": Column("1", "in which it bends: both servos have the same angle in the combined one"),
-    "hinges": Column("1", "of each compliant joint"),
-    "joint_angle": Column("rad", f"mean of the bent joints at {_ENDS}"),
-    "range": Column("m", f"from the hip's place at {_ENDS} to that at the opposite"),
-    "force": Column("N", "against the bend, at the hip of the straight spine, at which a servo reaches its limit"),
-    "speed": Column("m/s", "of the hip per rad/s of the servos, in the straight spine, times their 15 rad/s"),
-    "work": Column("J", f"of the servos in a slow bend to {_ENDS}"),
-    "bend": Column("rad", f"of these joints together, each under {TORQUE:g} N m, without tendons"),
-}
 SPINE_CASES: Final[tuple[dict[str, Any], ...]] = (
     *({"robot": "nermo_lite", "plane": "lateral", "hinges": hinges} for hinges in HINGES),
     *({"robot": "nermo_41", "plane": plane, "hinges": 1} for plane in PLANES),
@@ -313,27 +277,27 @@ SPINE_CASES: Final[tuple[dict[str, Any], ...]] = (
 
 def run_spine(settings: Settings) -> Outcome:
     """Measure all planes of the spine, and chains of hinges; see `_measured`."""
-    return _measured("spine-stand", settings, SPINE_ABOUT, SPINE_CASES, _measure_spine, STAND_SETTABLE)
 
+    def measure(parameters: ModelParameters, robot: str, plane: str, hinges: int) -> dict[str, float]:
+        # The robot's masses, unless they are set.
+        default, now = dict(values_of(ModelParameters())), dict(values_of(parameters))
+        own = {name: np.asarray(value) for name, value in mass_values(robot).items() if now[name] == default[name]}
+        parameters = replace_quantities(parameters, own)
+        shares, joints, way = PLANES[plane]
+        share = np.array(shares[: 2 if robot == "nermo_41" else 1])
 
-def _measure_spine(parameters: ModelParameters, robot: str, plane: str, hinges: int) -> dict[str, float]:
-    # The robot's masses, unless they are set.
-    default, now = dict(values_of(ModelParameters())), dict(values_of(parameters))
-    own = {name: np.asarray(value) for name, value in mass_values(robot).items() if now[name] == default[name]}
-    parameters = replace_quantities(parameters, own)
-    shares, joints, way = PLANES[plane]
-    share = np.array(shares[: 2 if robot == "nermo_41" else 1])
+        def settled(servo: Any) -> Stand:
+            return Stand(assemble_spine(parameters, robot, hinges)).settle(servo)
 
-    def stand() -> Stand:
-        return Stand(assemble_spine(parameters, robot, hinges))
+        ends = [settled(sign * SPINE.max_servo_angle * share) for sign in (1.0, -1.0)]
+        near = [settled(sign * _STEP * share).site("spine_end") for sign in (1.0, -1.0)]
+        return {
+            "joint_angle": float(np.mean([ends[0].angle(joint) for joint in joints])),
+            "range": float(np.linalg.norm(ends[0].site("spine_end") - ends[1].site("spine_end"))),
+            "force": settled(0.0 * share).held("spine_end", way, _MOST_SPINE),
+            "speed": float(np.linalg.norm(near[0] - near[1]) / (2 * _STEP) * parameters.servo.speed),
+            "work": settled(0.0 * share).work(lambda at: at * SPINE.max_servo_angle * share)[0],
+            "bend": bend(assemble_spine(parameters, robot, hinges), joints),
+        }
 
-    ends = [stand().settle(sign * SPINE.max_servo_angle * share) for sign in (1.0, -1.0)]
-    near = [stand().settle(sign * _STEP * share).site("spine_end") for sign in (1.0, -1.0)]
-    return {
-        "joint_angle": float(np.mean([ends[0].angle(joint) for joint in joints])),
-        "range": float(np.linalg.norm(ends[0].site("spine_end") - ends[1].site("spine_end"))),
-        "force": stand().settle(0.0 * share).held("spine_end", way, _MOST_SPINE),
-        "speed": float(np.linalg.norm(near[0] - near[1]) / (2 * _STEP) * parameters.servo.speed),
-        "work": stand().settle(0.0 * share).work(lambda at: at * SPINE.max_servo_angle * share)[0],
-        "bend": bend(assemble_spine(parameters, robot, hinges), joints),
-    }
+    return _measured("spine-stand", settings, SPINE_CASES, measure, STAND_SETTABLE)

@@ -11,31 +11,19 @@ import itertools
 from collections.abc import Callable, Mapping
 from typing import Any, Final
 
+import jax
 import mujoco
 import numpy as np
+from jaxtyping import Float
+from scipy.signal import find_peaks
 
-from nermo_mjx.control.parameters import SIMULATED
 from nermo_mjx.control.path import Course, course_through
-from nermo_mjx.experiments import cycle, theory
-from nermo_mjx.experiments.cases import (
-    AMPLITUDE,
-    BODY,
-    FREQUENCIES,
-    LABELS,
-    Case,
-    Column,
-    Label,
-    Outcome,
-    Settings,
-    Worlds,
-    columns_of,
-    measured,
-    recorded,
-    recordings_of,
-    worlds,
-)
+from nermo_mjx.experiments import cases, theory
+from nermo_mjx.experiments.cases import AMPLITUDE, FREQUENCIES, SIMULATED, Case, Label, Outcome, Settings, Worlds
+from nermo_mjx.kinematics.body import attitude
 from nermo_mjx.recording import Recording
-from nermo_mjx.robot import Robot
+from nermo_mjx.robot import LIMBS, Robot
+from nermo_mjx.robot.parameters import SERVOS
 from nermo_mjx.rollout import History, Run, Simulator
 
 HARDWARE_STRIDE: Final = 0.8
@@ -44,6 +32,19 @@ HARDWARE_STRIDE: Final = 0.8
 _GUIDED: Final = {"pilot.guidance": 1.0, "pilot.error_gain": 0.0, "pilot.change_gain": 0.0}
 _BUILT: Final = ("as_built",)
 
+
+def _record(simulator: Simulator, chosen: list[Case], settings: Settings, length: Any, names: list[str]) -> Any:
+    """Recordings of the first start of cases in the first profile, by the names given; none of identified bodies."""
+    one = settings.but(profiles=settings.profiles[:1], repeats=1)
+    chosen = [case for case in chosen if one.profiles[0] in case.profiles]
+    if settings.bodies is not None or not chosen:
+        return {}
+    batch = cases.worlds(chosen, simulator.setup.defaults(), one)
+    run = length(batch) if callable(length) else length
+    result = simulator.run(batch.values, run, record=True)
+    return cases.recordings_of(simulator, batch, result, dict(enumerate(names)))
+
+
 # --- straight line, 2.0 m: speed and orientation over gait, frequency, stride and spine
 
 DISTANCE: Final = 2.0
@@ -51,49 +52,33 @@ DISTANCE: Final = 2.0
 _LONGEST: Final = 60.0
 _WARMUP: Final = 2.0
 _RECORDED: Final = 8.0
-_LINE: Final = {
-    "stride": Column("1", "stride length, as a share of the maximum"),
-    "spine": Column("1", "whether the spine extends the strides"),
-    "compensated": Column("1", "whether the rear legs compensate the hips' rise"),
-    "theory_speed": Column("m/s", "speed without slip (5.21, 5.22, 5.33)"),
-}
 
 
-def _line(
-    gait: str, frequency: float, spine: bool, stride: float = 1.0, compensated: bool = False,
-    profiles: tuple[str, ...] = SIMULATED,
-) -> Case:  # fmt: skip
-    labels: dict[str, Label] = {
-        "gait": gait, "frequency": frequency, "stride": stride, "spine": spine, "compensated": compensated,
-    }  # fmt: skip
+def _line(gait: str, frequency: float, spine: bool, stride: float = 1.0, **other: Any) -> Case:
+    """A case of the straight line; `other`: whether it is `compensated`, and its `profiles`."""
+    compensated = other.get("compensated", False)
+    labels: dict[str, Label] = {"gait": gait, "frequency": frequency, "stride": stride, "spine": spine}
     # Without the author's PD pilot, as his own model beside it. The guidance of the other profiles has no such gains.
-    values = {"frequency": frequency, "stride": stride, "spine.amplitude": AMPLITUDE * spine,
-              "spine.offset_compensation": float(compensated),
-              "pilot.error_gain": 0.0, "pilot.change_gain": 0.0}  # fmt: skip
-    return Case(labels, gait, values=values, profiles=profiles)
-
-
-def _standing() -> Case:
-    """The robot that stands on its neutral feet."""
-    case = _line("trt", 0.8, False, 0.0)
-    still = {"stance.swing_amplitude": 0.0, "stance.stance_amplitude": 0.0}
-    return Case({**case.labels, "gait": "stand"}, "trt", values={**case.values, **still}, profiles=case.profiles)
+    values = {"frequency": frequency, "stride": stride, "spine.amplitude": AMPLITUDE * spine}
+    values |= {"spine.offset_compensation": float(compensated), "pilot.error_gain": 0.0, "pilot.change_gain": 0.0}
+    profiles = other.get("profiles", SIMULATED)
+    return Case(labels | {"compensated": compensated}, gait, values=values, profiles=profiles)
 
 
 def line_cases(quick: bool = False) -> tuple[Case, ...]:
     """The published cases, and a robot that stands; `quick` keeps those at 0.8 Hz and the compensation's."""
     frequencies = FREQUENCIES[-1:] if quick else FREQUENCIES
     both = (False, True)
+    still = {"stance.swing_amplitude": 0.0, "stance.stance_amplitude": 0.0}
+    stands = _line("trt", 0.8, False, 0.0)  # on its neutral feet
+    stands = Case({**stands.labels, "gait": "stand"}, "trt", values={**stands.values, **still}, profiles=SIMULATED)
     gaits = [_line(gait, f, spine) for f in frequencies for gait in ("trt", "trt1") for spine in both]
     lateral = [_line("lat", f, False) for f in frequencies]
     strides = [_line("trt", 0.8, spine, stride) for stride in (0.0, 0.5, 0.8) for spine in both]
     compensated = [_line("trt", 0.67, True, compensated=True)] + ([_line("trt", 0.67, True)] if quick else [])
-    built = [
-        _line(gait, f, spine, HARDWARE_STRIDE, profiles=_BUILT)
-        for f in FREQUENCIES
-        for gait, spine in (("trt", False), ("trt", True), ("lat", False))
-    ]
-    return (_standing(), *gaits, *lateral, *strides, *compensated, *built)
+    hardware = (("trt", False), ("trt", True), ("lat", False))
+    built = [_line(gait, f, spine, HARDWARE_STRIDE, profiles=_BUILT) for f in FREQUENCIES for gait, spine in hardware]
+    return (stands, *gaits, *lateral, *strides, *compensated, *built)
 
 
 def walk_line(settings: Settings) -> Outcome:
@@ -103,29 +88,142 @@ def walk_line(settings: Settings) -> Outcome:
     """
     simulator = Simulator(settings.setup("straight_line", spine="stride_extension"), engine=settings.engine)
     defaults, quick = simulator.setup.defaults(), settings.quick
-    batch = worlds(line_cases(quick), defaults, settings)
+    batch = cases.worlds(line_cases(quick), defaults, settings)
     length = Run(cycles=_LONGEST / (4 if quick else 1), warmup_cycles=_WARMUP, distance=0.5 if quick else DISTANCE)
-    columns, about = measured(simulator, batch, length, progress=settings.progress)
+    columns = cases.measured(batch, simulator.run(batch.values, length, progress=settings.progress))
     columns["theory_speed"] = theory.speed(batch.all_values(defaults))
     # The publication describes the gait cycle of the trot at 0.8 Hz, with two strides.
+    described = [_line("trt", 0.8, spine, stride).labels for stride in (0.8, 1.0) for spine in (False, True)]
     looked_into = np.logical_or.reduce(
-        [_is(batch, _line("trt", 0.8, spine, stride)) for stride in (0.8, 1.0) for spine in (False, True)]
+        [np.logical_and.reduce([batch.labels[name] == labels[name] for name in labels]) for labels in described]
     )
-    columns |= cycle.measured(simulator, batch, looked_into, Run(_WARMUP + (4.0 if quick else _RECORDED), _WARMUP))
-    recordings = {}
-    if settings.bodies is None:
-        shown = [_line("trt", 0.67, False), _line("trt", 0.67, True)]
-        names = [f"trt, 0.67 Hz, {'with' if case.labels['spine'] else 'without'} spine" for case in shown]
-        one = settings.of_one_run()
-        if one.profiles[0] in SIMULATED:
-            runs = worlds(shown, defaults, one)
-            recordings = recorded(simulator, runs, Run(cycles=4.0 if quick else _RECORDED), names)
-    return Outcome("straight-line", columns, LABELS | _LINE | about | cycle.ABOUT, recordings)
+    columns |= gait_cycle(simulator, batch, looked_into, Run(_WARMUP + (4.0 if quick else _RECORDED), _WARMUP))
+    names = [f"trt, 0.67 Hz, {which} spine" for which in ("without", "with")]
+    shown = [_line("trt", 0.67, spine) for spine in (False, True)]
+    recordings = _record(simulator, shown, settings, Run(cycles=4.0 if quick else _RECORDED), names)
+    return Outcome.of("straight-line", columns, recordings)
 
 
-def _is(batch: Worlds, case: Case) -> np.ndarray:
-    """Mask (n,) of the worlds of a case."""
-    return np.logical_and.reduce([batch.labels[name] == value for name, value in case.labels.items()])
+# --- the gait cycle: pitch, yaw and the spine's angle of recorded walks are folded over the phase of the gait, on the
+# controller's clock, so that noise does not count as a peak; slip over the stance
+
+#: Parts of a gait cycle over which curves are folded; in the profile as_published it has 50 ticks.
+PARTS: Final = 50
+#: A peak counts if its prominence is this fraction of the curve's range.
+PROMINENT: Final = 0.2
+#: A foot bears load above this force [N], as in `rollout.metrics`.
+LOADED: Final = 0.02
+#: A foot lifts off from this share of its stance on, until this share of the cycle after it.
+LAST_OF_STANCE: Final = 2 / 3
+AFTER_STANCE: Final = 1 / 6
+#: Share of the cycle after a leg's planned lift-off in which the pitch is attributed to the lift-off.
+LIFT_OFF: Final = 0.25
+#: Number of worlds recorded at once: 2 MB each.
+_AT_ONCE: Final = 64
+_attitude = jax.jit(attitude)
+
+_SLIP: Final = ("slip_rear_touch_down", "slip_rear_mid_stance", "slip_rear_lift_off")
+#: What is measured over the gait cycle.
+CYCLE: Final = ("pitch_peaks", "pitch_peak_up", "pitch_lift_off", "yaw_spine_correlation", *_SLIP)
+
+
+def gait_cycle(simulator: Simulator, batch: Worlds, wanted: np.ndarray, run: Run) -> dict[str, np.ndarray]:
+    """`CYCLE` of the wanted worlds of a batch, which are simulated again and recorded; NaN for the others.
+
+    Args:
+        wanted: mask (n,).
+        run: its warm-up is excluded, and the rest is whole gait cycles.
+    """
+    columns = {name: np.full(len(wanted), np.nan) for name in CYCLE}
+    everything, rows = batch.all_values(simulator.setup.defaults()), np.flatnonzero(wanted)
+    for begin in range(0, len(rows), _AT_ONCE):
+        chosen = rows[begin : begin + _AT_ONCE]
+        result = simulator.run({name: values[chosen] for name, values in batch.values.items()}, run, record=True)
+        assert result.trace is not None
+        for i, row in enumerate(chosen):
+            if result.status[i] == "ok":
+                values = {name: float(column[row]) for name, column in everything.items()}
+                for name, value in of_world(result.trace, i, values, run).items():
+                    columns[name][row] = value
+    return columns
+
+
+def of_world(trace: History, world: int, values: Mapping[str, float], run: Run) -> dict[str, float]:
+    """`CYCLE` of one recorded world; `values` are all its parameters, by name."""
+    rate = values["frequency"] / values["tracking.clock_ratio"]
+    warmup, end = run.seconds(np.asarray(rate))
+    inside = (trace.time > float(warmup) + 1e-6) & (trace.time < float(end) + 1e-6)
+    phase = values["start.phase"] + rate * trace.time[inside]
+    sensors = {
+        name: np.asarray(trace.sensors[name][world][inside], float)
+        for name in ("servo_angle", "foot_force", "foot_velocity")
+    }
+    # Of the whole trace: its length is the same for all worlds, so that one program serves them all.
+    _, pitch, yaw = np.asarray(_attitude(trace.sensors["orientation"][world]), float)[inside].T
+    spine = sensors["servo_angle"][:, SERVOS.index("spine")]
+    stance = {limb: values["offset." + limb] for limb in LIMBS}
+    return {
+        **pitch_course(folded(phase, pitch), values["duty"], list(stance.values())),
+        "yaw_spine_correlation": _correlation(folded(phase, np.unwrap(yaw)), folded(phase, spine)),
+        **rear_slip(phase, sensors["foot_force"], sensors["foot_velocity"], values["duty"], stance),
+    }
+
+
+def folded(phase: Float[np.ndarray, " T"], values: Float[np.ndarray, " T"]) -> Float[np.ndarray, " parts"]:
+    """Mean course over a gait cycle, minus its mean and the drift over the walk; phase in cycles."""
+    drift = np.polynomial.Polynomial.fit(phase, values, 1)(phase)
+    part = np.floor((phase % 1.0) * PARTS).astype(int) % PARTS
+    count = np.maximum(np.bincount(part, minlength=PARTS), 1)
+    course = np.bincount(part, values - drift, minlength=PARTS) / count
+    return course - course.mean()
+
+
+def pitch_course(pitch: Float[np.ndarray, " parts"], duty: float, offsets: list[float]) -> dict[str, float]:
+    """The pitch's part of `CYCLE`, from its mean course.
+
+    Args:
+        pitch: positive nose down [rad].
+        duty, offsets: of the gait; a leg is planned to lift off at offset + duty.
+    """
+    up = -pitch
+    twice = np.tile(up, 3)
+    peaks, _ = find_peaks(twice, prominence=PROMINENT * np.ptp(up)) if np.ptp(up) > 0.0 else (np.zeros(0), {})
+    middle = (np.arange(PARTS) + 0.5) / PARTS
+    after = [((middle - offset - duty) % 1.0) < LIFT_OFF for offset in offsets]
+    return {
+        "pitch_peaks": float(np.sum((peaks >= PARTS) & (peaks < 2 * PARTS))),
+        "pitch_peak_up": float(up.max()),
+        "pitch_lift_off": float(up[np.logical_or.reduce(after)].max()),
+    }
+
+
+def rear_slip(
+    phase: Float[np.ndarray, " T"],
+    force: Float[np.ndarray, "T 4"],
+    velocity: Float[np.ndarray, "T 4 3"],
+    duty: float,
+    offsets: Mapping[str, float],
+) -> dict[str, float]:
+    """The slip's part of `CYCLE`: mean horizontal speed of the loaded rear feet in three parts of their stance."""
+    speed, ways = np.linalg.norm(velocity[..., :2], axis=-1), np.zeros((3, 2))
+    for i, limb in enumerate(LIMBS):
+        if not limb.startswith("rear"):
+            continue
+        since = (phase - offsets[limb]) % 1.0
+        loaded = force[:, i] > LOADED
+        bounds = (0.0, duty / 3, LAST_OF_STANCE * duty, duty + AFTER_STANCE)
+        for part, (begin, end) in enumerate(itertools.pairwise(bounds)):
+            chosen = loaded & (since >= begin) & (since < end)
+            ways[part] += speed[chosen, i].sum(), chosen.sum()
+    means = np.divide(ways[:, 0], ways[:, 1], out=np.full(3, np.nan), where=ways[:, 1] > 0)
+    return dict(zip(_SLIP, means.tolist(), strict=True))
+
+
+def _correlation(one: np.ndarray, other: np.ndarray) -> float:
+    """Pearson correlation; NaN if one of them hardly moves [rad]."""
+    if min(np.ptp(one), np.ptp(other)) < 1e-3:
+        return float("nan")
+    return float(np.corrcoef(one, other)[0, 1])
 
 
 # --- turning: quarter circles and full lock over gait, frequency and strategy
@@ -142,32 +240,20 @@ LEAST_BOUND: Final = 0.025
 #: In time means at least this share of the theoretical speed.
 _IN_TIME: Final = 0.3
 _LOCK_CYCLES: Final = 14.0
-_TURN: Final = {
-    "radius": Column("m", "of the quarter circle; 0 is full lock"),
-    "strategy": Column("1", "what turns the robot: leg, spine, or mix of both"),
-    "side": Column("1", "left or right"),
-    "stride": Column("1", "stride length, as a share of the maximum"),
-    "time": Column("s", "simulated time for the quarter circle at the measured speed; NaN at full lock"),
-    "followed": Column("1", "whether the path was followed to its end in time; false at full lock"),
-    "theory_radius": Column("m", "at full lock without slip (5.40-5.44); NaN on a quarter circle"),
-    "theory_equal_strides": Column(
-        "m", "at full lock by the spine, two feet with equal strides that slip least; NaN for other cases"
-    ),
-}
 
 
 def _turn(
-    gait: str, frequency: float, radius: float, strategy: str, side: str = "left", stride: float = 1.0,
-    profiles: tuple[str, ...] = SIMULATED,
-) -> Case:  # fmt: skip
+    gait: str, frequency: float, radius: float, strategy: str, side: str = "left", stride: float = 1.0, **other: Any
+) -> Case:
+    """A case of the turning test; `other`: its `profiles`."""
     values = {"frequency": frequency, "stride": stride, "spine.amplitude": 0.0, "spine.max_servo_angle": AMPLITUDE}
     if radius == FULL_LOCK:
         values["pilot.turn_rate"] = SIDES[side]
     else:
         values |= {"pilot.radius": radius, "pilot.direction": SIDES[side], **_GUIDED}
-    labels: dict[str, Label] = {"gait": gait, "frequency": frequency, "radius": radius, "strategy": strategy,
-                                "side": side, "stride": stride}  # fmt: skip
-    return Case(labels, gait, strategy, values, profiles)
+    labels: dict[str, Label] = {"gait": gait, "frequency": frequency, "radius": radius, "strategy": strategy}
+    labels |= {"side": side, "stride": stride}
+    return Case(labels, gait, strategy, values, other.get("profiles", SIMULATED))
 
 
 def turn_cases(quick: bool = False) -> tuple[Case, ...]:
@@ -189,38 +275,38 @@ def walk_turns(settings: Settings) -> Outcome:
     Full lock is left out for a controller that needs a path.
     """
     parts: list[dict[str, np.ndarray]] = []
-    about: dict[str, Column] = {}
     recordings: dict[str, Recording] = {}
     locks = settings.controller is None or not settings.controller.needs_path
     before = 0.0
     for pilot, share in (("arc", 0.8), ("open_loop", 0.2)) if locks else (("arc", 1.0),):
-        locked = pilot == "open_loop"
         chosen = [
-            case for case in turn_cases(settings.quick)
-            if (case.labels["radius"] == FULL_LOCK) == locked and set(case.profiles) & set(settings.profiles)
-        ]  # fmt: skip
+            case
+            for case in turn_cases(settings.quick)
+            if (case.labels["radius"] == FULL_LOCK) == (pilot == "open_loop")
+            and set(case.profiles) & set(settings.profiles)
+        ]
         if not chosen:
             continue
         simulator = Simulator(settings.setup("quarter_circles", pilot=pilot), engine=settings.engine)
         defaults = simulator.setup.defaults()
-        batch = _mirrored_starts(worlds(chosen, defaults, settings))
-        everything = batch.all_values(defaults)
-        length = _turn_length(everything, batch.labels["radius"])
-        report = None if settings.progress is None else _part(settings.progress, before, share)
-        columns, about = measured(simulator, batch, length, progress=report)
-        warmup, end = length.seconds(everything["frequency"] / everything["tracking.clock_ratio"])
-        parts.append(_judged(columns, end - warmup, everything["stance.max_stride"]))
+        batch = _mirrored_starts(cases.worlds(chosen, defaults, settings))
+        values = batch.all_values(defaults)
+        length = _turn_length(values, batch.labels["radius"])
+        result = simulator.run(batch.values, length, progress=_part(settings.progress, before, share))
+        warmup, end = length.seconds(values["frequency"] / values["tracking.clock_ratio"])
+        parts.append(_judged(cases.measured(batch, result), end - warmup, values["stance.max_stride"]))
         before += share
-        if not locked and settings.bodies is None:
+        if pilot == "arc":
             stride = HARDWARE_STRIDE if settings.profiles[0] == "as_built" else 1.0
-            shown = [
-                _turn("trt", 0.67, 0.5, name, stride=stride, profiles=tuple(settings.profiles)) for name in STRATEGIES
-            ]
-            one = worlds(shown, defaults, settings.of_one_run())
-            names = [f"trt, 0.67 Hz, R = 0.5 m, {case.labels['strategy']}" for case in shown]
-            recordings = recorded(simulator, one, _turn_length(one.all_values(defaults), one.labels["radius"]), names)
+            shown = [_turn("trt", 0.67, 0.5, name, "left", stride, profiles=settings.profiles) for name in STRATEGIES]
+            names = [f"trt, 0.67 Hz, R = 0.5 m, {name}" for name in STRATEGIES]
+
+            def length_of(one: Worlds, defaults: Mapping[str, float] = defaults) -> Run:
+                return _turn_length(one.all_values(defaults), one.labels["radius"])
+
+            recordings = _record(simulator, shown, settings, length_of, names)
     columns = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-    return Outcome("turning", columns, LABELS | _TURN | about, recordings)
+    return Outcome.of("turning", columns, recordings)
 
 
 def _mirrored_starts(batch: Worlds) -> Worlds:
@@ -233,8 +319,8 @@ def _mirrored_starts(batch: Worlds) -> Worlds:
     return Worlds(batch.labels, batch.values | start | {"start.phase": batch.values["start.phase"] + 0.5 * right})
 
 
-def _part(progress: Callable[[float], None], before: float, share: float) -> Callable[[float], None]:
-    return lambda done: progress(before + share * done)
+def _part(progress: Callable[[float], None] | None, before: float, share: float) -> Callable[[float], None] | None:
+    return None if progress is None else lambda done: progress(before + share * done)
 
 
 def _turn_length(values: Mapping[str, np.ndarray], radius: np.ndarray) -> Run:
@@ -271,31 +357,14 @@ def bound(radius: np.ndarray) -> np.ndarray:
 # --- maze: along way points, turned by the legs alone, and by legs and spine with longer strides
 
 MAZE_FREQUENCY: Final = 0.67
-#: Way points (x, y) of the maze's path [m], in the frame of the scene `maze` (x left, y backward). The published path
-#: is not available; this one follows the published layout: from the origin, heading -y, through the corridor between
-#: the boxes 32 and 39, past the island (boxes 1 to 7) on its left, once around it to the right, and out between the
-#: boxes 8 and 34, until the tail has left the gap, too. The points were placed once by maximizing the clearance from
-#: the boxes while bounding the curvature, and rounded to 5 mm. As drawn: 4.97 m long, at least 0.150 m from every box,
-#: radius of curvature at least 0.354 m (checked by a test).
-MAZE_COURSE: Final[tuple[tuple[float, float], ...]] = (
-    (0.0, 0.0), (0.0, -0.15), (0.0, -0.345), (0.02, -0.61), (0.12, -0.845), (0.265, -1.105), (0.265, -1.335),
-    (0.145, -1.52), (-0.195, -1.615), (-0.43, -1.485), (-0.525, -1.26), (-0.465, -1.02), (-0.205, -0.84),
-    (0.08, -0.885), (0.34, -1.075), (0.59, -1.175), (0.865, -1.12), (1.025, -0.95), (1.075, -0.695), (1.08, -0.48),
-)  # fmt: skip
+#: Way points (x, y) of the maze's path [m]; see `experiments.yaml`.
+MAZE_COURSE: Final[tuple[tuple[float, float], ...]] = tuple((x, y) for x, y in cases.texts("maze_course"))
 #: The end is reached if the torso passes it within this distance [m], half the robot's length.
 _PASSES: Final = 0.1
 #: Ticks between two checks of the contacts: a touch lasts longer than 20 ms.
 _LOOK: Final = 2
 #: A run ends after the time needed at this share of the theoretical speed.
 _SLOWEST: Final = 0.28
-_MAZE: Final = {
-    "spine": Column("1", "whether the spine turns along and extends the strides"),
-    "time": Column("s", "simulated time from the start to the end of the path; NaN if it is not reached"),
-    "mean_speed": Column("m/s", "length of the path over time"),
-    "reached": Column("1", "1 if the end was reached, 0 if not; NaN if only the first metre was walked"),
-    "touched": Column("s", "simulated time in contact with a box"),
-    "boxes": Column("1", "numbers of the boxes touched, joined by spaces"),
-}
 
 
 @functools.cache
@@ -309,12 +378,12 @@ def maze_cases() -> tuple[Case, ...]:
 
     Path and pilot are this project's: with the author's, `as_published` runs into a box at the first bends.
     """
-    return tuple(
-        Case({"spine": spine}, "trt", strategy,
-             {"frequency": MAZE_FREQUENCY, "spine.amplitude": AMPLITUDE * spine, "stride": stride, **_GUIDED}, profiles)
-        for profiles, stride in ((SIMULATED, 1.0), (_BUILT, HARDWARE_STRIDE))
-        for spine, strategy in ((False, "leg"), (True, "mix"))
-    )  # fmt: skip
+    chosen = []
+    for profiles, stride in ((SIMULATED, 1.0), (_BUILT, HARDWARE_STRIDE)):
+        for spine, steering in ((False, "leg"), (True, "mix")):
+            values = {"frequency": MAZE_FREQUENCY, "spine.amplitude": AMPLITUDE * spine, "stride": stride, **_GUIDED}
+            chosen.append(Case({"spine": spine}, "trt", steering, values, profiles))
+    return tuple(chosen)
 
 
 def walk_maze(settings: Settings) -> Outcome:
@@ -324,23 +393,18 @@ def walk_maze(settings: Settings) -> Outcome:
     """
     setup = settings.setup("maze", spine="stride_extension", pilot="waypoints", waypoints=MAZE_COURSE)
     simulator = Simulator(setup, engine=settings.engine)
-    batch = worlds(maze_cases(), setup.defaults(), settings)
+    batch = cases.worlds(maze_cases(), setup.defaults(), settings)
     length = 1.0 if settings.quick else maze_course().length + 2 * _PASSES
     walk = Run(cycles=np.ceil(length / (_SLOWEST * 0.12)), warmup_cycles=2.0, distance=length)
     result = simulator.run(batch.values, walk, record=True, progress=settings.progress)
     assert result.trace is not None
-    columns, about = columns_of(batch, result)
-    columns |= _arrivals(result.trace) | touches(simulator.robot, result.trace)
+    columns = cases.measured(batch, result) | _arrivals(result.trace) | touches(simulator.robot, result.trace)
     if settings.quick:
         columns["reached"] = np.full(len(columns["reached"]), np.nan)
-    shown = (batch.labels["repeat"] == 0) & (settings.bodies is None)
-    names = [
-        f"{profile}, {'with' if spine else 'without'} spine"
-        for profile, spine in zip(batch.labels["profile"], batch.labels["spine"], strict=True)
-    ]
-    recordings = recordings_of(simulator, batch, result, {i: names[i] for i in np.flatnonzero(shown).tolist()})
-    labels = {name: LABELS[name] for name in ("profile", "repeat", BODY)}
-    return Outcome("maze", columns, labels | _MAZE | about, recordings)
+    labels = batch.labels
+    shown = np.flatnonzero((labels["repeat"] == 0) & (settings.bodies is None)).tolist()
+    names = {i: f"{labels['profile'][i]}, {'with' if labels['spine'][i] else 'without'} spine" for i in shown}
+    return Outcome.of("maze", columns, cases.recordings_of(simulator, batch, result, names))
 
 
 def _arrivals(trace: History) -> dict[str, np.ndarray]:

@@ -27,8 +27,9 @@ class Cost:
         engine: that it will run on.
         iterations, steps_per_iteration, steps: whole iterations, and control steps of all worlds.
         simulated_seconds: of all worlds [s].
-        wall_seconds: at this machine's current speed, measured now [s]; NaN on `mjx`, which compiles for
-            minutes.
+        wall_seconds: of the iterations at this machine's current speed, with their compiling, measured now [s]; NaN on
+            `mjx`, which compiles for minutes.
+        evaluated_seconds: of the evaluation's walks, simulated on top of that [s].
         rate_from: source of the rate, in words.
         disk_bytes: of the directory.
     """
@@ -41,6 +42,7 @@ class Cost:
     wall_seconds: float
     rate_from: str
     disk_bytes: int
+    evaluated_seconds: float
 
 
 def cost_of(training: Training, engine: str = "auto") -> Cost:
@@ -51,18 +53,22 @@ def cost_of(training: Training, engine: str = "auto") -> Cost:
     worlds = training.environment(name)
     if not worlds.pure:
         iterate = training.algorithm.iteration(worlds)
+        compiles = time.perf_counter()
         learned = training.algorithm.begin(worlds, training.seed)
         learned, state, *_ = iterate(learned, worlds.reset(learned.random(RESET)))
+        float(learned.steps)
         began = time.perf_counter()
         for _ in range(_TIMED):
             learned, state, *_ = iterate(learned, state)
         float(learned.steps)
         rate = _TIMED * training.steps_per_iteration / (time.perf_counter() - began)
-        wall, said = steps / rate, f"{rate:,.0f} control steps/s, measured now"
+        wall, said = began - compiles + steps / rate, f"{rate:,.0f} control steps/s, measured now"
     seen = worlds.observation_size + worlds.privileged_size
     units = [seen, *training.algorithm.hidden]
     weights = 2 * sum(a * b for a, b in itertools.pairwise(units))
     # Networks, a slow copy, and two moments of Adam, in float32; and the history.
     disk = KEPT * 16 * weights + 40 * _NUMBER * training.iterations
+    walks = 2 * training.evaluation.bodies  # by the policy, and by the controller alone
+    evaluated = sum(walks * float(training.run.seconds(setup.cycle_rate({}))[1]) for setup, _ in training.evaluated())
     return Cost(name, training.iterations, training.steps_per_iteration, steps, steps * worlds.step_seconds, wall, said,
-                disk)  # fmt: skip
+                disk, evaluated)  # fmt: skip

@@ -367,7 +367,10 @@ class Environment:
 def _raw_key(key: Any) -> Any:
     """A key as JAX keeps it, (2,) uint32."""
     if isinstance(key, (int, np.integer)):
-        return jax.random.key_data(jax.random.key(int(key)))
+        # `jax.random.key` would cut it to 32 bits.
+        if not 0 <= key < 1 << 64:
+            raise ParameterError(f"seed is {key}: allowed is a whole number from 0 to 2^64 - 1.")
+        return jnp.asarray([int(key) >> 32, int(key) & 0xFFFFFFFF], jnp.uint32)
     array = jnp.asarray(key)
     if jnp.issubdtype(array.dtype, jax.dtypes.prng_key):
         return jax.random.key_data(array)

@@ -23,8 +23,8 @@ UNSEEN: Final = 0x5EED
 POLICY, ALONE = "policy", "alone"
 #: Metrics of the table.
 METRICS: Final = (
-    "speed", "distance", "lateral_drift", "cross_track_peak", "cost_of_transport", "servo_work", "slip", "fell",
-    "diverged",
+    "speed", "distance", "lateral_drift", "cross_track_peak", "cost_of_transport", "electrical_cost_of_transport",
+    "servo_work", "slip", "fell", "diverged",
 )  # fmt: skip
 
 
@@ -118,7 +118,7 @@ def bodies(training: Training, task: Task, draws: Draws) -> dict[str, np.ndarray
 
 def summary_of(table: pa.Table) -> dict[str, Any]:
     """Share of successes and medians over all walks, for each scene and each of the two: scene -> who -> numbers."""
-    names = ("scene", "controller", "success", "speed", "distance", "cost_of_transport")
+    names = ("scene", "controller", "success", "speed", "distance", "cost_of_transport", "electrical_cost_of_transport")
     columns = {name: np.asarray(table.column(name).to_pylist()) for name in names}
     found: dict[str, Any] = {}
     for scene in dict.fromkeys(columns["scene"].tolist()):

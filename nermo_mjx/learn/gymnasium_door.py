@@ -10,6 +10,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from nermo_mjx.learn.environment import SENTENCES, Environment, State
+from nermo_mjx.robot.quantity import ParameterError
 
 
 class NermoVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
@@ -50,11 +51,20 @@ class NermoVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         """Begin an episode in all worlds; without a seed the episodes differ each time.
 
         Args:
-            seed: of all worlds; of several the first.
+            seed: of all worlds, from 0 to 2^64 - 1; of several the first.
             options: none are known.
+
+        Raises:
+            ParameterError: another seed, or options, such as a mask of the worlds to reset.
         """
-        first = seed[0] if isinstance(seed, list) else seed
-        super().reset(seed=first)
+        if options:
+            raise ParameterError(f"options has {', '.join(options)}: none are known, and all worlds are reset.")
+        if isinstance(seed, (list, tuple)) and not seed:
+            raise ParameterError("seed is an empty list: expected a whole number, or one for each world.")
+        first = seed[0] if isinstance(seed, (list, tuple)) else seed
+        if first is not None and (not isinstance(first, (int, np.integer)) or not 0 <= first < 1 << 64):
+            raise ParameterError(f"seed is {first!r}: allowed is a whole number from 0 to 2^64 - 1.")
+        super().reset(seed=None if first is None else int(first))
         # The generator of Gymnasium says which episodes come, so that a seed makes all that follow repeatable.
         key = first if first is not None else int(self.np_random.integers(1 << 31))
         self._state = self.environment.reset(key)

@@ -416,9 +416,9 @@ def commanded(base: ControllerLike, commands: Collection[str], control: Any, com
     gait, clock_ratio = control.gait, control.tracking.clock_ratio
     if "speed" in commands:
         speed = command.speed * clock_ratio / numbers.maximum(gait.stride, 1e-3)
-        control = replace_quantities(control, {"speed": speed})
+        control = replace_quantities(control, {"commanded_speed": speed})
     if "yaw_rate" in commands and isinstance(base.pilot, OpenLoop):
-        stride = turning.stride_length(control.gait, control.stance, control.gait.speed)
+        stride = turning.stride_length(control.gait, control.stance, control.gait.commanded_speed)
         speed = turning.body_speed(control.gait, stride) / clock_ratio
         curvature = numbers.asarray(command.yaw_rate / numbers.maximum(speed, 1e-3), float)
         rate = turning.turn_rate_for(control, curvature / control.pilot.grip)

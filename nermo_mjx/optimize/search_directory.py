@@ -44,11 +44,10 @@ from nermo_mjx.runs.text import to_json
 from nermo_mjx.specs.controllers import with_code_copied
 from nermo_mjx.specs.reading import SpecError, changes
 from nermo_mjx.sweep.replay import SweepRow
-from nermo_mjx.sweep.results import Results, chunk_files, read_table
+from nermo_mjx.sweep.results import RECORDINGS, Results, chunk_files, read_table
 from nermo_mjx.sweep.sampling import Rows
 from nermo_mjx.sweep.series import recording_file
 from nermo_mjx.sweep.simulating import Simulated, SweepSimulator
-from nermo_mjx.sweep.store import RECORDINGS
 from nermo_mjx.sweep.table import Columns, chunk_table, columns_of, meta
 
 SEARCH: Final = "search.yaml"
@@ -478,7 +477,6 @@ def find_evaluation(out: str | os.PathLike[str], row: int) -> SweepRow:
         begin=float(begin),
         end=float(end),
         engine=pq.read_schema(next(iter(chunk_files(out).values()))).metadata[b"engine"].decode(),
-        chunk=np.array([row]),
         stored=stored,
         outdated=False,
     )

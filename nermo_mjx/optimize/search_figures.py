@@ -23,9 +23,8 @@ from nermo_mjx.plotting.shown import ShownValues, shown
 from nermo_mjx.plotting.style import BAND, COLOURS, LINE, MUTED, colour_scale, horizontal_grid, set_scales
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.runs.files import DirectoryError
-from nermo_mjx.sweep.plots import chosen_figure
+from nermo_mjx.sweep.plots import chosen_figure, named_points, survey_figures, trade_off
 from nermo_mjx.sweep.results import Results, chunk_files
-from nermo_mjx.sweep.survey import named_points, survey_figures, trade_off
 
 _WIDTH: Final = 7.2
 #: Pairs of measures that an atlas of three or more shows.

@@ -217,6 +217,7 @@ class SearchLoop:
         self.seconds = 0.0
         self.best: float | None = None
         self._cells = set[int]()
+        self._measured = False
 
     def run(self, warn: Callable[[str], None], gradients: Gradients | None, accept: bool) -> None:
         """Ask for batches until the budget is used up; simulate what the directory lacks, and tell the results."""
@@ -303,6 +304,14 @@ class SearchLoop:
         aim = self._search.aim
         metrics = {name: table.column(name).to_numpy() for name in aim.metrics}
         well = np.array(table.column("status").to_pylist()) == "ok"
+        for name in aim.metrics if well.any() and not self._measured else ():
+            if not np.isfinite(metrics[name][well]).any():
+                about = self._search.sweep.metrics[name].doc
+                raise SearchFailed(
+                    f"{name} is NaN in all {well.sum()} walks of the first batch ({about}): ask for another metric, or "
+                    "change the walk."
+                )
+        self._measured = self._measured or bool(well.any())
         scores = scores_of(aim, self._search.repeats, metrics, well)
         if aim.measures:
             self._cells |= {int(cell) for cell in cells_of(aim, scores.measures)[scores.allowed] if cell >= 0}

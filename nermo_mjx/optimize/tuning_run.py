@@ -17,13 +17,13 @@ import pyarrow as pa
 from nermo_mjx.optimize.history import Log, empty_log, history_table, is_done
 from nermo_mjx.optimize.methods import GenerationTuner, Iterate, LineTuner, Tuner, TuneState
 from nermo_mjx.optimize.objective import TRAJECTORY_ERROR, Problem
-from nermo_mjx.optimize.problems import SharedProblem, SimulatedProblem, WalkProblem
+from nermo_mjx.optimize.problems import SharedProblem, SimulatedProblem, WalkProblem, load_reference
 from nermo_mjx.optimize.tuning import METHODS, Differences, Generations, Gradient, Tuning
 from nermo_mjx.optimize.tuning_directory import TUNING, Directory, start_of
 from nermo_mjx.optimize.tuning_figures import Pictures, paint
 from nermo_mjx.robot import ParameterError
 from nermo_mjx.rollout import Simulator
-from nermo_mjx.rollout.differentiable import choose_mode, cost
+from nermo_mjx.rollout.differentiable import Rollout, choose_mode, cost
 from nermo_mjx.rollout.run import START_SPREAD
 from nermo_mjx.runs.interruption import resumable
 from nermo_mjx.runs.text import to_json
@@ -292,9 +292,15 @@ class MethodCost:
 
 
 def costs_of(tuning: Tuning) -> list[MethodCost]:
-    """The cost of all iterations by each method, that of the tuning first; its estimator counts for the gradient."""
-    here = pace_here(tuning)
+    """The cost of all iterations by each method, that of the tuning first; its estimator counts for the gradient.
+
+    Raises:
+        ParameterError: the tuning's recording cannot be compared with its walk.
+    """
     seconds = tuning.seconds({each.name: each.low for each in tuning.tuned})
+    if tuning.recording is not None:
+        load_reference(tuning.recording, Rollout(tuning.setup, tuning.run), seconds)
+    here = pace_here(tuning)
     methods = [tuning.method, *(each() for each in METHODS.values() if not isinstance(tuning.method, each))]
     return [_cost(dataclasses.replace(tuning, method=each), seconds, here) for each in methods]
 

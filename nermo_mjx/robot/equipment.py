@@ -245,6 +245,9 @@ def add_sensors(spec: mujoco.MjSpec) -> None:
         add(f"{limb}_foot_velocity", kind.mjSENS_FRAMELINVEL, site, f"{limb}_foot")
     for geom, touch in _tail_ground(spec):
         add(f"{geom}_force", kind.mjSENS_TOUCH, site, touch)
+    nearest = [1 << int(mujoco.mjtConDataField.mjCONDATA_DIST), 1, 1]  # the distance of the deepest one of all contacts
+    deepest = spec.add_sensor(name="contact_distance", type=kind.mjSENS_CONTACT, objtype=objects.mjOBJ_UNKNOWN)
+    deepest.intprm = nearest
 
 
 def _tail_ground(spec: mujoco.MjSpec) -> list[tuple[str, str]]:

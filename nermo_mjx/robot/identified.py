@@ -1,10 +1,11 @@
 """The identified bodies: an ensemble whose straight-line walks all come about equally close to the published ones.
 
 The publication gives neither servo gain nor damping nor friction. `nermo-mjx identify` finds the bodies whose speeds
-come within a tolerance of the published ones; `identified.csv` is such an ensemble, one body per row; the first is the
-default of `ModelParameters`. To regenerate it, which takes about half an hour on two cores:
+come within a tolerance of the published ones, in the set-up of the published tests; `identified.csv` is such an
+ensemble, one body per row, the best first. The damping of the default body lies in the middle of it. To make it again,
+which takes six minutes on two cores:
 
-    nermo-mjx identify --engine c --out runs/identified
+    nermo-mjx identify --profile as_published --samples 24 --generations 3 --bodies 32 --sweeps 2 --out runs/identified
     cp runs/identified/ensemble.csv nermo_mjx/robot/identified.csv
 """
 
@@ -22,15 +23,13 @@ import numpy as np
 from nermo_mjx.robot.quantity import ParameterError
 
 PATH: Final = Path(__file__).with_suffix(".csv")
-#: The files by the set-up in which the bodies walk as published: the default's, and that of the published tests.
-PATHS: Final = {"exact": PATH, "as_published": PATH.with_name("identified_as_published.csv")}
 #: Columns that are not parameters.
 _ABOUT: Final = ("objective", "weight")
 
 
 @dataclasses.dataclass(frozen=True)
 class Ensemble:
-    """An ensemble of n bodies; the first is the default.
+    """An ensemble of n bodies; the first is the best.
 
     Attributes:
         values: model parameter -> (n,), in the parameter's unit.
@@ -57,18 +56,17 @@ class Ensemble:
 
 
 @functools.lru_cache
-def bodies(profile: str = "exact") -> Ensemble:
-    """The ensemble of a set-up of `PATHS` that comes with the package."""
-    return read_ensemble(PATHS[profile].read_text(encoding="utf-8").splitlines())
+def bodies() -> Ensemble:
+    """The ensemble that comes with the package."""
+    return read_ensemble(PATH.read_text(encoding="utf-8").splitlines())
 
 
-def choose(n: int, seed: int, profile: str = "exact") -> dict[str, np.ndarray]:
+def choose(n: int, seed: int) -> dict[str, np.ndarray]:
     """Parameters of n different bodies, drawn by weight; all of them, in order, if n is the ensemble's size.
 
     Args:
         n: how many.
         seed: makes the draw repeatable.
-        profile: of `PATHS`.
 
     Returns:
         Model parameter -> (n,), in the parameter's unit.
@@ -76,7 +74,7 @@ def choose(n: int, seed: int, profile: str = "exact") -> dict[str, np.ndarray]:
     Raises:
         ParameterError: n is less than 1, or more than the ensemble has.
     """
-    ensemble = bodies(profile)
+    ensemble = bodies()
     if not 1 <= n <= len(ensemble):
         raise ParameterError(f"bodies is {n}: allowed is 1 to {len(ensemble)}, the size of the identified ensemble.")
     if n == len(ensemble):

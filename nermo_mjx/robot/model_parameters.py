@@ -1,9 +1,10 @@
 """Parameters of the robot's body that a sweep may vary within one batch: servos, contact, springs, masses, lengths.
 
 Defaults are those of the published robot. The thesis is silent on contact, servo gain and damping, and the damping of
-knees, ankles and spine: the contact is that of the author's model, the others were identified from the published
-straight-line speeds (`nermo-mjx identify`; docs/experiments.md), together with an ensemble of other bodies that match
-these speeds as closely (`identified`). `physics.variation` writes them into model fields.
+knees, ankles and spine: contact and damping of joints are those of the author's model, servo gain and damping were
+identified once from the published straight-line speeds, which hardly depend on them (docs/published_set_up.md). An
+ensemble of other bodies matches these speeds as closely (`identified`). `physics.variation` writes them into model
+fields.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ class Servo:
     model, already brake by as much as 0.39 V s/rad would.
     """
 
-    kp: Any = quantity(19.11, unit="N m/rad", low=0.1, high=400.0, doc="proportional gain; see servo_limits")
+    kp: Any = quantity(19.11, unit="N m/rad", low=0.1, high=350.0, doc="proportional gain; see servo_limits")
     kv: Any = quantity(0.01561, unit="N m s/rad", low=0.0, high=0.55, doc="velocity damping of the servo loop")
     torque_limit: Any = quantity(0.157, unit="N m", low=0.01, high=2.0, doc="stall torque")
     spine_torque: Any = quantity(
@@ -113,12 +114,12 @@ class Stiffness:
 
 @parameter_tree
 class Damping:
-    """Viscous damping of the joints."""
+    """Viscous damping of the joints: that of the author's model."""
 
     hip: Any = quantity(0.01, unit="N m s/rad", low=0.0, high=1.0, doc="hip and shoulder joints")
-    knee: Any = quantity(0.02531, unit="N m s/rad", low=0.0, high=1.0, doc="knee joints")
-    ankle: Any = quantity(0.02531, unit="N m s/rad", low=0.0, high=1.0, doc="ankle joints")
-    spine: Any = quantity(0.09242, unit="N m s/rad", low=0.0, high=1.0, doc="spine joints")
+    knee: Any = quantity(0.005, unit="N m s/rad", low=0.0, high=1.0, doc="knee joints")
+    ankle: Any = quantity(0.005, unit="N m s/rad", low=0.0, high=1.0, doc="ankle joints")
+    spine: Any = quantity(0.01, unit="N m s/rad", low=0.0, high=1.0, doc="spine joints")
     pulley: Any = quantity(0.01, unit="N m s/rad", low=0.0, high=1.0, doc="pulleys of knees and spine, neck, head")
 
 

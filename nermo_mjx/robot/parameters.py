@@ -23,6 +23,8 @@ from nermo_mjx.shapes import Array, PerLimb, Quaternion, Scalars, Spatial
 
 LIMBS: Final = ("front_left", "front_right", "rear_left", "rear_right")
 GAITS: Final = ("trt", "trt1", "lat", "bound", "gallop")
+#: The field's names of the author's gaits, which are accepted in place of his, and shown.
+GAIT_NAMES: Final = {"trt": "trot", "trt1": "walking_trot", "lat": "lateral_walk"}
 ROUTINGS: Final = ("type1", "type2", "type3", "type3_idler")
 
 
@@ -43,7 +45,8 @@ class LegGeometry:
             picks a wrap's side by the mean of its two tangent points, so that a wrap must stay below 180 degrees: the
             point keeps it between 40 and 175 degrees over the servo's range.
         tie_type1, tie_idler: the same for the routings type 1 and type 3 with an idler.
-        side: a point on the side where the tendon passes the pulley, (y, z) from E [m].
+        side: a point on the side where the tendon passes the pulley, (y, z) from E [m]; MuJoCo 3.17 and 4, which decide
+            by different rules, lead every routing alike past both legs' points.
         neutral_foot: position of the foot in the published stance, (y, z) from O [m] (Table A.7).
     """
 
@@ -69,7 +72,7 @@ FRONT_LEG: Final = LegGeometry(
     l1=0.0295, l2=0.0145, l3=0.0225, l4=0.0145, theta3=math.radians(23), pulley_radius=0.008, pulley_height=0.0128,
     tendon_length=0.033, knee_direction=-1.0, servo_direction=1.0, guide=(-0.004, -0.002),
     tie=(-0.0024771, 0.0076237), tie_type1=(0.0076237, -0.0024771), tie_idler=(-0.0034826, 0.0072200),
-    side=(-0.0106490, 0.0074565), neutral_foot=(-0.005, -0.045),
+    side=(-0.0130, 0.0), neutral_foot=(-0.005, -0.045),
 )  # fmt: skip
 REAR_LEG: Final = LegGeometry(
     l1=0.0317, l2=0.0200, l3=0.0305, l4=0.0205, theta3=math.radians(73), pulley_radius=0.008, pulley_height=0.0128,
@@ -368,6 +371,7 @@ class Sensors:
         foot_force: normal contact force of each foot [N].
         foot_position, foot_velocity: of each foot H in the world [m, m/s] (for metrics, not for the controller).
         tail_force: normal contact force of the tail on the ground [N].
+        contact_distance: of the deepest contact, negative where bodies overlap [m] (for metrics).
     """
 
     position: Spatial
@@ -383,3 +387,4 @@ class Sensors:
     foot_position: Float[Array, "*batch 4 3"]
     foot_velocity: Float[Array, "*batch 4 3"]
     tail_force: Scalars
+    contact_distance: Scalars

@@ -6,7 +6,6 @@ import copy
 import dataclasses
 import functools
 import hashlib
-import warnings
 from typing import Any
 
 import jax
@@ -87,7 +86,8 @@ class _Compiled:
             "foot_force": slice(start["front_left_foot_force"], start["front_left_foot_force"] + 4),
             "foot_position": slice(start["front_left_foot_position"], start["front_left_foot_position"] + 12),
             "foot_velocity": slice(start["front_left_foot_velocity"], start["front_left_foot_velocity"] + 12),
-            "tail_force": slice(start["tail_tip_force"], model.nsensordata),
+            "tail_force": slice(start["tail_tip_force"], start["contact_distance"]),
+            "contact_distance": slice(start["contact_distance"], model.nsensordata),
         }
 
     @functools.cached_property
@@ -178,6 +178,7 @@ class Robot:
             parts[name] = parts[name].reshape(*data.shape[:-1], 4, 3)
         parts["knee_angle"] = parts["knee_angle"].reshape(*data.shape[:-1], 4, -1).sum(axis=-1)
         parts["tail_force"] = parts["tail_force"].sum(axis=-1)
+        parts["contact_distance"] = parts["contact_distance"][..., 0]
         return Sensors(**parts)
 
     def sensordata_at_rest(self, qpos: Float[Array, " nq"]) -> Float[Array, " n"]:
@@ -236,14 +237,11 @@ class Robot:
 
 @functools.lru_cache(maxsize=8)
 def _compile(config: RobotConfig) -> _Compiled:
-    if config.routing == "type1" and mujoco.__version__ >= "4":
-        warnings.warn(
-            "routing is type1: MuJoCo 4 leads its tendon off the pulley in 7 % of the leg's poses, by up to 27 mm; "
-            "MuJoCo 3.17 does not.", stacklevel=3,
-        )  # fmt: skip
-    spec = assemble(config)
     try:
+        spec = assemble(config)
         model = spec.compile()
+    except ParameterError:
+        raise
     except ValueError as error:  # a custom scene that uses the name of one of the robot's parts
         why = str(error).splitlines()[0].removeprefix("Error: ")
         raise ParameterError(f"scene is {scene_name(str(config.scene))!r}: beside the robot it has a {why}.") from None

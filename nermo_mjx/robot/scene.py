@@ -10,6 +10,7 @@ import contextlib
 import dataclasses
 import functools
 import os
+import warnings
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -44,6 +45,8 @@ _FOREIGN: Final = {
     "equalities": "an equality", "pairs": "a contact pair", "keys": "a keyframe", "flexes": "a flex",
     "skins": "a skin", "plugins": "a plugin",
 }  # fmt: skip
+#: Options that would change how the robot walks, and that it does not have.
+_WITHOUT: Final = ("density", "viscosity", "wind", "disableflags", "enableflags")
 #: MuJoCo's first write of a text that it has read differs slightly: a frame's quaternion is written out.
 _MOST_READ: Final = 4
 
@@ -69,11 +72,11 @@ def resolve_scene(scene: Scene) -> str:
             is not changed. In a custom scene nothing moves; geoms of the default class `ground`, and the one
             named `floor`, carry the robot, those of the class `obstacle` stop it, and no other touches it. Files that
             it refers to, such as meshes, are not embedded; the text has their absolute paths. Of its options only
-            gravity is kept.
+            gravity is kept; a warning names those of the solver, which are the robot's.
 
     Raises:
         ParameterError: the scene or file does not exist; MuJoCo rejects it; it has elements that only the robot may
-            have, or no ground.
+            have, no ground, a fluid, flags, or numbers that are not finite.
     """
     if isinstance(scene, mujoco.MjSpec):
         return _text(scene.copy(), f"the MjSpec {scene.modelname!r}")
@@ -169,6 +172,7 @@ def _prepared(spec: mujoco.MjSpec, called: str) -> str:
         ground = _geoms(spec, GROUND)
     if not ground:
         refuse(f"has no ground: give what the robot stands on the default class {GROUND!r}, or the name {FLOOR!r}")
+    _check_options(spec, called)
     spec.compiler.discardvisual = False
     for geom in spec.geoms:
         geom.contype = geom.conaffinity = 0
@@ -188,11 +192,35 @@ def _prepared(spec: mujoco.MjSpec, called: str) -> str:
         model = spec.compile()
     if model.nbody > 1:
         refuse(f"has a body {model.body(1).name!r} that a camera or light aims at; aim it at none")
+    for element in (*spec.bodies[1:], *spec.sites, *spec.frames):  # the robot has names like theirs
+        element.name = ""
+    for name in ("geom_pos", "geom_quat", "geom_size", "hfield_size", "hfield_data"):
+        if not np.isfinite(getattr(model, name)).all():
+            refuse(f"has numbers that are not finite, in {name}")
     try:
         check_quantities(replace_quantities(ModelParameters(), gravity_values(model.opt.gravity)))
     except ParameterError as error:
         refuse(f"has a gravity with which {str(error).removesuffix('.')}")
     return _own_settings_only(spec.to_xml())
+
+
+def _check_options(spec: mujoco.MjSpec, called: str) -> None:
+    """Refuse options that would change how the robot walks, and warn of the solver's, which are not taken."""
+    default = mujoco.MjSpec().option
+    own = {name: getattr(spec.option, name) for name in dir(default) if not name.startswith("_") and name != "gravity"}
+    own = {name: value for name, value in own.items() if not np.array_equal(value, getattr(default, name))}
+    if wrong := [name for name in own if name in _WITHOUT]:
+        what = "flags" if wrong[0].endswith("flags") else f"{wrong[0]} {own[wrong[0]]}"
+        raise ParameterError(
+            f"scene is {called}: its option has {what}, without which the robot would walk: of a scene's options only "
+            "gravity is taken; leave it out."
+        )
+    if own:
+        shown = ", ".join(f"{name} {value}" for name, value in own.items())
+        warnings.warn(
+            f"scene is {called}: its option has {shown}, which is not taken: the solver is the robot's, whose physics, "
+            "timestep and cone the setup names.", stacklevel=4,
+        )  # fmt: skip
 
 
 def _own_settings_only(text: str) -> str:

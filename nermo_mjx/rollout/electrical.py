@@ -5,14 +5,14 @@ stall current Is at the stall torque T:
 
     i = I0 + (Is - I0) |tau| / T.
 
-The electronics switch the supply voltage V on and off: a servo that needs the share u of it draws the motor's current
-for this share of the time,
+Its winding, of the resistance V0 / (Is - I0), turns i^2 of it into heat; the rest drives the load at the speed w:
 
-    I = I0 + u (Is - I0) tau / T,    u = (tau + brake w) / (T V / V0),
+    P = V I0 + max(0, V0 (Is - I0) tau^2 / T^2 + max(1, k (Is - I0) / T) tau w).
 
-with the torque lost to the back-EMF, `Servo.brake`. Current that would flow back into the battery is not counted. At
-full voltage, u = 1, where data sheets measure, I is i; a servo that holds a load draws less from the battery than flows
-in its motor.
+With a back-EMF constant k above the torque per current, T / (Is - I0), gears lose the difference, and P is what
+electronics draw that switch the supply voltage on for the share u of the time (`Servo`). With a smaller one, such as
+the default of 0, the motor would give more than it takes: it takes what it gives. So power is never less than
+mechanical work. Power that would flow back into the battery is not counted.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Float
 
-from nermo_mjx.robot.model_parameters import Battery, ModelParameters, Servo
+from nermo_mjx.robot.model_parameters import NOMINAL_VOLTAGE, Battery, ModelParameters, Servo
 from nermo_mjx.shapes import Array, Scalar
 
 
@@ -44,12 +44,12 @@ class Drawn(NamedTuple):
     Attributes:
         on: number of servos [s].
         torque: of the motors' |tau| [N m s].
-        driven: of max(0, (tau + brake w) tau) [N^2 m^2 s].
+        energy: of what they draw beside their idle current [J].
     """
 
     on: Scalar
     torque: Scalar
-    driven: Scalar
+    energy: Scalar
 
 
 def motor_torque(torque: Array, velocity: Array, brake: Any) -> Array:
@@ -58,19 +58,25 @@ def motor_torque(torque: Array, velocity: Array, brake: Any) -> Array:
 
 
 def update(
-    drawn: Drawn, torque: Float[Array, "steps n"], velocity: Float[Array, "steps n"], brake: Any, weight: Scalar
+    drawn: Drawn,
+    torque: Float[Array, "steps n"],
+    velocity: Float[Array, "steps n"],
+    servo: Servo,
+    weight: Scalar,
 ) -> Drawn:
     """Add one control tick.
 
     Args:
         drawn: sums so far.
-        torque: of the actuators, before what the back-EMF takes [N m].
+        torque: of the motors, after what the back-EMF takes [N m].
         velocity: of the servos [rad/s].
-        brake: `Servo.brake`, or None where it is zero.
+        servo: parameters.
         weight: how much of the tick is measured [s].
     """
-    motor = motor_torque(torque, velocity, brake)
-    each = jnp.ones_like(motor), jnp.abs(motor), jnp.maximum(torque * motor, 0.0)
+    per_torque = (servo.stall_current - servo.idle_current) / servo.torque_limit
+    heat = NOMINAL_VOLTAGE * per_torque / servo.torque_limit * torque**2
+    power = heat + jnp.maximum(1.0, servo.back_emf * per_torque) * torque * velocity
+    each = jnp.ones_like(torque), jnp.abs(torque), jnp.maximum(power, 0.0)
     return Drawn(*(before + weight * now.sum(axis=-1).mean() for before, now in zip(drawn, each, strict=True)))
 
 
@@ -85,7 +91,7 @@ def result(drawn: Drawn, time: Scalar, supply: Supply) -> dict[str, Scalar]:
     servo, battery = supply
     per_torque = (servo.stall_current - servo.idle_current) / servo.torque_limit
     idle = servo.idle_current * drawn.on / time
-    current = idle + per_torque * drawn.driven / time / servo.stall_torque
+    current = idle + drawn.energy / time / servo.supply_voltage
     seconds = 3600.0 * battery.capacity / (current + battery.electronics_current)
     return {
         "motor_current": idle + per_torque * drawn.torque / time,

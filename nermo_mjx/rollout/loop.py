@@ -3,21 +3,28 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Container
-from typing import Any
+from collections.abc import Callable, Container
+from typing import Any, Final, NoReturn
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Float
 
 from nermo_mjx.control.controller import Controller, canonical, with_dtypes_of
+from nermo_mjx.control.loading import named_place, told
 from nermo_mjx.control.protocol import ControllerLike, FollowsPath, PlansContact
 from nermo_mjx.robot import ParameterError, Robot, Sensors, ServoAngles
+from nermo_mjx.robot.model_parameters import Servo
 from nermo_mjx.robot.terrains import TerrainShape
 from nermo_mjx.rollout import metrics
-from nermo_mjx.rollout.own_metrics import OwnMetric
-from nermo_mjx.rollout.setup import Start, Window, WorldParameters
+from nermo_mjx.rollout.own_metrics import OwnMetric, check_metrics, described
+from nermo_mjx.rollout.setup import Setup, Start, Window, WorldParameters
+from nermo_mjx.runtime import start_jax
 from nermo_mjx.shapes import Array, Count, Scalar
+
+#: An angle that is this much beyond a servo's range is within it [rad].
+ROUNDING: Final = 1e-6
 
 
 @jax.tree_util.register_dataclass
@@ -28,7 +35,7 @@ class LoopParameters:
     Attributes:
         control: of the controller.
         start, window: of the run.
-        servo_speed: maximum rate of change of a servo's target [rad/s].
+        servo: parameters of the servos.
         terrain: shape of the ground, in a scene that has one; None for the compiled ground.
         servo_brake: of the servos by their back-EMF [N m s/rad]; None unless it is named.
     """
@@ -36,7 +43,7 @@ class LoopParameters:
     control: Any
     start: Start
     window: Window
-    servo_speed: Any
+    servo: Servo
     terrain: TerrainShape | None = None
     servo_brake: Any = None
 
@@ -52,7 +59,7 @@ def loop_parameters(robot: Robot, world: WorldParameters, window: Window, named:
     """
     servo = world.model.servo
     brake = servo.brake if "servo.back_emf" in named else None
-    return LoopParameters(world.control, world.start, window, servo.top_speed, terrain_of(robot, world), brake)
+    return LoopParameters(world.control, world.start, window, servo, terrain_of(robot, world), brake)
 
 
 def terrain_of(robot: Robot, world: WorldParameters) -> TerrainShape | None:
@@ -69,7 +76,8 @@ class LoopState:
         tick, time: control ticks, and simulated time [s], since the start.
         control: the controller's state.
         metrics: accumulators.
-        ctrl: the servos' targets [rad].
+        ctrl: the servos' targets, within their ranges [rad].
+        clamped: 1 if the controller asked for an angle beyond a servo's range in this tick, else 0.
     """
 
     tick: Count
@@ -77,6 +85,7 @@ class LoopState:
     control: Any
     metrics: metrics.MetricState
     ctrl: Float[Array, " n_servos"]
+    clamped: Scalar
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -97,8 +106,9 @@ class ClosedLoop:
         sensors = self.robot.sensors(sensordata)
         control = canonical(self.controller.init(params.control, sensors, params.start.phase))
         servo = self.controller.initial_servo(params.control, params.start.phase).vector(self.robot.servos)
+        servo = self._within_range(servo)
         first, now = jnp.zeros((), jnp.int32), jnp.zeros(())
-        return LoopState(first, now, control, metrics.init(sensors, self.own), servo.astype(now.dtype))
+        return LoopState(first, now, control, metrics.init(sensors, self.own), servo.astype(now.dtype), now)
 
     def step(
         self, params: LoopParameters, state: LoopState, sensordata: Float[Array, "steps n"]
@@ -107,11 +117,17 @@ class ClosedLoop:
         measured = self.measure(params, state, sensordata)
         controller, own = self.controller, params.control
         control, servo = controller.update(own, state.control, self.last_reading(measured, sensordata))
-        reach = params.servo_speed * controller.dt
-        ctrl = state.ctrl + jnp.clip(servo.vector(self.robot.servos) - state.ctrl, -reach, reach)
+        reach = params.servo.top_speed * controller.dt
+        asked = servo.vector(self.robot.servos)
+        target = self._within_range(asked)
+        ctrl = state.ctrl + jnp.clip(target - state.ctrl, -reach, reach)
         tick = state.tick + 1
-        after = LoopState(tick, tick * controller.dt, with_dtypes_of(state.control, control), measured, ctrl)
+        clamped = jnp.any(jnp.abs(asked - target) > ROUNDING).astype(ctrl.dtype)
+        after = LoopState(tick, tick * controller.dt, with_dtypes_of(state.control, control), measured, ctrl, clamped)
         return with_dtypes_of(state, after), ctrl
+
+    def _within_range(self, angles: Float[Array, " n_servos"]) -> Float[Array, " n_servos"]:
+        return jnp.clip(angles, *jnp.asarray(self.robot.model.actuator_ctrlrange.T, angles.dtype))
 
     def measure(
         self, params: LoopParameters, state: LoopState, sensordata: Float[Array, "steps n"]
@@ -128,6 +144,7 @@ class ClosedLoop:
         return metrics.update(
             params.window, state.metrics, sensors, state.time, controller.dt, controller.cycle_rate(own), path,
             stance, self.robot.terrain.height(position[0], position[1], params.terrain), self.own, params.servo_brake,
+            params.servo, state.clamped,
         )  # fmt: skip
 
     def last_reading(self, measured: metrics.MetricState, sensordata: Float[Array, "steps n"]) -> Sensors:
@@ -140,28 +157,91 @@ class ClosedLoop:
 
 
 def check_controller(robot: Robot, controller: ControllerLike) -> None:
-    """Reject a controller whose functions are inconsistent, before anything is compiled.
+    """Reject a controller whose functions fail, do not fit together, or give no finite numbers for a robot at rest.
 
     Raises:
-        ParameterError: its state changes its structure from tick to tick, or it does not return servo angles.
+        ParameterError: names the function, its file and line, and what is wrong.
     """
     if isinstance(controller, Controller):
         return  # its parts are checked by its tests, and tracing it takes half a second
     readings = jax.eval_shape(robot.sensors, jax.ShapeDtypeStruct((robot.model.nsensordata,), jnp.zeros(()).dtype))
     phase = jax.ShapeDtypeStruct((), jnp.zeros(()).dtype)
     params = controller.parameters
-    first = jax.eval_shape(lambda *given: canonical(controller.init(*given)), params, readings, phase)
-    servo = jax.eval_shape(controller.initial_servo, params, phase)
-    after, now = jax.eval_shape(controller.update, params, first, readings)
+
+    def traced(name: str, *given: Any, settle: Callable[[Any], Any] = lambda made: made) -> Any:
+        with told(f"{named_place(controller, name)}, which fails"):
+            return jax.eval_shape(lambda *args: settle(getattr(controller, name)(*args)), *given)
+
+    def refuse(name: str, why: str) -> NoReturn:
+        raise ParameterError(f"{named_place(controller, name)}, which {why}.")
+
+    first = traced("init", params, readings, phase, settle=canonical)
+    servo, rate = traced("initial_servo", params, phase), traced("cycle_rate", params)
+    made = traced("update", params, first, readings)
+    if not isinstance(made, tuple) or len(made) != 2:
+        refuse("update", f"gives {described(made)}: expected two, the next state and ServoAngles")
+    after, now = made
     forms = [str(jax.tree.structure(state)) for state in (first, after)]
     shapes = [[leaf.shape for leaf in jax.tree.leaves(state)] for state in (first, after)]
     if forms[0] != forms[1] or shapes[0] != shapes[1]:
-        raise ParameterError(
-            f"controller.update makes a state of {forms[1]} with shapes {shapes[1]}: expected the form that init gives "
-            f"it, {forms[0]} with shapes {shapes[0]}."
-        )
+        refuse("update", f"makes a state of {forms[1]} with shapes {shapes[1]}: expected the form that init gives it, "
+                         f"{forms[0]} with shapes {shapes[0]}")  # fmt: skip
+    for (path, old), new in zip(jax.tree_util.tree_leaves_with_path(first), jax.tree.leaves(after), strict=True):
+        if old.dtype != new.dtype and not np.can_cast(new.dtype, old.dtype, "same_kind"):
+            refuse("update", f"makes {new.dtype} of the state{jax.tree_util.keystr(path)}, which init begins as "
+                             f"{old.dtype}: each tick would lose what {old.dtype} cannot hold; begin it as "
+                             f"{new.dtype}")  # fmt: skip
     for name, angles in (("initial_servo", servo), ("update", now)):
-        if not isinstance(angles, ServoAngles) or (angles.hip.shape, angles.knee.shape) != ((4,), (4,)):
-            raise ParameterError(
-                f"controller.{name} gives {type(angles).__name__}: expected ServoAngles with four hips and four knees."
-            )
+        if not isinstance(angles, ServoAngles):
+            refuse(name, f"gives {described(angles)}: expected ServoAngles with four hips and four knees")
+        for part in dataclasses.fields(angles):
+            given, wanted = getattr(angles, part.name), (4,) if part.name in ("hip", "knee") else ()
+            if getattr(given, "shape", None) != wanted or np.dtype(given.dtype).kind not in "fi":
+                what = f"gives ServoAngles whose {part.name} is {described(given)}"
+                refuse(name, f"{what}: expected real numbers of shape {wanted}")
+    if getattr(rate, "shape", None) != ():
+        refuse("cycle_rate", f"gives {described(rate)}: expected one number, the gait cycles per second")
+    stance = traced("stance", first) if isinstance(controller, PlansContact) else jnp.ones(4, bool)
+    if getattr(stance, "shape", None) != (4,):
+        refuse("stance", f"gives {described(stance)}: expected the planned contact of four limbs")
+    if not type(controller).__module__.startswith("nermo_mjx."):  # a policy of ours takes seconds to compile
+        _check_at_rest(robot, controller)
+
+
+def _check_at_rest(robot: Robot, controller: ControllerLike) -> None:
+    """Reject servo angles and a state that are not finite numbers for a robot at rest."""
+
+    def start(params: Any, reading: Array) -> Any:
+        sensors, phase = robot.sensors(reading), jnp.zeros(())
+        state = canonical(controller.init(params, sensors, phase))
+        return {
+            "cycle_rate": controller.cycle_rate(params),
+            "init": state,
+            "initial_servo": controller.initial_servo(params, phase),
+            "update": controller.update(params, state, sensors),
+        }
+
+    start_jax()
+    with jax.ensure_compile_time_eval():
+        reading = robot.sensordata_at_rest(jnp.asarray(robot.model.qpos0))
+    with told("controller fails"):
+        made = jax.jit(start)(controller.parameters, reading)
+    for name, several in made.items():
+        for leaf in jax.tree.leaves(several):
+            if jnp.issubdtype(leaf.dtype, jnp.floating) and not np.isfinite(leaf).all():
+                raise ParameterError(
+                    f"{named_place(controller, name)}, which gives {np.asarray(leaf).tolist()} for a robot at rest: "
+                    "expected finite numbers; guard it, as by jnp.where."
+                )
+
+
+def check_code(setup: Setup) -> None:
+    """Reject a setup's own controller or metrics where their functions are wrong, before anything is simulated.
+
+    Raises:
+        ParameterError: see `check_controller` and `check_metrics`; its first word is the setup's field.
+    """
+    if setup.controller is not None or setup.metrics:
+        robot = setup.load()
+        check_controller(robot, setup.make_controller())
+        check_metrics(robot.config, setup.own_metrics)

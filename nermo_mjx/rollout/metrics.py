@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import dataclasses
 import enum
+from collections.abc import Mapping
 from typing import Any, Final
 
 import jax
@@ -25,6 +26,7 @@ from jaxtyping import Bool, Float
 from nermo_mjx.control.path import PathPoint
 from nermo_mjx.kinematics.body import attitude, uprightness
 from nermo_mjx.robot import LIMBS, ModelParameters, Sensors
+from nermo_mjx.robot.model_parameters import Servo
 from nermo_mjx.rollout import electrical, eye_metrics, path_metrics, reduction
 from nermo_mjx.rollout.measuring import MeasuredPart, begins_in_run, measured_part
 from nermo_mjx.rollout.own_metrics import ANGLES, METRICS, PAIRS, OwnMetric
@@ -44,6 +46,13 @@ FALLEN_COSINE: Final = 0.5
 FALLEN_HEIGHT: Final = 0.025
 #: Speed above which the simulation counts as diverged [m/s].
 DIVERGED_SPEED: Final = 50.0
+#: Thickness of the sole [m]. A contact that is deeper for more than this share of the time, or ever deeper than that
+#: [m], is none of a sole any more.
+SUNK: Final = 0.004
+SUNK_TIME: Final = 0.05
+DEEPEST: Final = 0.006
+#: Share of time without a contact from which a run is no walk.
+FLOATED: Final = 0.5
 GRAVITY: Final = 9.81
 
 
@@ -57,12 +66,20 @@ class Ending(enum.Enum):
     ok = "The robot walked to the end."
     fell = "The robot fell."
     diverged = "The simulation diverged."
+    sank = "The robot sank in by more than the sole's thickness of 4 mm for a twentieth of the time, or by 6 mm once."
+    floated = "The robot touched nothing for more than half of the time."
     unsolved = "The constraint solver stopped short in more than one step of a thousand: the numbers are rough."
 
 
-def endings(fell: np.ndarray, diverged: np.ndarray, unsolved: np.ndarray) -> np.ndarray:
-    """The name of each world's `Ending` (n,), from its flags; the most severe one if there are several."""
-    flags = {Ending.diverged: diverged > 0, Ending.fell: fell > 0, Ending.unsolved: unsolved}
+def endings(table: Mapping[str, np.ndarray], unsolved: np.ndarray) -> np.ndarray:
+    """The name of each world's `Ending` (n,), from its metrics; the most severe one if there are several."""
+    flags = {
+        Ending.diverged: table["diverged"] > 0,
+        Ending.fell: table["fell"] > 0,
+        Ending.sank: (table["penetration"] > DEEPEST) | (table["sunk_time"] > SUNK_TIME),
+        Ending.floated: table["airborne_time"] > FLOATED,
+        Ending.unsolved: unsolved,
+    }
     return np.select(list(flags.values()), [ending.name for ending in flags], Ending.ok.name)
 
 
@@ -88,6 +105,9 @@ class MetricState:
         path: how the path was followed.
         eyes: motion of the eyes.
         drawn: what the servos draw.
+        clamped, airborne, sunk: time with a servo asked for more than its range, without any contact, and with one that
+            is deeper than the sole is thick [s].
+        penetration: depth of the deepest contact since the start [m].
         own: accumulators of custom metrics; None without any.
         on_path: whether the pilot has a path.
         lost: whether the readings have become invalid, including after the run's end.
@@ -119,6 +139,10 @@ class MetricState:
     path: path_metrics.PathState
     eyes: eye_metrics.EyeState
     drawn: electrical.Drawn
+    clamped: Scalar
+    airborne: Scalar
+    sunk: Scalar
+    penetration: Scalar
     own: reduction.OwnState | None
     on_path: Truth
     lost: Truth
@@ -140,7 +164,8 @@ def init(sensors: Sensors, own: tuple[OwnMetric, ...] = ()) -> MetricState:
         low=readings + jnp.inf, high=readings - jnp.inf, course=angles[2], turning=zero, position=position,
         origin=position, end=position, heading=jnp.stack([angles[2], angles[2]]), loaded=four, slid=four,
         swing=four, swing_loaded=four, load=jnp.append(four, zero), tail_loaded=zero, path=path_metrics.init(position),
-        eyes=eye_metrics.init(sensors), drawn=electrical.Drawn(zero, zero, zero),
+        eyes=eye_metrics.init(sensors), drawn=electrical.Drawn(zero, zero, zero), clamped=zero, airborne=zero,
+        sunk=zero, penetration=zero,
         own=reduction.init(own, sensors) if own else None, on_path=no,
         lost=no, failure_time=zero, fell=no, diverged=no, begun=no, finished=no,
     )  # fmt: skip
@@ -158,6 +183,8 @@ def update(
     ground: Any = 0.0,
     own: tuple[OwnMetric, ...] = (),
     brake: Any = None,
+    servo: Servo | None = None,
+    clamped: Any = 0.0,
 ) -> MetricState:
     """Add one control tick.
 
@@ -173,6 +200,8 @@ def update(
         ground: height of the ground beneath the torso [m].
         own: custom metrics, the same as for `init`.
         brake: of the servos by their back-EMF (`Servo.brake`); None for servos without.
+        servo: parameters of the servos; the defaults if None.
+        clamped: 1 if a servo was asked for an angle beyond its range, else 0.
     """
     # If the accelerometer is non-finite, so are the velocities one step later; not reading it saves computing it.
     told = jax.tree.leaves(dataclasses.replace(sensors, accelerometer=sensors.gyro))
@@ -245,7 +274,15 @@ def update(
             state.path, (last.position - origin)[:2], error, part.weight, part.rest, part.cycle_ends
         ),
         eyes=eye_metrics.update(state.eyes, sensors, part.weight, share),
-        drawn=electrical.update(state.drawn, sensors.servo_torque, sensors.servo_velocity, brake, part.weight),
+        drawn=electrical.update(
+            state.drawn, torque, sensors.servo_velocity, servo or ModelParameters().servo, part.weight
+        ),
+        clamped=state.clamped + part.weight * clamped,
+        airborne=state.airborne + part.weight * jnp.mean(sensors.contact_distance >= 0.0),
+        sunk=state.sunk + part.weight * jnp.mean(sensors.contact_distance < -SUNK),
+        penetration=jnp.where(
+            judged & ~lost, jnp.maximum(state.penetration, -sensors.contact_distance.min()), state.penetration
+        ),
         own=None if state.own is None else reduction.update(own, state.own, sensors, part, share, ~lost & (time > 0.0)),
         on_path=jnp.asarray(path is not None),
         lost=lost,
@@ -331,6 +368,15 @@ def result(
         metrics |= {f"{angle}_{name}": value for name, value in values.items()}
     metrics |= eye_metrics.result(state.eyes, time)
     metrics |= electrical.result(state.drawn, time, supply or electrical.Supply.of(ModelParameters()))
+    metrics |= {
+        "electrical_cost_of_transport": jnp.where(
+            moved, metrics["electrical_power"] * time / (mass * gravity * jnp.where(moved, state.way, 1.0)), jnp.nan
+        ),
+        "servo_clamped": state.clamped / time,
+        "airborne_time": state.airborne / time,
+        "penetration": state.penetration,
+        "sunk_time": state.sunk / time,
+    }
     for i, limb in enumerate(LIMBS):
         metrics |= {
             f"duty_{limb}": state.loaded[i] / time,

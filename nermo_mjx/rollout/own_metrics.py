@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import functools
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextvars import ContextVar
 from pathlib import Path
 from typing import Any, Final
 
@@ -13,7 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from nermo_mjx.control.loading import content_of_source, module_of, no_such_name
+from nermo_mjx.control.loading import RUNS_CODE, content_of_source, module_of, no_such_name, told
 from nermo_mjx.robot import LIMBS, ParameterError, Robot, RobotConfig, Sensors, load_robot
 from nermo_mjx.robot.quantity import did_you_mean
 from nermo_mjx.runtime import start_jax
@@ -74,8 +76,15 @@ METRICS: Final[dict[str, Metric]] = {
     "motor_current": Metric("A", "mean current in the motors of all servos, by their torque", "low"),
     "servo_current": Metric("A", "mean current that all servos draw from the battery", "low"),
     "electrical_power": Metric("W", "mean electrical power of all servos", "low"),
+    "electrical_cost_of_transport": Metric(
+        "1", "electrical energy of all servos over weight and distance; NaN below 1 mm", "low"
+    ),
     "charge": Metric("C", "drawn by all servos while measured", "low"),
     "battery_time": Metric("s", "time in which servos and electronics empty the battery", "high"),
+    "servo_clamped": Metric("1", "share of time with a servo asked for an angle beyond its range", "low"),
+    "airborne_time": Metric("1", "share of time without any contact"),
+    "penetration": Metric("m", "depth of the deepest contact since the start", "low"),
+    "sunk_time": Metric("1", "share of time with a contact deeper than the sole is thick", "low"),
     "fell": Metric("1", "1 if the torso tilted past 60 degrees or came to the ground", "low"),
     "diverged": Metric("1", "1 if the simulation lost its numbers", "low"),
     "failure_time": Metric("s", "end of the first control tick in which it fell or diverged; NaN if it did neither"),
@@ -87,9 +96,6 @@ REDUCTIONS: Final = ("mean", "rms", "std", "min", "max", "peak", "range", "last"
 SIDES: Final = ("high", "low")
 #: How a text names metrics; without a name, all in the file or module.
 FORM: Final = "FILE.py, FILE.py:NAME, MODULE or MODULE:NAME"
-#: Errors of functions that cannot be traced.
-_NOT_JITTABLE: Final = (jax.errors.ConcretizationTypeError, jax.errors.TracerArrayConversionError,
-                        jax.errors.TracerBoolConversionError, jax.errors.TracerIntegerConversionError)  # fmt: skip
 
 
 @dataclasses.dataclass(frozen=True)
@@ -169,6 +175,8 @@ def load_metrics(where: str) -> tuple[OwnMetric, ...]:
         ParameterError: the file, module or name does not exist, cannot be imported, or contains no metric.
     """
     source, name = parts_of(where)
+    if (known := _KNOWN.get()) is not None and source.endswith(".py") and (digest := digest_of_file(where)) in known:
+        return tuple(each for each in known[digest] if name in ("", each.name))
     module = module_of(f"metrics has {where!r}", source, FORM)
     found = {key: each for key, each in vars(module).items() if isinstance(each, OwnMetric)}
     if name in vars(module) and name not in found:
@@ -178,6 +186,38 @@ def load_metrics(where: str) -> tuple[OwnMetric, ...]:
     if not found:
         raise ParameterError(f"metrics has {where!r}: it has no metric; write @metric(unit=...) above a function.")
     return tuple(each for key, each in found.items() if name in ("", key))
+
+
+#: Metrics of files by the digest of their content, where these are not run.
+_KNOWN: ContextVar[Mapping[str, Sequence[OwnMetric]] | None] = ContextVar("_KNOWN", default=None)
+
+
+@contextlib.contextmanager
+def without_code(known: Mapping[str, Sequence[Mapping[str, Any]]]) -> Iterator[None]:
+    """Inside of it, neither controllers nor metrics are loaded from Python; metrics are known by name, unit and side.
+
+    Args:
+        known: `digest_of_file` -> name, unit, doc and better of each metric in that file.
+    """
+    made = {
+        digest: [OwnMetric(**about, function=lambda sensors: sensors.gyro[0]) for about in several]
+        for digest, several in known.items()
+    }
+    tokens = _KNOWN.set(made), RUNS_CODE.set(False)
+    try:
+        yield
+    finally:
+        _KNOWN.reset(tokens[0])
+        RUNS_CODE.reset(tokens[1])
+
+
+def digest_of_file(where: str) -> str:
+    """A hash of the file that metrics are in.
+
+    Raises:
+        ParameterError: it cannot be read.
+    """
+    return hashlib.sha256(content_of_source(f"metrics has {where!r}", parts_of(where)[0], FORM)[1]).hexdigest()
 
 
 def metrics_digest(where: str) -> str:
@@ -240,24 +280,16 @@ def check_metrics(config: RobotConfig, metrics: tuple[OwnMetric, ...]) -> None:
 def _tried(robot: Robot, each: OwnMetric, reading: np.ndarray) -> np.ndarray:
     """A function's result for a reading, compiled."""
     sensors = robot.sensors(jnp.asarray(reading))
-    try:
+    with told(f"metrics has {each.place}, which fails"):
         given = jax.jit(each.function)(sensors)
-    except _NOT_JITTABLE:
-        raise ParameterError(
-            f"metrics has {each.place}, which cannot be compiled: it branches on readings, or makes NumPy's numbers of "
-            "them; use jax.numpy, and jnp.where instead of if."
-        ) from None
-    except Exception as error:
-        hint, wrong = "", (str(error).strip().splitlines() or [""])[0].rstrip(".")[:200]
-        if isinstance(error, AttributeError) and isinstance(error.obj, Sensors):
-            known = [field.name for field in dataclasses.fields(Sensors)]
-            hint = f"{did_you_mean(str(error.name), known)} Sensors are {', '.join(known)}"
-        raise ParameterError(f"metrics has {each.place}, which fails: {type(error).__name__}: {wrong}{hint}.") from None
     if not isinstance(given, jax.Array) or given.shape or jnp.issubdtype(given.dtype, jnp.complexfloating):
-        raise ParameterError(f"metrics has {each.place}, which gives {_described(given)}: expected one number.")
+        raise ParameterError(f"metrics has {each.place}, which gives {described(given)}: expected one number.")
     return np.asarray(given, float)
 
 
-def _described(given: Any) -> str:
+def described(given: Any) -> str:
+    """What a function gave, in words."""
     shape = getattr(given, "shape", None)
-    return f"an array of shape {shape}" if shape else "a complex number" if shape == () else type(given).__name__
+    if shape == ():
+        return f"one number of type {given.dtype}"
+    return f"an array of shape {shape}" if shape else type(given).__name__

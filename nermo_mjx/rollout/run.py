@@ -26,6 +26,8 @@ from nermo_mjx.runtime import compiler_options
 from nermo_mjx.shapes import Array
 
 Length = float | np.ndarray
+#: Largest number of seconds, cycles or metres of a run.
+LONGEST: Final = 1e6
 
 
 @dataclasses.dataclass(frozen=True)
@@ -44,7 +46,7 @@ class Run:
         distance: measuring stops at the end of the gait cycle in which the robot has walked this far [m].
 
     Raises:
-        ParameterError: neither or both lengths, a warm-up as long as the run, a value that is not finite.
+        ParameterError: neither or both lengths, a warm-up as long as the run, a value of more than `LONGEST`.
     """
 
     cycles: Length | None = None
@@ -58,10 +60,11 @@ class Run:
             value, zero_ok = getattr(self, name), name.startswith("warmup")
             if value is None:
                 continue
-            bad = ~(np.isfinite(value) & ((np.asarray(value) > 0) | (zero_ok & (np.asarray(value) == 0))))
+            given = np.asarray(value)
+            bad = ~((given <= LONGEST) & ((given > 0) | (zero_ok & (given == 0))))
             if bad.any():
-                shown = np.asarray(value)[bad].flat[0]
-                raise ParameterError(f"run.{name} is {float(shown)!r}: allowed is {'[' if zero_ok else '('}0, inf).")
+                range_ = f"{'[' if zero_ok else '('}0, {LONGEST:g}]"
+                raise ParameterError(f"run.{name} is {float(given[bad].flat[0])!r}: allowed is {range_}.")
         if self.duration is not None and (self.cycles is not None or self.warmup_cycles is not None):
             raise ParameterError("run.duration is given beside run.cycles: give either seconds or gait cycles.")
         if self.duration is None and self.warmup is not None:

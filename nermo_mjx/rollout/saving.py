@@ -41,6 +41,7 @@ _SENSORS: Final = {
         tuple(f"{limb}_foot_velocity_{axis}" for limb in LIMBS for axis in _XYZ), "m/s", "of the foot in the world",
     ),
     "tail_force": (("tail_force",), "N", "normal contact force of the tail"),
+    "contact_distance": (("contact_distance",), "m", "distance of the deepest contact, negative where bodies overlap"),
     "attitude": (("roll", "pitch", "yaw"), "rad", "of the torso; positive leans left, noses down, turns left"),
     "speed": (("speed",), "m/s", "horizontal speed of the IMU"),
 }  # fmt: skip

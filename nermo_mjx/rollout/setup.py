@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from nermo_mjx.control.controller import Controller, published_controller
 from nermo_mjx.control.head_and_tail import TAIL_MOTIONS
-from nermo_mjx.control.loading import check_form, load_controller
+from nermo_mjx.control.loading import check_form, load_controller, named_place, told
 from nermo_mjx.control.parameters import (
     ControlParameters,
     ProfileSteering,
@@ -25,7 +25,7 @@ from nermo_mjx.control.parameters import (
 from nermo_mjx.control.pilot import Command
 from nermo_mjx.control.protocol import ActsUpon, ChecksParameters, CompletesValues, ControllerLike
 from nermo_mjx.control.spine_modes import SAGITTAL_MODES, SpineModes, mode_names
-from nermo_mjx.robot import ParameterError, Robot, RobotConfig, load_robot
+from nermo_mjx.robot import GAIT_NAMES, ParameterError, Robot, RobotConfig, load_robot
 from nermo_mjx.robot.equipment import check_servo, highest_kp, highest_kv
 from nermo_mjx.robot.geometry import Geometry, check_geometry, names_geometry
 from nermo_mjx.robot.masses import mass_values
@@ -105,13 +105,15 @@ def bounded_by_step(known: Mapping[str, Quantity], timestep: float) -> dict[str,
 # Checks of a setup's choices and of the names of its controller and metrics; each raises a `ParameterError`.
 
 
-#: Columns of tables, which are reserved names for metrics.
+#: Columns of tables, and keys beside parameters in files: reserved names for metrics and parameters.
 TAKEN: Final = frozenset((
     "row", "variant", "repeat", "seed", "body", "status", "code", "batch", "cell", "time", "objective", "iteration",
     "start", "ok", "discarded", "simulated_seconds", "wall_seconds", "trajectory_error", "line", "centre", "width",
-    "side", *RobotConfig.__dataclass_fields__, "gait", "spine", "steering", "pilot", "profile",
+    "side", "repeats", "quality", *RobotConfig.__dataclass_fields__, "gait", "spine", "steering", "pilot", "profile",
     "trajectory", "head", "tail_motion",
 ))  # fmt: skip
+#: First parts of columns that are named after a parameter: `gradient.stride`.
+PREFIXES: Final = ("gradient", "gradient_error", "first_order")
 
 
 def check_spine(spine: str, robot: str) -> None:
@@ -154,8 +156,14 @@ def check_names(controller: ControllerLike, metrics: Sequence[OwnMetric]) -> Non
     taken = {name for name, _ in quantities(WorldParameters)} - {name for name, _ in quantities(shared)}
     names = [name for name, _ in quantities(controller.parameters)]
     for name in names:
-        if name in taken:
-            raise ParameterError(f"controller has a parameter {name!r}, which is one of the robot or its start.")
+        whose = (
+            "one of the robot or its start" if name in taken
+            else "a metric that every run has" if name in METRICS
+            else "a column that tables have" if name in TAKEN or name.partition(".")[0] in PREFIXES
+            else ""
+        )  # fmt: skip
+        if whose:
+            raise ParameterError(f"controller has a parameter {name!r}, which is {whose}: give it another name.")
     for own in metrics:
         if own.name in taken or own.name in names:
             raise ParameterError(f"metrics has {own.place}, but {own.name} is a parameter: give it another name.")
@@ -195,7 +203,8 @@ class Setup:
         robot, scene, tail, routing, cone, physics, timestep, hinges: see `RobotConfig`. `dataclasses.replace` with
             another preset takes that preset's time step, unless one was given. A custom scene, a file or an `MjSpec`,
             is stored as MJCF, so that setups with the same scene are equal.
-        gait: `trt`, `trt1`, `lat`, `bound` or `gallop`: defaults of duty, offsets and gait factor.
+        gait: `trt` or `trot`, `trt1` or `walking_trot`, `lat` or `lateral_walk`, `bound` or `gallop`: defaults of duty,
+            offsets and gait factor. Of two names the first one, the author's, is stored.
         spine: auxiliary modes of the spine: `none`, `stride_extension`, `balance`, `harmonics`, and with robot
             `nermo_41` `sagittal_extension` and `pitch_balance`, or several joined by "+".
         steering: `leg`, `spine` or `mix`; by default `spine` in the profile `as_published`, as its code turns, else
@@ -247,6 +256,8 @@ class Setup:
         )  # fmt: skip
         object.__setattr__(self, "timestep", config.timestep)
         object.__setattr__(self, "scene", config.scene)
+        authors = {name: short for short, name in GAIT_NAMES.items()}
+        object.__setattr__(self, "gait", authors.get(self.gait, self.gait))
         published_values(self.gait, steering=self.steering, profile=self.profile)
         if isinstance(self.steering, ProfileSteering) and self._applies("steering"):
             object.__setattr__(self, "steering", steering_of(self.profile))
@@ -395,7 +406,7 @@ class Setup:
 
         Args:
             world: concrete (not traced); leaves may carry leading batch axes.
-            jointly: also run the controller's check, which may depend on several parameters.
+            jointly: also run the controller's check and its `cycle_rate`, which may depend on several parameters.
 
         Raises:
             ParameterError: with the field's name, its value and what is allowed.
@@ -404,6 +415,14 @@ class Setup:
         controller = self._unbalanced
         if jointly and isinstance(controller, ChecksParameters):
             controller.check(world.control)
+        if jointly and not isinstance(controller, Controller):
+            place = named_place(controller, "cycle_rate")
+            with told(f"{place}, which fails"):
+                rate = np.asarray(controller.cycle_rate(world.control), float)
+            bad = ~((rate > 0.0) & (rate < np.inf))
+            if bad.any():
+                raise ParameterError(f"{place}, which gives {rate[bad].flat[0]:g}: expected finite gait cycles per "
+                                     "second above 0.")  # fmt: skip
 
     @functools.cached_property
     def timing(self) -> frozenset[str]:

@@ -24,7 +24,7 @@ from nermo_mjx.rollout import metrics as measures
 from nermo_mjx.rollout.electrical import Supply
 from nermo_mjx.rollout.loop import ClosedLoop, LoopParameters, check_controller, loop_parameters, terrain_of
 from nermo_mjx.rollout.own_metrics import OwnMetric, check_metrics
-from nermo_mjx.rollout.run import Lanes, Run, StartPose
+from nermo_mjx.rollout.run import LONGEST, Lanes, Run, StartPose
 from nermo_mjx.rollout.saving import Keeper, Saving, Series
 from nermo_mjx.rollout.setup import Setup, Window, WorldParameters, with_own, without_presettings
 from nermo_mjx.runs.provenance import versions
@@ -58,7 +58,7 @@ class RunResult:
 
     Attributes:
         metrics: name -> (n,), as `all_metrics` describes them.
-        status: (n,) of the names in `metrics.Ending`: `ok`, `fell`, `diverged`, `unsolved`.
+        status: (n,) of the names in `metrics.Ending`: `ok`, `fell`, `diverged`, `sank`, `floated`, `unsolved`.
         setup, length: of the run.
         worlds: all parameters, leaves with a leading world axis.
         named: the explicitly named ones.
@@ -349,7 +349,7 @@ class Simulator:
         unsolved = session.unsolved > UNSOLVED * ticks * self.loop.steps_per_tick
         return RunResult(
             metrics=table,
-            status=measures.endings(table["fell"], table["diverged"], unsolved),
+            status=measures.endings(table, unsolved),
             setup=self.setup,
             length=batch.length,
             worlds=batch.worlds,
@@ -444,6 +444,8 @@ def _batched(
 def _window(run: Run, params: WorldParameters, controller: ControllerLike, worlds: int) -> Window:
     rate = np.asarray(controller.cycle_rate(params.control), float)
     begin, end = (np.broadcast_to(each, worlds) for each in run.seconds(rate))
+    if end.max() > LONGEST:
+        raise ParameterError(f"run.cycles last {end.max():g} s at {np.min(rate):g} Hz: allowed are {LONGEST:g} s.")
     distance = np.broadcast_to(1e6 if run.distance is None else run.distance, begin.shape)
     return Window(begin=begin, end=end, distance=distance)
 

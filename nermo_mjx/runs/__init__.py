@@ -7,6 +7,16 @@ from nermo_mjx.runs.provenance import machine, session, versions
 from nermo_mjx.runs.written import Written
 
 __all__ = [
-    "CodeStamp", "DirectoryError", "OtherCode", "RunDirectory", "Written", "codes_of", "engine_of", "kind_of",
-    "machine", "session", "stamp", "versions",
-]  # fmt: skip
+    "CodeStamp",
+    "DirectoryError",
+    "OtherCode",
+    "RunDirectory",
+    "Written",
+    "codes_of",
+    "engine_of",
+    "kind_of",
+    "machine",
+    "session",
+    "stamp",
+    "versions",
+]

@@ -114,8 +114,10 @@ class Checkpoints:
             raise self._unreadable(number, error) from error
 
     def _unreadable(self, number: int, error: OSError) -> DirectoryError:
-        return DirectoryError(f"checkpoint {number} in {self.folder} cannot be read: {error.strerror or error}; "
-                              "nothing was changed, run the same command again.")  # fmt: skip
+        return DirectoryError(
+            f"checkpoint {number} in {self.folder} cannot be read: {error.strerror or error}; "
+            "nothing was changed, run the same command again."
+        )
 
     def _read(self, number: int, like: Callable[[About], Parts]) -> tuple[dict[str, Any], About] | None:
         """A checkpoint; None if it is damaged."""

@@ -101,7 +101,10 @@ class RunDirectory:
             count = 1
             while (target := into / f"{source.name}.aside-{count}").exists():
                 count += 1
-            source.rename(target)
+            try:
+                source.rename(target)
+            except FileNotFoundError:  # another process was faster
+                return None
             sync_folder(into)
             sync_folder(source.parent)
         return target

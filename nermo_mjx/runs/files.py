@@ -31,6 +31,10 @@ def make_writable(folder: Path) -> None:
     Raises:
         WrongDirectory: it is a file, or cannot be written.
     """
+    try:
+        str(folder).encode()
+    except UnicodeEncodeError:
+        raise WrongDirectory(f"{str(folder)!a} is not UTF-8, as files and tables name it: take another name.") from None
     if folder.exists() and not folder.is_dir():
         raise WrongDirectory(f"{folder} is a file: a directory is needed.")
     probe = folder / f".probe-{secrets.token_hex(8)}"

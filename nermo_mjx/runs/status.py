@@ -42,9 +42,17 @@ class Status:
 
 
 def status_of(
-    unit: str, out: Path, done: int, rows: int | None, complete: bool, *, command: str, spec: str,
-    engine: str | None, notes: Sequence[str],
-) -> Status:  # fmt: skip
+    unit: str,
+    out: Path,
+    done: int,
+    rows: int | None,
+    complete: bool,
+    *,
+    command: str,
+    spec: str,
+    engine: str | None,
+    notes: Sequence[str],
+) -> Status:
     """The status of a directory that `command` fills, and resumes by the file `spec` in it."""
     words = ["plot", str(out)] if complete else [command, str(out / spec), "--out", str(out)]
     return Status(unit, done, rows, complete, f"nermo-mjx {shlex.join(words)}", engine, notes=tuple(notes))

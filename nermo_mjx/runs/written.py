@@ -87,9 +87,11 @@ class Written:
         if not self.aside:
             return ""
         more = f" and {len(self.aside) - 1} more" if len(self.aside) > 1 else ""
-        what = "Files in the way were not as this program wrote them" if more else (
-            "A file in the way was not as this program wrote it"
-        )  # fmt: skip
+        what = (
+            "Files in the way were not as this program wrote them"
+            if more
+            else ("A file in the way was not as this program wrote it")
+        )
         return f"{what}: moved aside in {self.held.out}, to {self.aside[0]}{more}."
 
     def name(self, path: Path) -> str:

@@ -22,6 +22,8 @@ FieldPath = tuple["str | int", ...]
 _STANDARD: Final = "tag:yaml.org,2002:"
 _PLAIN_TAGS: Final = frozenset(_STANDARD + name for name in ("map", "seq", "str", "int", "float", "bool", "null"))
 _MERGE: Final = f"{_STANDARD}merge"
+#: Values that a file's aliases may stand for, in all.
+_MOST_REPEATED: Final = 100_000
 
 
 class SpecError(ParameterError):
@@ -75,15 +77,23 @@ def read_text(text: str, source: str, what: str = "sweep") -> Document:
     yaml = YAML(typ="safe", pure=True)
     try:
         root = yaml.compose(text)
+        reader = _NodeReader(source, what, yaml)
+        data = None if root is None else reader.value(root, ())
+    except RecursionError:
+        depths = [len(line) - len(line.lstrip()) + line.count("[") + line.count("{") for line in text.splitlines()]
+        line = depths.index(max(depths)) + 1
+        raise SpecError(
+            f"{source}:{line}: lists or mappings stand too deep in one another: close the brackets."
+        ) from None
     except MarkedYAMLError as error:
         wrong = " ".join(part for part in (error.context, error.problem) if part)
         mark = error.problem_mark or error.context_mark
         where = f"{source}:{mark.line + 1}" if mark is not None else source
         raise SpecError(f"{where}: not valid YAML: {wrong}.") from None
+    except SpecError:
+        raise
     except (YAMLError, ValueError) as error:
         raise SpecError(f"{source}: not valid YAML: {str(error).splitlines()[0]}.") from None
-    reader = _NodeReader(source, what, yaml)
-    data = None if root is None else reader.value(root, ())
     if not isinstance(data, dict):
         raise SpecError(f"{source}:1: a {what} is a mapping of fields, but this file holds {describe(data)}.")
     return Document(source, data, reader.lines)
@@ -125,9 +135,15 @@ class _NodeReader:
         self.source, self.what, self._scalars = source, what, yaml.constructor
         self.lines: dict[FieldPath, int] = {(): 1}
         self._open: list[Node] = []
+        self._seen: set[int] = set()
+        self._repeated = 0
 
     def value(self, node: Node, path: FieldPath) -> Any:
         """The plain value of a node, which belongs to the field at `path`."""
+        self._repeated += id(node) in self._seen
+        self._seen.add(id(node))
+        if self._repeated > _MOST_REPEATED:
+            self._refuse(node, f"aliases stand for more than {_MOST_REPEATED:,} values: write out what is meant.")
         if node.tag not in _PLAIN_TAGS:
             self._refuse(
                 node,

@@ -198,4 +198,5 @@ def refuse_parameter(name: str, more: Iterable[str] = ()) -> None:
         mates += dict.fromkeys(f"{other.partition('.')[0]}.*" for other in known if "." in other)
     mates += more if "." not in name else ()
     listed = f"allowed are {', '.join(mates)} (nermo-mjx sweep --list-parameters prints all)"
-    raise Refused(f"is not a parameter; {listed}{did_you_mean(name, [*more, *known])}", name)
+    what = "is a metric, and not a parameter" if name in MEASURED.get() else "is not a parameter"
+    raise Refused(f"{what}; {listed}{did_you_mean(name, [*more, *known])}", name)

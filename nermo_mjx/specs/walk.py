@@ -15,13 +15,12 @@ import mujoco
 import numpy as np
 from pydantic import BeforeValidator, Field
 
-from nermo_mjx.control import control_parameters
 from nermo_mjx.control.head_and_tail import COUNTER_ROLL, COUNTER_YAW, GAZE, HEADS, SWING, TAIL_MOTIONS
 from nermo_mjx.control.parameters import PROFILES, STEERING, ProfileSteering
 from nermo_mjx.control.spine_modes import SPINES
 from nermo_mjx.control.stepping import FREE
 from nermo_mjx.control.trajectory import FORMS
-from nermo_mjx.robot import GAITS
+from nermo_mjx.robot import GAIT_NAMES, GAITS
 from nermo_mjx.robot.assembly import CONES, ROBOTS, TAILS
 from nermo_mjx.robot.equipment import MOST_HINGES
 from nermo_mjx.robot.parameters import PRESETS, ROUTINGS
@@ -29,6 +28,7 @@ from nermo_mjx.robot.quantity import ParameterError, Quantity, did_you_mean
 from nermo_mjx.robot.scene import resolve_scene, scenes
 from nermo_mjx.robot.terrains import scenes_reading, terrain_values
 from nermo_mjx.rollout import Metric, Run, Setup, all_metrics, all_parameters
+from nermo_mjx.rollout.loop import check_code
 from nermo_mjx.specs.controllers import named_controller, named_metrics, written_controller, written_metrics
 from nermo_mjx.specs.fields import Fields, OneOf, Refused, chosen, optional
 from nermo_mjx.specs.reading import Document, FieldPath, describe
@@ -113,7 +113,7 @@ class SetupFields(Fields):
     hinges: Annotated[int, Whole(1, MOST_HINGES)] = Field(
         Setup.hinges, description="of each compliant joint of legs and spine"
     )
-    gait: str = chosen(Setup.gait, GAITS, "defaults of duty, offsets and gait factor")
+    gait: str = chosen(Setup.gait, (*GAITS, *GAIT_NAMES.values()), "defaults of duty, offsets and gait factor")
     spine: str = chosen(Setup.spine, SPINES, "its modes")
     steering: str = Field(
         default_factory=lambda: Setup.steering,  # which changes with the profile, and no JSON has
@@ -336,6 +336,7 @@ def read_walk(doc: Document, fields: WalkFields) -> dict[str, Any]:
     choices["metrics"] = named_metrics(doc)
     try:
         setup = Setup(**choices)
+        check_code(setup)
     except ParameterError as error:
         _refuse_setup(doc, choices, str(error))
     values = pilot_options(given, pilot, options)
@@ -383,46 +384,70 @@ def _read_run(doc: Document, fields: RunFields | None, pilot: Mapping[str, Any])
 
 
 # ---
-# Strides and stances that the legs cannot reach are refused with the file's line.
+# Values that are refused together, or by what is derived from them, are refused with the file's line.
 
 
 #: Combinations of values tried in all.
 _MOST_TRIED: Final = 50_000
+#: Parameters of the published robot that are checked together; those of a custom controller may be.
+_TOGETHER: Final = ("stride", "stance.*", "limb.*", "geometry.*", "servo.kp", "servo.kv")
 
 
 def check_workspace(
     doc: Document, setup: Setup, fixed: Mapping[str, float], tried: Mapping[str, Mapping[str, np.ndarray]]
 ) -> None:
-    """Fail at the field whose values move a foot out of its leg's workspace.
+    """Fail at the field whose values `Setup.check` refuses, by themselves or combined: what is derived from them is out
+    of range, the controller refuses them, or a foot leaves its leg's workspace.
 
     Args:
         setup: static choices; the leg's routing decides what it reaches.
         fixed: parameters with one value.
         tried: values to try of the others, by the section of the file and by name.
     """
-    if setup.controller is not None:
-        return  # it checks its own workspace when it is simulated
+    parameters = all_parameters(setup)
     parts = {"set": {name: np.array([value]) for name, value in fixed.items()}, **tried}
-    sections = {name: section for section, names in parts.items() for name in names if _of_legs(name)}
-    if not sections:
-        return
-    values = {name: parts[section][name] for name, section in sections.items()}
-    while math.prod(map(len, values.values())) > _MOST_TRIED:
-        longest = max(values, key=lambda name: len(values[name]))
-        values[longest] = values[longest][
-            np.linspace(0, len(values[longest]) - 1, len(values[longest]) // 2).astype(int)
-        ]
-    mesh = dict(zip(values, np.meshgrid(*values.values(), indexing="ij"), strict=True))
-    try:
-        control_parameters(setup.gait, routing=setup.routing, **mesh)
-    except ParameterError as error:
+    sections = {name: section for section, names in parts.items() for name in names if not unread(setup, name)}
+    values = {name: _within(np.unique(parts[section][name]), parameters[name]) for name, section in sections.items()}
+    values = {name: column for name, column in values.items() if len(column)}
+    constant = {name: column[0] for name, column in values.items() if len(column) == 1}
+
+    def refuse(error: ParameterError, name: str, given: np.ndarray) -> NoReturn:
+        """Fail at the parameter that the error is about, or else at this one, with the value of it."""
         subject, _, message = str(error).partition(" ")
-        name = subject if subject in sections else next(iter(sections))
-        doc.fail((sections[name], name), message if subject == name else f"is refused: {error}", name)
+        message = message if subject in sections else f"is {given[0]:g}, with which {error}"
+        name = subject if subject in sections else name
+        doc.fail((sections[name], name), message, name)
+
+    def refusal(some: Mapping[str, np.ndarray]) -> ParameterError | None:
+        try:
+            setup.check(setup.world({**constant, **some}))
+        except ParameterError as error:
+            return error
+        return None
+
+    several = {name: column for name, column in values.items() if len(column) > 1}
+    for name, column in (*list(values.items())[:1], *several.items()):
+        if (error := refusal({name: column} if name in several else {})) is not None:
+            while len(column) > 1 and str(error).partition(" ")[0] not in sections:  # halve until one is left
+                first, rest = np.array_split(column, 2)
+                column = first if refusal({name: first}) else rest
+                error = refusal({name: column}) or error
+            refuse(error, name, column)
+    together = _TOGETHER if setup.controller is None else ("*",)
+    mesh = {name: column for name, column in values.items() if any(fnmatch.fnmatchcase(name, p) for p in together)}
+    while math.prod(map(len, mesh.values())) > _MOST_TRIED:
+        longest = max(mesh, key=lambda name: len(mesh[name]))
+        mesh[longest] = mesh[longest][np.linspace(0, len(mesh[longest]) - 1, len(mesh[longest]) // 2).astype(int)]
+    combined = [each.reshape(-1) for each in np.meshgrid(*mesh.values(), indexing="ij")]
+    if len(mesh) > 1 and (error := refusal(dict(zip(mesh, combined, strict=True)))) is not None:
+        name = next(iter(mesh))
+        refuse(error, name, mesh[name])
 
 
-def _of_legs(name: str) -> bool:
-    return name == "stride" or name.startswith(("stance.", "geometry.front_leg.", "geometry.rear_leg."))
+def _within(column: np.ndarray, about: Quantity) -> np.ndarray:
+    """The values without those on an open bound, which is only approached."""
+    on_bound = (about.open_low & (column <= about.low)) | (about.open_high & (column >= about.high))
+    return column[~on_bound]
 
 
 # ---

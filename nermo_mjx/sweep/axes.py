@@ -6,12 +6,13 @@ import dataclasses
 from typing import Annotated, Any, ClassVar, Final
 
 import numpy as np
+from pydantic import AfterValidator, Field
 from scipy import special
 
 from nermo_mjx.robot.quantity import Quantity
-from nermo_mjx.specs.fields import OneOf, optional
+from nermo_mjx.specs.fields import Fields, OneOf, Refused, optional
 from nermo_mjx.specs.reading import Document
-from nermo_mjx.specs.values import Numbers, check_value
+from nermo_mjx.specs.values import Numbers, Whole, check_value
 
 _LARGEST_AXIS: Final = 1_000_000
 _TRIED: Final = 5
@@ -42,8 +43,9 @@ class AxisForm(OneOf):
 class DrawForm(OneOf):
     """A randomized parameter, as written in a file."""
 
-    expected: ClassVar = "{uniform: [low, high]} or {loguniform: [low, high]} or {normal: [mean, std]}; put a fixed " \
-                         "value under 'set'"  # fmt: skip
+    expected: ClassVar = (
+        "{uniform: [low, high]} or {loguniform: [low, high]} or {normal: [mean, std]}; put a fixed value under 'set'"
+    )
     other: ClassVar = "has the form {name!r}"
     uniform: _Bounds = optional("between the bounds")
     loguniform: _Bounds = optional("evenly in the logarithm")
@@ -131,8 +133,12 @@ def read_axis(doc: Document, name: str, given: AxisForm, about: Quantity, *, gri
     form, numbers = given.chosen
     path = ("vary", name, form)
     if grid and form in ("uniform", "loguniform"):
-        doc.fail(path, f"is {form}, which a grid cannot list: give {{linspace: [from, to, count]}}, or a sampler "
-                       "such as sample: {sobol: 256}.", name)  # fmt: skip
+        doc.fail(
+            path,
+            f"is {form}, which a grid cannot list: give {{linspace: [from, to, count]}}, or a sampler "
+            "such as sample: {sobol: 256}.",
+            name,
+        )
     if form == "values":
         if not numbers:
             doc.fail(path, "is an empty list, so the grid is empty: give at least one value.", name)
@@ -152,8 +158,11 @@ def read_axis(doc: Document, name: str, given: AxisForm, about: Quantity, *, gri
     if not grid and numbers[0] > numbers[1]:
         doc.fail(path, f"has the bounds {numbers[0]:g} and {numbers[1]:g}: the lower one comes first.", name)
     if form.startswith("log") and min(numbers[:2]) <= 0:
-        doc.fail(path, f"is {form} from {numbers[0]:g} to {numbers[1]:g}: both are end values (not exponents) and "
-                       "above 0.", name)  # fmt: skip
+        doc.fail(
+            path,
+            f"is {form} from {numbers[0]:g} to {numbers[1]:g}: both are end values (not exponents) and above 0.",
+            name,
+        )
     return Axis(name, form, tuple(numbers))
 
 
@@ -178,3 +187,60 @@ def _first_repeat(numbers: list[float]) -> float:
 def _between(a: float, b: float, share: np.ndarray, *, log: bool) -> np.ndarray:
     value = a * (b / a) ** share if log else a + (b - a) * share
     return np.clip(value, min(a, b), max(a, b))
+
+
+# ---
+# Saltelli's design: the sample from which Sobol indices are found, by SALib, whose designs and estimators match each
+# # other, and which provides the intervals.
+
+
+_MOST_POINTS = 2**20
+
+
+def _power_of_two(points: int) -> int:
+    if points & (points - 1):
+        near = 2 ** (points.bit_length() - 1)
+        raise Refused(
+            f"is {points}: expected a power of two, such as {near} or {2 * near}, because no other number of "
+            "points of a Sobol sequence is balanced."
+        )
+    return points
+
+
+class Saltelli(Fields):
+    """The sampler `saltelli` of a sweep file: a number of points, or a mapping."""
+
+    what: ClassVar = "a field of saltelli"
+    expected: ClassVar = "a power of two, or {points: N, second_order: true}"
+    example: ClassVar = "points: N, a power of two"
+    short: ClassVar = ({"type": "integer", "minimum": 2, "maximum": _MOST_POINTS},)
+    points: Annotated[int, Whole(2, _MOST_POINTS), AfterValidator(_power_of_two)] = Field(
+        description="points of a Sobol sequence, a power of two; with p parameters they make points x (p + 2) variants"
+    )
+    second_order: bool = Field(False, description="indices of pairs, too, from points x (2 p + 2) variants")
+
+    @classmethod
+    def written_out(cls, given: Any) -> Any:
+        return {"points": given} if isinstance(given, int | float) and not isinstance(given, bool) else given
+
+
+def saltelli_size(parameters: int, second_order: bool) -> int:
+    """Variants for each point of the sequence."""
+    return 2 * parameters + 2 if second_order else parameters + 2
+
+
+def saltelli_points(parameters: int, points: int, second_order: bool, seed: int) -> np.ndarray:
+    """The design in the unit cube, (points x `saltelli_size`, parameters).
+
+    Twice as many points begin with the same ones. Each point gives a block of rows: itself, itself with one parameter
+    after the other from a second point, and that second point (Saltelli et al., Comput. Phys. Commun. 181, 2010).
+    """
+    from SALib.sample import sobol  # takes a second or more, as it brings pandas
+
+    design: np.ndarray = sobol.sample(unit_problem(parameters), points, calc_second_order=second_order, seed=seed)
+    return design
+
+
+def unit_problem(parameters: int) -> dict[str, Any]:
+    """The unit cube as SALib describes it."""
+    return {"num_vars": parameters, "names": [f"x{i}" for i in range(parameters)], "bounds": [[0, 1]] * parameters}

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Iterator, Sequence
+from typing import Any, Final
 
 import matplotlib
 import numpy as np
@@ -14,6 +15,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colorbar import Colorbar
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.patheffects import Normal, Stroke
 from matplotlib.ticker import FuncFormatter
 
@@ -25,16 +27,18 @@ from nermo_mjx.plotting.style import (
     BEST,
     COLOURS,
     GAIN_COLOURS,
+    GRID,
     INK,
     LINE,
     MISSING,
+    SERIES,
     colour_scale,
     horizontal_grid,
     set_scales,
 )
 from nermo_mjx.sweep.results import Results
 from nermo_mjx.sweep.spec import cost, sides_in
-from nermo_mjx.sweep.table import Variants, columns_of, meta
+from nermo_mjx.sweep.table import Variants, columns_of, labelled, meta
 
 
 def heat_maps(
@@ -70,8 +74,11 @@ def heat_maps(
     lowest = min((float(np.nanmin(price)) for price in prices if np.isfinite(price).any()), default=math.nan)
     best = math.nan
     for ax, (name, _), grid, candidates, price in zip(axes, panels, grids, marked, prices, strict=False):
-        ax.add_patch(matplotlib.patches.Rectangle((0, 0), 1, 1, transform=ax.transAxes, fc=MISSING, ec="white",
-                                                  hatch="////", lw=0, zorder=0))  # fmt: skip
+        ax.add_patch(
+            matplotlib.patches.Rectangle(
+                (0, 0), 1, 1, transform=ax.transAxes, fc=MISSING, ec="white", hatch="////", lw=0, zorder=0
+            )
+        )
         ax.pcolormesh(_edges(xs, x.log), _edges(ys, y.log), np.ma.masked_invalid(grid.T), norm=scale, cmap=colours)
         set_scales(ax, x, y)
         ax.set_title(name)
@@ -79,8 +86,17 @@ def heat_maps(
             i, j = np.unravel_index(int(np.nanargmin(price)), grid.shape)
             star = price[i, j] == lowest
             best = float(candidates[i, j]) if star else best
-            ax.scatter(xs[i], ys[j], s=190 if star else 34, marker="*" if star else "o", fc=BEST if star else fill,
-                       ec="white" if star else edge, lw=1.3, zorder=5, clip_on=False)  # fmt: skip
+            ax.scatter(
+                xs[i],
+                ys[j],
+                s=190 if star else 34,
+                marker="*" if star else "o",
+                fc=BEST if star else fill,
+                ec="white" if star else edge,
+                lw=1.3,
+                zorder=5,
+                clip_on=False,
+            )
             if gain is not None:
                 _beside(ax, xs[i], ys[j], _signed(candidates[i, j]), 11 if star else 8, left=bool(i >= len(xs) / 2))
     _outer_labels(axes, x.label, y.label)
@@ -130,8 +146,16 @@ def pair_scatters(
     figure, axes = panelled(len(pairs), 2.7 if len(pairs) > 1 else 4.0)
     (scale, extend), order = colour_scale(z.values), np.argsort(-cost(z.side, z.values), kind="stable")
     for ax, (x, y) in zip(axes, pairs, strict=False):
-        ax.scatter(x.values[order], y.values[order], c=z.values[order], s=14, norm=scale, cmap=COLOURS, lw=0,
-                   rasterized=len(z.values) > 2000)  # fmt: skip
+        ax.scatter(
+            x.values[order],
+            y.values[order],
+            c=z.values[order],
+            s=14,
+            norm=scale,
+            cmap=COLOURS,
+            lw=0,
+            rasterized=len(z.values) > 2000,
+        )
         if star:
             ax.scatter(x.values[order[-1]], y.values[order[-1]], s=170, marker="*", fc=BEST, ec="white", zorder=5)
         set_scales(ax, x, y)
@@ -165,8 +189,9 @@ def _columns(count: int) -> int:
 def _colour_bar(
     figure: Figure, axes: Sequence[Axes], scale: Normalize, label: str, colours: str = COLOURS, *, extend: str
 ) -> Colorbar:
-    bar = figure.colorbar(ScalarMappable(scale, colours), ax=list(axes), shrink=0.9, aspect=28, pad=0.02, extend=extend,
-                          extendfrac=0.03)  # fmt: skip
+    bar = figure.colorbar(
+        ScalarMappable(scale, colours), ax=list(axes), shrink=0.9, aspect=28, pad=0.02, extend=extend, extendfrac=0.03
+    )
     bar.set_label(label)
     bar.outline.set_visible(False)
     return bar
@@ -174,9 +199,19 @@ def _colour_bar(
 
 def _beside(ax: Axes, x: float, y: float, text: str, apart: float, *, left: bool) -> None:
     """A text next to a mark, at the given distance in points."""
-    ax.annotate(text, (x, y), (-apart if left else apart, 0), textcoords="offset points",
-                ha="right" if left else "left", va="center", fontsize=8.5, fontweight="bold", color=INK, zorder=6,
-                bbox={"boxstyle": "round,pad=0.2", "fc": "white", "alpha": 0.75, "lw": 0})  # fmt: skip
+    ax.annotate(
+        text,
+        (x, y),
+        (-apart if left else apart, 0),
+        textcoords="offset points",
+        ha="right" if left else "left",
+        va="center",
+        fontsize=8.5,
+        fontweight="bold",
+        color=INK,
+        zorder=6,
+        bbox={"boxstyle": "round,pad=0.2", "fc": "white", "alpha": 0.75, "lw": 0},
+    )
 
 
 def _signed(percent: float) -> str:
@@ -332,3 +367,130 @@ def thinned(values: np.ndarray, most: int, kept: np.ndarray | Sequence[int] = ()
 def titled(metric: str) -> str:
     """A metric's name as a title begins with it."""
     return metric.replace("_", " ").capitalize()
+
+
+# ---
+# Figures that compare the structures of a sweep: a line, a panel or a dot for each combination of them.
+
+
+#: Lines or panels of one figure; more structures are told by one of their names alone.
+MOST_GROUPS: Final = 12
+#: Parameters with a figure of their own, and of which pairs are drawn.
+_MOST_ALONE: Final = 6
+_MOST_PAIRED: Final = 3
+_DASHES: Final = ("-", "--", ":", "-.")
+#: Maximum number of lines with bands of spread; more would cover each other.
+_MOST_BANDS: Final = 4
+_BINS: Final = 9
+
+
+@dataclasses.dataclass(frozen=True)
+class Groups:
+    """The structures of a table.
+
+    Attributes:
+        names: what each is called.
+        of: which one each run has, (rows,) int.
+        what: of which columns they are, in words.
+    """
+
+    names: tuple[str, ...]
+    of: np.ndarray
+    what: str
+
+
+def groups_of(results: Results, most: int = MOST_GROUPS) -> Groups | None:
+    """The combinations of structures, None where there is one alone; of fewer columns where they were too many."""
+    columns = {name: results.column(name) for name in labelled(results)}
+    columns = {name: column for name, column in columns.items() if len(set(column.tolist())) > 1}
+    chosen = list(columns)
+    while chosen:
+        each = list(zip(*(columns[name].tolist() for name in chosen), strict=True))
+        places = {key: place for place, key in enumerate(dict.fromkeys(each))}
+        if len(places) <= most or len(chosen) == 1:
+            left = [name for name in columns if name not in chosen]
+            what = ", ".join(chosen) + (f"; mean over {', '.join(left)}" if left else "")
+            return Groups(tuple(map(", ".join, places)), np.array([places[key] for key in each]), what)
+        chosen.pop()
+    return None
+
+
+def structure_figures(results: Results, groups: Groups, metric: str, remark: str = "") -> Iterator[tuple[str, Figure]]:
+    """(file name, figure): a metric of each structure; over each parameter, and on a grid over pairs of them."""
+    z = metric_of(results, metric)
+    numbers = [name for name in columns_of(results, "varied") if name not in labelled(results)]
+    drawn = [x for x in quantities(results, numbers) if not alike(x.values)]
+    yield f"{metric}-over-structures", dots(groups, z, f"{titled(metric)} of each structure", remark)
+    for x in drawn[:_MOST_ALONE]:
+        title = f"{titled(metric)} over {x.name}, by structure"
+        yield f"{metric}-over-{x.name}-by-structure", lines(x, z, groups, title, remark, even=not results.is_grid)
+    for x, y in itertools.combinations(drawn[:_MOST_PAIRED] if results.is_grid else [], 2):
+        good = np.isfinite(x.values) & np.isfinite(y.values)
+        across, up, value = (dataclasses.replace(each, values=each.values[good]) for each in (x, y, z))
+        which = groups.of[good]
+        here = np.unique(which)
+        note = remark
+        if len(drawn) > 2:
+            note += f"mean over {', '.join(each.name for each in drawn if each.name not in (x.name, y.name))}; "
+        if lacking := len(groups.names) - len(here):
+            note += f"{lacking} structures without one of them; "
+        if len(here) > MOST_GROUPS:
+            note += f"{len(here) - MOST_GROUPS} more structures not shown; "
+        title = f"{titled(metric)} over {x.name} and {y.name}, by structure"
+        panels = [(groups.names[place], which == place) for place in here[:MOST_GROUPS]]
+        yield f"{metric}-over-{x.name}-and-{y.name}-by-structure", heat_maps(across, up, value, panels, title, note)
+
+
+def dots(groups: Groups, z: ShownValues, title: str, note: str) -> Figure:
+    """A dot for each structure at the mean of its runs, a bar of one standard deviation; the best one in orange."""
+    count = len(groups.names)
+    mean, spread = np.full(count, np.nan), np.zeros(count)
+    for place in range(count):
+        own = z.values[(groups.of == place) & np.isfinite(z.values)]
+        if len(own):
+            mean[place], spread[place] = own.mean(), own.std()
+    best = int(np.nanargmin(cost(z.side, mean))) if np.isfinite(mean).any() else -1
+    figure = blank(7.2, 1.3 + 0.3 * count)
+    ax = figure.subplots()
+    for place in range(count):
+        colour = BEST if place == best else SERIES[0]
+        ax.errorbar(mean[place], place, xerr=spread[place], color=colour, elinewidth=2, alpha=0.5)
+        ax.plot(mean[place], place, "o", color=colour, ms=7, mec="white")
+    ax.set_yticks(range(count), groups.names, color=INK)
+    ax.set(xlabel=z.label, ylim=(count - 0.5, -0.5))
+    ax.grid(axis="x", color=GRID, lw=0.8)
+    ax.set_axisbelow(True)
+    told = f"; orange: {best_word(z)}, {z.shown(mean[best])}" if best >= 0 else ""
+    return around(figure, title, f"{note}{groups.what}: mean of all runs, and their standard deviation{told}")
+
+
+def lines(x: ShownValues, z: ShownValues, groups: Groups, title: str, note: str, *, even: bool) -> Figure:
+    """A line for each structure: the mean at each value of x, or in bins with as many runs where x is `even`.
+
+    A structure that has no such parameter is a level line at its mean.
+    """
+    figure, (ax,) = panelled(1, 4.6)
+    handles, level = [], False
+    for place, name in enumerate(groups.names):
+        own = (groups.of == place) & np.isfinite(z.values)
+        colour, dashes = place % len(SERIES), place // len(SERIES) % len(_DASHES)
+        style: dict[str, Any] = {"color": SERIES[colour], "ls": _DASHES[dashes]}
+        handles.append(Line2D([], [], label=name, **style))
+        there = own & np.isfinite(x.values)
+        if not there.any():
+            if own.any():
+                ax.axhline(z.values[own].mean(), lw=1.2, alpha=0.8, **style)
+                level = True
+            continue
+        nodes = np.quantile(x.values[there], np.linspace(0, 1, _BINS)) if even else np.unique(x.values[there])
+        xs, mean, std = binned(x.values[there], z.values[there], nodes)
+        if len(groups.names) <= _MOST_BANDS:
+            ax.fill_between(xs, mean - std, mean + std, color=style["color"], alpha=0.15, lw=0)
+        ax.plot(xs, mean, marker="o", ms=3.5, mec="white", mew=0.5, **style)
+    set_scales(ax, x)
+    horizontal_grid(ax)
+    ax.set(xlabel=x.label, ylabel=z.label)
+    said = [f"{groups.what}: " + ("running mean" if even else "mean over everything else")]
+    said += ["band: standard deviation"] if len(groups.names) <= _MOST_BANDS else []
+    said += [f"level: without {x.name}"] if level else []
+    return around(figure, title, note + "; ".join(said), handles)

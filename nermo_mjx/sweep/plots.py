@@ -9,19 +9,33 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Callable, Iterator, Sequence
+import string
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any, Final
 
+import matplotlib
 import numpy as np
+import pyarrow as pa
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, MaxNLocator
 from scipy import stats
 
+from nermo_mjx.plotting.cloud import cloud, remark
 from nermo_mjx.plotting.files import Figures
+from nermo_mjx.plotting.page import around, blank, note_lines
 from nermo_mjx.plotting.shown import ShownValues
+from nermo_mjx.plotting.style import BEST, COLOURS, GRID, INK, MUTED, SMALL, colour_scale, set_scales
 from nermo_mjx.robot.quantity import ParameterError, did_you_mean
 from nermo_mjx.runs.files import DirectoryError
+from nermo_mjx.sweep import comparing, sensitivity
+from nermo_mjx.sweep.comparing import compare
 from nermo_mjx.sweep.figures import (
+    Points,
     alike,
+    groups_of,
     heat_maps,
     line,
     metric_of,
@@ -31,15 +45,12 @@ from nermo_mjx.sweep.figures import (
     quantity,
     repeats_remark,
     scatters,
+    structure_figures,
     thinned,
     titled,
 )
-from nermo_mjx.sweep.findings import findings
-from nermo_mjx.sweep.results import Results, chunk_files
-from nermo_mjx.sweep.sampling import Sample
-from nermo_mjx.sweep.side_by_side import groups_of, structure_figures
-from nermo_mjx.sweep.spec import Sweep, cost, sides_in
-from nermo_mjx.sweep.survey import survey_figures, trade_off_figure
+from nermo_mjx.sweep.results import Results, SweepRecord, result_files
+from nermo_mjx.sweep.spec import cost, sides_in
 from nermo_mjx.sweep.table import LEADING, columns_of, spine_ratio
 
 #: A figure has no more panels than this; more values are thinned evenly.
@@ -170,18 +181,16 @@ def figures(
         ParameterError: there is no such column.
         DirectoryError: there is nothing to draw, or it cannot be read.
     """
-    files = list(chunk_files(out).values())
+    files = result_files(out)
     if not files:
         raise DirectoryError(
             f"{out} holds no results of its sweep yet: run nermo-mjx sweep {out / 'sweep.yaml'} --out {out}."
         )
-    results, sweep = Results(files), Sweep.from_directory(out)
-    rows = len(Sample(sweep))
-    remark = ""
-    if results.rows < rows:
-        remark = f"{results.rows:,} of {rows:,} runs so far; "
+    results, sweep, remark = Results(files), SweepRecord.of_directory(out), ""
+    if sweep is not None and results.rows < sweep.rows:
+        remark = f"{results.rows:,} of {sweep.rows:,} runs so far; "
         if notify is not None:
-            notify(f"{results.rows:,} of {rows:,} runs are in {out}; the figures show these.")
+            notify(f"{results.rows:,} of {sweep.rows:,} runs are in {out}; the figures show these.")
     if x is not None:
         return chosen_figure(results, x, y, color, remark)
     if y is not None:
@@ -189,8 +198,9 @@ def figures(
     if color is not None and color not in columns_of(results, "metric"):
         _check_column(results, color, "color")
         raise ParameterError(f"color is {color!r}, a parameter: name x and y, too.")
-    found = findings(results, sweep, color or LEADING, notify)
-    return itertools.chain(_usual(out, results, color or LEADING, remark), *(finding.figures for finding in found))
+    asked = None if sweep is None else sweep.comparison
+    found = findings(results, asked, color or LEADING, notify or (lambda _: None))
+    return itertools.chain(_usual(out, results, color or LEADING, remark), *(drawn for *_, drawn in found))
 
 
 def chosen_figure(
@@ -262,3 +272,316 @@ def _figure(results: Results, x: str, y: str, color: str | None, remark: str) ->
     if by:
         return name, pair_scatters([(across, up)], by[0], title, f"{note}; ", star=color in metrics)
     return name, scatters([across], up, [""], title, f"{note}; line: running mean")
+
+
+# ---
+# Figures of all variants at once: two metrics against each other, and parallel coordinates of all parameters.
+
+
+# ---
+# Parallel coordinates: an axis for each parameter, the metric as the last one, a line for each variant.
+
+
+#: Lines that are drawn; of more points, as many are chosen evenly by rank.
+MOST_LINES: Final = 800
+#: The best points, which are always drawn, and thick.
+BEST_LINES: Final = 5
+#: Axes of parameters.
+MOST_AXES: Final = 9
+#: An axis with no more values than this has a tick at each.
+_EACH: Final = 9
+
+
+def chosen_lines(costs: np.ndarray) -> np.ndarray:
+    """Places of the points that are drawn, the best one last: the best few, and the rest evenly by rank.
+
+    Args:
+        costs: (n,), less is better; a NaN is never drawn.
+    """
+    known = np.flatnonzero(np.isfinite(costs))
+    order = known[np.argsort(-costs[known], kind="stable")]
+    if len(order) <= MOST_LINES:
+        return order
+    rest = order[:-BEST_LINES]
+    return np.concatenate([rest[np.linspace(0, len(rest) - 1, MOST_LINES).round().astype(int)], order[-BEST_LINES:]])
+
+
+def parallel(parameters: Sequence[ShownValues], z: ShownValues, title: str, note: str) -> Figure:
+    """The figure.
+
+    Args:
+        parameters: (n,) each, of the points in the order drawn, the best one last.
+        z: the metric of the same points.
+    """
+    scale, extend = colour_scale(z.values)
+    if extend != "neither":
+        end = scale.vmax if extend == "max" else scale.vmin
+        assert end is not None
+        note += f"; {z.name} {'above' if extend == 'max' else 'below'} {z.shown(float(end))} is drawn there"
+    axes = [*parameters, dataclasses.replace(z, values=np.clip(z.values, scale.vmin, scale.vmax))]
+    figure = blank(1.5 + 1.35 * len(axes), 4.7)
+    ax = figure.subplots()
+    ways = np.stack([_share(each, each.values) for each in axes], axis=-1)
+    places = np.broadcast_to(np.arange(len(axes)), ways.shape)
+    lines = np.stack([places, ways], axis=-1)
+    few = min(BEST_LINES, len(lines))
+    colours = matplotlib.colormaps[COLOURS](scale(z.values))
+    # The more lines there are, the more each lets those below through.
+    colours[:, 3] = np.clip(90.0 / len(lines), 0.2, 0.8)
+    rest = LineCollection(list(lines[:-few]), colors=colours[:-few], linewidths=0.8, zorder=2)
+    rest.set_rasterized(len(lines) > 300)
+    ax.add_collection(rest)
+    ax.add_collection(LineCollection(list(lines[-few:]), colors="white", linewidths=3.4, zorder=3))
+    ax.add_collection(LineCollection(list(lines[-few:]), colors=BEST, linewidths=1.7, zorder=4))
+    for place, each in enumerate(axes):
+        _draw_axis(ax, place, each)
+    strip = np.linspace(0, 1, 256)[:, None]
+    right = len(axes) - 1
+    ax.imshow(strip, cmap=COLOURS, extent=(right - 0.022, right + 0.022, 0, 1), origin="lower", aspect="auto", zorder=5)
+    ax.set(xlim=(-0.35, right + 0.55), ylim=(-0.04, 1.04))
+    ax.set_xticks(range(len(axes)), [each.label.replace(".", ".\n").replace(" [", "\n[") for each in axes])
+    ax.tick_params(axis="x", length=0, labelcolor=INK)
+    ax.yaxis.set_visible(False)
+    for spine in ax.spines.values():
+        spine.set_visible(False)
+    return around(figure, title, note)
+
+
+def _share(axis: ShownValues, values: np.ndarray) -> np.ndarray:
+    """Where values stand on an axis, from 0 at its lowest to 1 at its highest."""
+    own, wanted = (np.log(axis.values), np.log(values)) if axis.log else (axis.values, np.asarray(values))
+    low, high = float(np.nanmin(own)), float(np.nanmax(own))
+    return (wanted - low) / (high - low) if high > low else np.full(np.shape(wanted), 0.5)
+
+
+def _draw_axis(ax: Axes, place: int, axis: ShownValues) -> None:
+    """A line with ticks: each value where there are few, else round ones."""
+    ax.plot([place, place], [0, 1], color=MUTED, lw=1.0, zorder=5)
+    values = np.unique(axis.values[np.isfinite(axis.values)])
+    if not axis.names and len(values) > _EACH:
+        low, high = values[0], values[-1]
+        ticks = LogLocator(subs=(1.0, 2.0, 5.0)).tick_values(low, high) if axis.log else _round_ticks(low, high)
+        values = np.array([tick for tick in ticks if low - 1e-9 <= tick <= high + 1e-9 * abs(high)])
+    for value, height in zip(values, _share(axis, values), strict=True):
+        ax.plot([place, place + 0.03], [height, height], color=MUTED, lw=1.0, zorder=5)
+        text = axis.names[int(value)] if axis.names else f"{value + 0.0:.4g}".replace("-", "−")
+        ax.annotate(
+            text,
+            (place, height),
+            (5, 0),
+            textcoords="offset points",
+            fontsize=SMALL,
+            color=INK,
+            va="center",
+            zorder=6,
+            bbox={"boxstyle": "round,pad=0.12", "fc": "white", "alpha": 0.8, "lw": 0},
+        )
+
+
+def _round_ticks(low: float, high: float) -> np.ndarray:
+    return np.asarray(MaxNLocator(5).tick_values(low, high))
+
+
+# ---
+# A figure of two metrics against each other: all points, the Pareto front, and its best points by name.
+
+
+#: Points of the front that are named.
+NAMED: Final = 5
+_WIDTH: Final = 7.2
+
+
+def front(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Places of the points that no other point beats, in the order of x.
+
+    A point is dominated by one that is at least as good in both and better in one. Points equal in both count once.
+
+    Args:
+        x, y: (n,) costs, less is better; a point with a NaN is left out.
+    """
+    known = np.flatnonzero(np.isfinite(x) & np.isfinite(y))
+    order = known[np.lexsort((y[known], x[known]))]
+    lowest = np.minimum.accumulate(y[order])
+    better = np.concatenate([[True], y[order][1:] < lowest[:-1]])
+    return order[better[: len(order)]]
+
+
+def named_points(x: np.ndarray, y: np.ndarray, most: int = NAMED) -> np.ndarray:
+    """Places on a front (n,) of the points to name: both ends, and others at even distances along it."""
+    if len(x) <= most:
+        return np.arange(len(x))
+    steps = np.hypot(np.diff(x) / max(np.ptp(x), 1e-12), np.diff(y) / max(np.ptp(y), 1e-12))
+    way = np.concatenate([[0.0], np.cumsum(steps)])
+    wanted = np.linspace(0.0, way[-1], most)
+    return np.unique(np.abs(way[:, None] - wanted).argmin(axis=0))
+
+
+def trade_off(
+    x: ShownValues,
+    y: ShownValues,
+    best: np.ndarray,
+    sides: tuple[str, str],
+    named: Sequence[tuple[int, str]],
+    title: str,
+    note: str,
+) -> Figure:
+    """The figure.
+
+    Args:
+        x, y: the metrics of all points.
+        best: places of the front, in order along it.
+        sides: the better direction of x and of y.
+        named: a place and what is said of it, for each point with a name; the names are letters.
+    """
+    letters = string.ascii_uppercase
+    lines = [f"{letter}\t{text}" for letter, (_, text) in zip(letters, named, strict=False)]
+    words = {"max": "more", "min": "less", "nearest zero": "nearer to zero"}
+    lines.append(f"{note}orange: nothing is better in both ({x.name}: {words[sides[0]]}, {y.name}: {words[sides[1]]})")
+    text = "\n".join(lines) + remark(len(x.values))
+    figure = blank(_WIDTH, 4.4 + 0.15 * len(note_lines(text, _WIDTH)))
+    ax = figure.subplots()
+    cloud(ax, x, y, size=5 if len(x.values) > 2000 else 12)
+    if "nearest zero" not in sides:
+        ax.plot(*_stairs(x.values[best], y.values[best], sides), color=BEST, lw=1.4, zorder=3)
+    ax.scatter(x.values[best], y.values[best], s=26, color=BEST, ec="white", lw=0.6, zorder=4)
+    set_scales(ax, x, y)
+    ax.margins(0.06)
+    # Labels are placed on the better direction of their points, where there is nothing else.
+    right, up = (1 if side == "max" else -1 for side in sides)
+    for letter, (place, _) in zip(letters, named, strict=False):
+        ax.annotate(
+            letter,
+            (x.values[place], y.values[place]),
+            (7 * right, 7 * up),
+            textcoords="offset points",
+            ha="center",
+            va="center",
+            fontweight="bold",
+            color=INK,
+            zorder=5,
+        )
+    ax.grid(color=GRID, lw=0.8)
+    ax.set_axisbelow(True)
+    ax.set(xlabel=x.label, ylabel=y.label)
+    return around(figure, title, text)
+
+
+def _stairs(x: np.ndarray, y: np.ndarray, sides: tuple[str, str]) -> tuple[np.ndarray, np.ndarray]:
+    """The edge of what a front beats: between two of its points it goes by the worse of both numbers."""
+    worse_x, worse_y = (np.minimum if side == "max" else np.maximum for side in sides)
+    corners = worse_x(x[1:], x[:-1]), worse_y(y[1:], y[:-1])
+    return tuple(  # type: ignore[return-value]
+        np.concatenate([np.stack([points[:-1], turns], axis=1).ravel(), points[-1:]])
+        for points, turns in zip((x, y), corners, strict=True)
+    )
+
+
+#: What a faster walk is weighed against.
+AGAINST: Final = "roll_std"
+#: Points of a trade-off that are drawn, and parameters that are told of a named one.
+_MOST_POINTS: Final = 20_000
+_MOST_TOLD: Final = 6
+
+
+def survey_figures(results: Results, metric: str, remark: str = "") -> Iterator[tuple[str, Figure]]:
+    """(file name, figure) of the figures over all variants of a table; none where one parameter or none differs."""
+    weighed = AGAINST if metric == LEADING and AGAINST in results.schema.names else None
+    points = points_of(results, [metric, *([weighed] if weighed else [])])
+    names = points.differing
+    if len(names) < 2 or len(points.rows) < 4:
+        return
+    yield f"{metric}-parallel", _parallel(points, names, metric, remark)
+    if weighed:
+        yield f"{metric}-against-{weighed}", trade_off_figure(points, metric, weighed, names, remark)
+
+
+def trade_off_figure(points: Points, first: str, second: str, names: tuple[str, ...], remark: str) -> Figure:
+    """Two metrics with a better direction against each other; the named points have their parameters below."""
+    x, y = points.metrics[first], points.metrics[second]
+    best = front(cost(x.side, x.values), cost(y.side, y.values))
+    named = best[named_points(x.values[best], y.values[best])]
+    told = points.of(names[:_MOST_TOLD], named)
+    lines = [
+        (
+            int(place),
+            f"{first} {x.shown(x.values[place])}, {second} {y.shown(y.values[place])}:  "
+            + ", ".join(f"{each.name} {each.shown(each.values[i])}" for each in told),
+        )
+        for i, place in enumerate(named)
+    ]
+    if len(names) > _MOST_TOLD:
+        remark += f"{len(names) - _MOST_TOLD} more parameters are in the table; "
+    drawn = np.flatnonzero(np.isfinite(x.values) & np.isfinite(y.values))
+    note = f"{remark}{points.what}; "
+    if len(drawn) > _MOST_POINTS:
+        drawn = thinned(drawn, _MOST_POINTS, best)
+        note = f"{remark}{_MOST_POINTS:,} of {points.what}, and the whole front; "
+    place = {int(row): i for i, row in enumerate(drawn)}
+    x, y = (dataclasses.replace(each, values=each.values[drawn]) for each in (x, y))
+    best = np.array([place[int(row)] for row in best], int)
+    lines = [(place[row], text) for row, text in lines]
+    return trade_off(x, y, best, (x.side, y.side), lines, f"{titled(first)} against {second}", note)
+
+
+def _parallel(points: Points, names: tuple[str, ...], metric: str, remark: str) -> Figure:
+    values = points.metrics[metric]
+    price = cost(values.side, values.values)
+    drawn, left_out = chosen_lines(price), 0
+    parameters = points.of(names, drawn)
+    z = dataclasses.replace(values, values=values.values[drawn])
+    if len(parameters) > MOST_AXES:
+        matter = np.argsort([-abs(_influence(each, z)) for each in parameters], kind="stable")[:MOST_AXES]
+        left_out = len(parameters) - MOST_AXES
+        parameters = [parameters[i] for i in sorted(matter)]
+    known = int(np.isfinite(price).sum())
+    note = (
+        f"{remark}{points.what}"
+        if known <= MOST_LINES
+        else (f"{remark}{MOST_LINES:,} of {points.what}, evenly by rank, and the best {BEST_LINES}")
+    )
+    if left_out:
+        note += f"; {left_out} parameters that matter less are not shown"
+    at = ", ".join(f"{each.name} {each.shown(each.values[-1])}" for each in parameters)
+    word = "best" if values.side else "highest"
+    note += f"; orange: the {min(BEST_LINES, known)} {word}, of which the first is {z.shown(z.values[-1])} at {at}"
+    return parallel(parameters, z, f"{titled(metric)}: all parameters side by side", note)
+
+
+def _influence(parameter: ShownValues, z: ShownValues) -> float:
+    known = np.isfinite(parameter.values)
+    own, other = parameter.values[known], z.values[known]
+    if len(own) < 3 or np.ptp(own) == 0 or np.ptp(other) == 0:
+        return 0.0
+    return float(stats.spearmanr(own, other).statistic)
+
+
+# ---
+# Additional results of a finished sweep: the comparison that it requests, and the sensitivity of its metric.
+
+
+def findings(
+    results: Results,
+    comparison: Mapping[str, Any] | None,
+    metric: str = LEADING,
+    notify: Callable[[str], None] = lambda _: None,
+) -> Iterator[tuple[str, pa.Table, dict[str, Any], Figures]]:
+    """What a sweep finds besides its figures: name, table, part of the summary, and figures of each.
+
+    Args:
+        comparison: what the sweep's file compares, as its section `compare` has it.
+        metric: which the figures show.
+        notify: called with a message about what cannot be computed, as from a few runs.
+    """
+    try:
+        if comparison is not None:
+            by, base, groups = comparison["by"], comparison.get("base"), comparison.get("for", ())
+            found = compare(results, by=by, base=base, groups=groups, drawn=(metric,))
+            yield "comparison", found.table, found.about(only=found.drawn), comparing.figures_of(found.table)
+    except ParameterError as error:
+        notify(f"There is no comparison: {error}")
+    try:
+        if (results.schema.metadata or {}).get(b"sampler") == b"saltelli":
+            indices = sensitivity.sensitivity(results, metric)
+            yield "sensitivity", indices.table, indices.about(), sensitivity.figures_of(indices.table)
+    except ParameterError as error:
+        notify(f"There is no sensitivity: {error}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import math
 import os
@@ -11,20 +12,17 @@ from typing import Any
 
 import mujoco
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 
 from nermo_mjx.physics import ENGINES
 from nermo_mjx.recording import Recording, recording_of
 from nermo_mjx.rollout import History, Simulator
-from nermo_mjx.runs.files import parquet_table
+from nermo_mjx.runs.files import DirectoryError
+from nermo_mjx.runs.rows import opened, part_files
 from nermo_mjx.runs.text import plain
 from nermo_mjx.specs.reading import SpecError
-from nermo_mjx.sweep.results import chunk_files
 from nermo_mjx.sweep.sampling import Rows, Sample
-from nermo_mjx.sweep.simulating import chunk_rows_here
 from nermo_mjx.sweep.spec import Sweep
-from nermo_mjx.sweep.store import known, layout_of, simulated_seconds
+from nermo_mjx.sweep.store import known
 from nermo_mjx.sweep.structures import Structure
 
 
@@ -38,10 +36,9 @@ class SweepRow:
         row: position in the sweep.
         line: its parameters and draws.
         begin, end: when measuring begins, and when the run ends, if not at a distance [s].
-        engine: the engine that made the row, or else the directory's first rows; None if it has no finished chunk.
-        chunk: rows of the chunk that holds the row, (n,).
+        engine: the engine that made the row, or else other rows of the directory; None if it has none.
         stored: the row as the table has it, by column; None if it is not there.
-        outdated: whether it is not there because its chunk was made by another sweep, or with other defaults.
+        outdated: whether it is there as another sweep made it, or other defaults.
     """
 
     out: Path
@@ -51,7 +48,6 @@ class SweepRow:
     begin: float
     end: float
     engine: str | None
-    chunk: np.ndarray
     stored: Mapping[str, Any] | None
     outdated: bool
 
@@ -133,28 +129,39 @@ def find_row(out: str | os.PathLike[str], row: int) -> SweepRow:
     if not out.is_dir():
         raise SpecError(f"{out}: {'this is a file, not a directory' if out.exists() else 'no such directory'}.")
     if not (out / "sweep.yaml").exists():
-        raise SpecError(f"{out}: not the directory of a sweep or a search; allowed is one with a file sweep.yaml or "
-                        "search.yaml.")  # fmt: skip
+        raise SpecError(
+            f"{out}: not the directory of a sweep or a search; allowed is one with a file sweep.yaml or search.yaml."
+        )
     sweep = Sweep.from_directory(out)
-    rows, engine = Sample(sweep), _begun_with(out, sweep.digest())
+    digest, rows, stored, engines, outdated = sweep.digest(), Sample(sweep), dict[str, Any](), list[str](), False
     if not 0 <= row < len(rows):
         raise SpecError(f"row is {row}: allowed is 0 to {len(rows) - 1}.")
-    seconds = simulated_seconds(sweep, rows)
-    layout = layout_of(seconds, sweep.chunk or chunk_rows_here("auto", len(rows)), rows.structures())
-    k = next(k for k, index in enumerate(layout) if row in index)
-    path = chunk_files(out).get(k)
-    table = None if path is None else parquet_table(path)
-    stored = table if table is not None and _holds(table, sweep, layout[k]) else None
-    if stored is not None:
-        engine = stored.schema.metadata[b"engine"].decode()
+    for path in part_files(out):
+        with contextlib.suppress(DirectoryError), opened(path) as file:  # a damaged part has no rows
+            about, span = file.metadata.metadata, file.metadata.row_group(0).column(0).statistics
+            skipped = span is not None and span.has_min_max and not span.min <= row <= span.max
+            here = np.empty(0, int) if skipped else np.flatnonzero(file.read(["row"])["row"].to_numpy() == row)
+            if about[b"sweep"].decode() != digest:
+                outdated |= len(here) > 0
+                continue
+            engines.append(about[b"engine"].decode())
+            if len(here):
+                stored, engines = file.read().slice(int(here[0]), 1).to_pylist()[0], engines[-1:]
+                break
     line = rows.take(np.array([row]))
     walk = sweep.structures[int(line.structure[0])]
     begin, end = walk.run.seconds(walk.setup.cycle_rate(walk.constants | _values(line)))
     return SweepRow(
-        out=out, sweep=sweep, row=row, line=line, begin=float(begin), end=float(end), engine=engine, chunk=layout[k],
-        stored=None if stored is None else stored.slice(layout[k].tolist().index(row), 1).to_pylist()[0],
-        outdated=table is not None and stored is None,
-    )  # fmt: skip
+        out=out,
+        sweep=sweep,
+        row=row,
+        line=line,
+        begin=float(begin),
+        end=float(end),
+        engine=engines[0] if engines else None,
+        stored=stored or None,
+        outdated=outdated and not stored,
+    )
 
 
 def replay_row(
@@ -182,7 +189,9 @@ def replay_row(
     status = str(result.status[0])
     # A run that has covered its distance is over; one that fell is shown to its end, one that is lost until then.
     whole = found.begin + metrics["duration"]
-    ends = {"ok": whole, "unsolved": whole, "diverged": metrics["failure_time"] - simulator.controller.dt}
+    ends = dict.fromkeys(("ok", "unsolved", "sank", "floated"), whole) | {
+        "diverged": metrics["failure_time"] - simulator.controller.dt
+    }
     ticks = math.ceil(ends.get(status, found.end) / simulator.controller.dt - 1e-3)
     assert result.trace is not None
     return Replay(
@@ -256,24 +265,6 @@ def _difference(a: float, b: float) -> float:
     if a == b or (math.isnan(a) and math.isnan(b)):
         return 0.0
     return math.inf if math.isnan(a) or math.isnan(b) else abs(a - b) / max(abs(a), abs(b))
-
-
-def _holds(table: pa.Table, sweep: Sweep, rows: np.ndarray) -> bool:
-    """Whether a chunk's table belongs to the sweep and holds these rows."""
-    own = (table.schema.metadata or {}).get(b"sweep") == sweep.digest().encode()
-    return own and table.column("row").to_pylist() == rows.tolist()
-
-
-def _begun_with(out: Path, digest: str) -> str | None:
-    """Engine of the first readable chunk of this sweep; a directory keeps its engine."""
-    for path in chunk_files(out).values():
-        try:
-            about = pq.read_schema(path).metadata or {}
-        except (OSError, pa.ArrowException, ValueError):
-            continue
-        if about.get(b"sweep") == digest.encode():
-            return about[b"engine"].decode()
-    return None
 
 
 def _until(history: History, ticks: int) -> History:

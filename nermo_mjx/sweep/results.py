@@ -3,24 +3,75 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
+import json
 import os
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any, Final
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
-import pyarrow.parquet as pq
 
-from nermo_mjx.runs.files import DirectoryError, parquet_table
+from nermo_mjx.runs.files import DirectoryError, content_of
+from nermo_mjx.runs.rows import opened, part_files
+from nermo_mjx.runs.status import Status, metadata_of, status_of
 
-#: Schema metadata that differs between the chunks of one table.
-CHUNK_KEYS = (b"chunk", b"chunks", b"rows", b"steps", b"wall_seconds", b"engine", b"code")
+#: Schema metadata that differs between the parts of one table.
+PART_KEYS = (b"chunk", b"series", b"steps", b"wall_seconds", b"engine", b"code")
 #: Numbers held at once when several columns are wanted one after the other (each 8 bytes).
 HELD = 24_000_000
 #: Files whose columns are joined at once: ten thousand small arrays would take more memory than their numbers.
 _JOINED = 500
+
+
+#: What a directory says of its sweep for those who only read it.
+RECORD: Final = "sweep.json"
+#: Its folder of the rows that are kept.
+RECORDINGS: Final = "recordings"
+
+
+@dataclasses.dataclass(frozen=True)
+class SweepRecord:
+    """A directory's sweep.json: what readers need of a sweep, so that none of them runs the code that it may name.
+
+    Attributes:
+        rows: of the whole sweep.
+        fields: of the first structure's walk, as in a file; code by its digest.
+        labelled: names of the varied structures.
+        parameters: value of each parameter that is not varied, None where structures differ or do not read it.
+        comparison: the section `compare`, if there is one.
+        metrics: digest of a file of metrics -> unit, doc, better and name of each.
+    """
+
+    rows: int
+    fields: Mapping[str, Any]
+    labelled: Sequence[str]
+    parameters: Mapping[str, float | None]
+    comparison: Mapping[str, Any] | None
+    metrics: Mapping[str, Sequence[Mapping[str, Any]]]
+
+    @classmethod
+    def of_directory(cls, out: Path) -> SweepRecord | None:
+        """What a directory has; None if it has none.
+
+        Raises:
+            DirectoryError: it is damaged.
+        """
+        if (content := content_of(out / RECORD)) is None:
+            return None
+        try:
+            found = cls(**json.loads(content))
+            mappings = (found.fields, found.fields["set"], found.parameters, found.metrics)
+            about = [set(each) for several in found.metrics.values() for each in several]
+            whole = isinstance(found.rows, int) and all(isinstance(each, dict) for each in mappings)
+            if whole and all(each == {"name", "unit", "doc", "better"} for each in about):
+                return found
+        except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
+            pass
+        raise DirectoryError(f"{out / RECORD} is damaged: run nermo-mjx sweep {out / 'sweep.yaml'} --out {out} again.")
 
 
 class Results:
@@ -36,23 +87,24 @@ class Results:
     def __init__(self, source: pa.Table | Sequence[Path]) -> None:
         """
         Args:
-            source: a table, or chunks of one; a column that other code did not know is null in its chunks.
+            source: a table, or files of one; a column that other code did not know is null in its files.
 
         Raises:
-            DirectoryError: a chunk cannot be read, now or when a column is asked for.
+            DirectoryError: a file cannot be read, now or when a column is asked for.
         """
         self._source = source
         self._names: dict[str, tuple[str, ...]] = {}
         if isinstance(source, pa.Table):
             schema = source.schema
         else:
-            with _opened(source[0]) as file:
+            with opened(source[0]) as file:
                 schema = file.schema_arrow
+                schema = pa.schema([field for field in schema if field.name != "key"], schema.metadata)
         self.schema = schema.with_metadata(_common(schema))
         table = self._read(["row", "status"])
-        self._order = np.argsort(table.column("row").to_numpy(), kind="stable")
-        self.rows, status = len(self._order), table.column("status")
-        self.well = pc.equal(status, "ok").to_numpy()[self._order]
+        self._order = _order(table, once=not isinstance(source, pa.Table))
+        self.rows, status = len(self._order), table.column("status").take(self._order)
+        self.well = pc.equal(status, "ok").to_numpy()
         counts = {each["values"]: each["counts"] for each in pc.value_counts(status).to_pylist()}
         self.statuses: dict[str, int] = dict(sorted(counts.items()))
 
@@ -89,33 +141,21 @@ class Results:
         for start in range(0, len(self._source), _JOINED):
             few = [wanted]
             for path in self._source[start : start + _JOINED]:
-                with _opened(path) as file:
+                with opened(path) as file:
                     few.append(file.read(list(names), use_threads=False).replace_schema_metadata(None))
             joined.append(pa.concat_tables(few, promote_options="default").combine_chunks())
         return pa.concat_tables(joined)
 
 
-@contextlib.contextmanager
-def _opened(path: Path) -> Iterator[pq.ParquetFile]:
-    """A chunk's file, whose pages are checked as they are read; what is wrong with it is a `DirectoryError`."""
-    try:
-        with pq.ParquetFile(path, pre_buffer=False, page_checksum_verification=True) as file:
-            yield file
-    except (OSError, pa.ArrowException) as error:
-        raise DirectoryError(f"{path} cannot be read ({error}): run the same command again.") from None
-
-
 def chunk_files(out: str | os.PathLike[str]) -> dict[int, Path]:
-    """The files of a directory's chunks by their numbers, in order, whatever is in them."""
+    """The files of a search's batches by their numbers, in order, whatever is in them."""
     found = ((re.fullmatch(r"chunk-(\d+)\.parquet", path.name), path) for path in Path(out).glob("results/*"))
     return dict(sorted((int(name[1]), path) for name, path in found if name))
 
 
-def digests_of(out: Path) -> dict[str, str]:
-    """File by digest, as all manifests of a directory have them; of a chunk that was run again there are several."""
-    texts = [path.read_text(errors="replace") for path in out.glob("manifest*.sha256")]
-    lines = (line.partition("  ") for text in texts for line in text.splitlines())
-    return {digest: name for digest, _, name in lines}
+def result_files(out: str | os.PathLike[str]) -> list[Path]:
+    """The files of a sweep's or a search's table, whatever is in them."""
+    return part_files(Path(out)) or list(chunk_files(out).values())
 
 
 def read_table(out: str | os.PathLike[str]) -> pa.Table:
@@ -125,20 +165,57 @@ def read_table(out: str | os.PathLike[str]) -> pa.Table:
     code). Where several codes made the rows, what one of them did not know is null in its rows.
 
     Raises:
-        DirectoryError: no readable chunk is there.
+        DirectoryError: no readable part is there.
     """
-    chunks = [table for path in chunk_files(out).values() if (table := parquet_table(path)) is not None]
-    if not chunks:
+    parts = []
+    for path in result_files(out):
+        with contextlib.suppress(DirectoryError), opened(path) as file:  # a damaged one is left out
+            parts.append(file.read([name for name in file.schema_arrow.names if name != "key"]))
+    if not parts:
         raise DirectoryError(f"{out} holds no results of a sweep.")
-    metadata = _common(chunks[0].schema)
-    table = pa.concat_tables((chunk.replace_schema_metadata(metadata) for chunk in chunks), promote_options="default")
-    del chunks
-    order = pc.sort_indices(table.column("row"))
+    metadata = _common(parts[0].schema)
+    table = pa.concat_tables((part.replace_schema_metadata(metadata) for part in parts), promote_options="default")
+    del parts
+    order = _order(table, once=True)
+    if len(order) < table.num_rows:
+        table, order = table.take(order), np.arange(len(order))
     for place, field in enumerate(table.schema):  # column by column, so that none but one is there twice
         table = table.set_column(place, field, table.column(place).combine_chunks().take(order))
     return table
 
 
+def _order(table: pa.Table, *, once: bool) -> np.ndarray:
+    """Places of the rows in their order, (rows,); with `once` a row that two processes made counts once."""
+    number = table.column("row").to_numpy()
+    order = np.argsort(number, kind="stable")
+    first = np.append(True, np.diff(number[order]) > 0)[: len(order)]
+    return order[first] if once and not first.all() else order
+
+
 def _common(schema: pa.Schema) -> dict[bytes, bytes]:
-    """Metadata of the table, whatever its chunks were."""
-    return {key: value for key, value in (schema.metadata or {}).items() if key not in CHUNK_KEYS}
+    """Metadata of the table, whatever its files have."""
+    return {key: value for key, value in (schema.metadata or {}).items() if key not in PART_KEYS}
+
+
+# ---
+# How far a sweep's directory is.
+
+
+def status(out: Path) -> Status:
+    """How many runs of its sweep a directory holds."""
+    notes, rows, done, engines = list[str](), None, 0, list[str]()
+    try:
+        sweep = SweepRecord.of_directory(out)
+        rows = None if sweep is None else sweep.rows
+    except DirectoryError as error:
+        notes.append(str(error))
+    for path in part_files(out):
+        if about := metadata_of(path, notes, "its runs will be made again."):
+            done += about.num_rows
+            engines.append((about.metadata or {}).get(b"engine", b"").decode())
+    if kept := len(list((out / RECORDINGS).glob("row-*.npz"))):
+        notes.append(f"{kept} of its runs {'are' if kept > 1 else 'is'} recorded in {RECORDINGS}/.")
+    complete = done == rows and (out / "summary.json").exists()
+    # The figures need no simulation; the others are distinguished by the table's columns.
+    engine = ", ".join(dict.fromkeys(filter(None, engines))) or None
+    return status_of("runs", out, done, rows, complete, command="sweep", spec="sweep.yaml", engine=engine, notes=notes)

@@ -1,290 +1,394 @@
-"""Run a sweep: divide its rows into chunks, simulate what the directory lacks, then summarize."""
+"""Run a sweep: ask for its rows, have those simulated that are missing, then summarize; and merge directories."""
 
 from __future__ import annotations
 
+import collections
 import contextlib
 import dataclasses
 import itertools
+import json
 import math
 import os
 import re
+import shutil
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
+from nermo_mjx.physics import resolve_engine
 from nermo_mjx.plotting.files import write_figures
 from nermo_mjx.robot.quantity import ParameterError
-from nermo_mjx.runs.code import CodeStamp
-from nermo_mjx.runs.directory import engine_of
-from nermo_mjx.runs.files import parquet_bytes
+from nermo_mjx.rollout import METRICS, Run, Simulator
+from nermo_mjx.rollout.own_metrics import without_code
+from nermo_mjx.runs.directory import RunDirectory, engine_of
+from nermo_mjx.runs.files import DirectoryError, WrongDirectory, parquet_bytes
 from nermo_mjx.runs.interruption import resumable
 from nermo_mjx.runs.provenance import session
+from nermo_mjx.runs.rows import Runs
 from nermo_mjx.runs.tensorboard import TensorBoard, require_tensorboard
 from nermo_mjx.runs.text import to_json
 from nermo_mjx.runs.workers import LocalWorkers, TaskFailed, Workers, WorkersLost
 from nermo_mjx.specs.reading import SpecError
-from nermo_mjx.sweep.chunk_log import ChunkLog
-from nermo_mjx.sweep.findings import findings
-from nermo_mjx.sweep.plots import figures_of
-from nermo_mjx.sweep.results import Results, read_table
-from nermo_mjx.sweep.row_cache import Batch, BatchPlan, KnownRows, check_source, plan_batches, with_former
+from nermo_mjx.specs.walk import unread
+from nermo_mjx.sweep.comparing import better
+from nermo_mjx.sweep.plots import figures_of, findings
+from nermo_mjx.sweep.results import HELD, Results, SweepRecord, read_table
 from nermo_mjx.sweep.sampling import Sample
-from nermo_mjx.sweep.series import check_room, chunk_with_series, joined_series, record_rows, series_table
-from nermo_mjx.sweep.simulating import Simulated, SimulatorLike, SweepSimulator, chunk_rows_here, engine_name
+from nermo_mjx.sweep.series import check_room, chunk_with_series, record_rows, series_table
+from nermo_mjx.sweep.simulating import (
+    WORLD_BYTES,
+    Simulated,
+    SimulatorLike,
+    SweepSimulator,
+    chunk_rows_here,
+    engine_name,
+)
 from nermo_mjx.sweep.spec import Sweep
 from nermo_mjx.sweep.store import (
-    ChunkNote,
-    DirectoryError,
-    Store,
-    SweepProgress,
-    Tally,
     batch_values,
+    check_source,
+    claim,
+    differences,
+    fixed_differences,
+    keys_of_rows,
     layout_of,
     listed,
-    rows_digest,
+    refusal,
     simulated_seconds,
+    sweep_in,
 )
-from nermo_mjx.sweep.table import chunk_table, joined, summarize
+from nermo_mjx.sweep.table import chunk_table, columns_of, summarize
 
 # ---
-# The chunks of a sweep: which ones are done, and running the others.
+# The rows of a sweep: which are there, and which are simulated, in batches of equal size.
 
 
 #: How JAX, CUDA and Warp say that a batch does not fit.
 _NO_MEMORY = re.compile("RESOURCE_EXHAUSTED|out of memory|failed to allocate", re.IGNORECASE)
+#: Rows that are taken from other directories at once, if they have no time series.
+_TAKEN: Final = 65_536
 
 
 class SweepError(RuntimeError):
     """A sweep that cannot be finished; the message is one sentence that says why, and how to resume."""
 
 
-class Work:
-    """The chunks of a sweep, and which of them are done.
+@dataclasses.dataclass(frozen=True)
+class SweepProgress:
+    """How far a sweep is.
 
     Attributes:
-        store: where they are kept.
-        rows: of the whole sweep.
-        layout: rows of each chunk.
-        tally: is notified of finished work.
-        log: is notified of each chunk that is written.
-        done: which ones are finished, (chunks,) bool.
-        mine: which ones this process runs, (chunks,) bool.
-        engines: of the finished chunks.
-        steps, seconds: physics steps of the finished chunks, and the time they took, summed [s].
-        chunks_run: number simulated by this process.
+        fraction: share of the work that is done, by simulated time, 0 to 1; resumed rows count as done; of a shard
+            it is that shard's share.
+        rows_done, rows: finished rows and all rows of the same work.
+        resumed: rows that an earlier session had finished, or another directory has.
+    """
+
+    fraction: float
+    rows_done: int
+    rows: int
+    resumed: int
+
+
+class Batch(NamedTuple):
+    """Rows that are simulated together (n,), all of one structure, in so many worlds, n or more."""
+
+    structure: int
+    rows: np.ndarray
+    worlds: int
+
+
+class Work:
+    """The rows of a sweep, as far as one process cares for them.
+
+    Args:
+        sweep: whose rows.
+        out: the directory, which need not be there.
+        size: rows of a batch, at most.
+        sources: directories of other sweeps whose rows are reused.
+        shard: (i, n): this process simulates every n-th batch, from i.
+        warn: called with a message about damaged files.
+        held: the directory as this process holds it; without it nothing is written.
+        progress: called with a `SweepProgress`.
+        board: is told of each batch that is written.
+
+    Attributes:
+        rows: all of them.
+        seconds: how long each is simulated, (rows,) [s].
+        runs: the store that has them, or not.
+        simulated, reused: batches that this process has simulated, and rows that it has taken from elsewhere.
     """
 
     def __init__(
         self,
-        store: Store,
-        rows: Sample,
-        layout: list[np.ndarray],
-        tally: Tally,
-        log: ChunkLog | None = None,
+        sweep: Sweep,
+        out: Path,
+        size: int,
+        sources: Sequence[Path] = (),
+        shard: tuple[int, int] | None = None,
+        warn: Callable[[str], None] | None = None,
+        held: RunDirectory | None = None,
+        progress: Callable[[SweepProgress], None] = lambda _: None,
+        board: TensorBoard | None = None,
     ) -> None:
-        self.log = log
-        self.store, self.rows, self.layout, self.tally = store, rows, layout, tally
-        shard, shards = store.shard or (0, 1)
-        self.mine = np.arange(len(layout)) % shards == shard
-        self.chunks_run = 0
-        self._forget()
+        self.sweep, self.out, self.rows, self._progress = sweep, out, Sample(sweep), progress
+        self._structure, self.seconds = self.rows.structures(), simulated_seconds(sweep, self.rows)
+        self._layout, self._shard = layout_of(self.seconds, size, self._structure), shard or (0, 1)
+        self._share = np.concatenate(self._layout[self._shard[0] :: self._shard[1]] or [np.empty(0, int)])
+        self.runs = Runs(out, sweep.digest(), sources, warn, sweep.save is not None, held)
+        self._log = None if board is None else BatchLog(board)
+        if self._log is not None:
+            for table in (pq.read_table(part.path) for part in self.runs.parts):  # of earlier sessions
+                if np.isin(table["row"].to_numpy(), self._share).any():
+                    self._log.add(table)
+        self._resumed, self.simulated, self.reused = len(self._share) - len(self.unfinished), 0, 0
+        self._finished, self._left = 0, 0.0
 
-    def survey(self, warn: Callable[[str], None] | None) -> None:
-        """Check every chunk's file; a defective one counts as missing, and is reported if this process runs it."""
-        self._forget()
-        flawed: dict[str, list[int]] = {}
-        for k, (note, flaw) in self.store.states(self.layout):
-            if note is not None:
-                self._finish(k, note)
-            elif self.mine[k] and flaw:
-                flawed.setdefault(flaw, []).append(k)
-        say = warn or (lambda _: None)
-        for flaw, chunks in flawed.items():
-            named = f"chunk {chunks[0]} of {self.store.out}"
-            if len(chunks) > 1:
-                named = f"chunks {listed(np.array(chunks))} of {self.store.out}: each"
-            say(f"{named} {flaw}; it is kept in results.aside, and run again.")
+    @property
+    def done(self) -> np.ndarray:
+        """Which rows are there, (rows,) bool."""
+        done = np.zeros(len(self.rows), bool)
+        done[self.runs.numbers] = True
+        return done
+
+    @property
+    def unfinished(self) -> np.ndarray:
+        """The rows of this process that are not there, (n,), those of one batch together."""
+        return self._share[~self.done[self._share]]
+
+    @property
+    def batches_in_all(self) -> int:
+        """How many batches the whole sweep has if it is simulated in one go."""
+        return len(self._layout)
 
     def effort(self) -> dict[str, Any]:
-        """Engine, physics steps and the time they took, over all sessions."""
+        """Engines, physics steps and the time they took, over all sessions."""
+        steps, seconds = np.sum(
+            [(0.0, 0.0), *((part.steps, part.seconds) for part in self.runs.parts)], axis=0
+        ).tolist()
         return {
-            "engine": ", ".join(self.engines),
-            "chunks": int(self.done.sum()),
-            "steps": int(self.steps),
-            "wall_seconds": round(self.seconds, 3),
-            "steps_per_second": round(self.steps / self.seconds, 1) if self.seconds else math.nan,
+            "engine": ", ".join(sorted({part.engine for part in self.runs.parts})),
+            "chunks": len(self.runs.parts),
+            "steps": int(steps),
+            "wall_seconds": round(seconds, 3),
+            "steps_per_second": round(steps / seconds, 1) if seconds else math.nan,
         }
 
-    def finished(self) -> list[Path]:
-        """The files of the chunks of this process that are finished."""
-        return [self.store.chunk_path(int(k)) for k in np.flatnonzero(self.mine & self.done)]
-
-    def rows_of(self, chunks: np.ndarray) -> int:
-        """How many rows some chunks hold."""
-        return sum(len(self.layout[k]) for k in chunks.tolist())
-
     def missing(self) -> str:
-        """Which chunks are not there, and how to run them, in a sentence; empty if none is missing."""
-        chunks = np.flatnonzero(~self.done)
-        if not len(chunks):
+        """How many rows are not there, and how to run them, in a sentence; empty if none is missing."""
+        done, (own, shards) = self.done, self._shard
+        if done.all():
             return ""
-        named = f"chunk{'s' if len(chunks) > 1 else ''} {listed(chunks)}"
-        own, shards = self.store.shard or (0, 1)
-        others = sorted(set((chunks % shards).tolist()) - {own})
-        shares = " and ".join(f"--shard {shard}/{shards}" for shard in others)
-        return (f"{named} ({self.rows_of(chunks):,} runs) of {len(self.layout):,} are missing; unless they are being "
-                f"run, run them with {shares}.")  # fmt: skip
+        lacking = {k % shards for k, rows in enumerate(self._layout) if not done[rows].all()}
+        shares = " and ".join(f"--shard {shard}/{shards}" for shard in sorted(lacking - {own}))
+        how = f"with {shares}" if shares else "by the command sweep"
+        return f"{(~done).sum():,} of {len(done):,} runs are missing; unless they are being run, run them {how}."
 
-    def simulate(
-        self, simulator: SweepSimulator, workers: Workers, accept_new_code: bool, known: KnownRows | None = None
-    ) -> None:
-        """Simulate this process's missing chunks; each is written while the next one is simulated.
+    def known(self) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """Unfinished rows that are in other directories or in former parts, some at a time (n,), and where (n,)."""
+        unfinished = self.unfinished if self.runs.others else np.empty(0, int)
+        at_once = _TAKEN if self.sweep.save is None else len(self._layout[0])
+        for start in range(0, len(unfinished), at_once):
+            index = unfinished[start : start + at_once]
+            places = self.runs.find(keys_of_rows(self.sweep, self.rows.take(index)))
+            if (places >= 0).any():
+                yield index[places >= 0], places[places >= 0]
+
+    def batches(self, rows: np.ndarray, reused: int = 0) -> list[Batch]:
+        """The batches for some rows, of few shapes, so that no engine compiles again.
 
         Args:
-            simulator, workers: compute.
-            accept_new_code: see `run_sweep`.
-            known: rows that are reused instead of simulated.
+            rows: (n,), as `unfinished` orders them.
+            reused: how many rows of the sweep are not simulated at all; then there may be few others.
+        """
+        whole = dict[int, int]()
+        for each in self._layout:
+            at = int(self._structure[each[0]])
+            whole[at] = max(whole.get(at, 0), len(each))
+        batches = []
+        for at in np.unique(self._structure[rows]).tolist():
+            own = rows[self._structure[rows] == at]
+            split = np.array_split(own, math.ceil(len(own) / whole[at]))
+            worlds = len(split[0]) if reused else whole[at]
+            batches += [Batch(at, index, worlds) for index in split]
+        return batches
+
+    def reuse(self, accept_new_code: bool) -> None:
+        """Take unfinished rows from other directories and former parts.
+
+        Raises:
+            OtherCode: other code made them.
+            DirectoryError: they cannot be written.
+        """
+        for index, places in self.known():
+            if not self.reused:
+                self._take_codes(self.runs.codes(accept=accept_new_code), accept_new_code)
+            table = self.runs.take(places)
+            metrics = {name: table[name].to_numpy() for name in columns_of(table, "metric")}
+            status, code = (np.array(table[name].to_pylist(), object) for name in ("status", "code"))
+            about = {key.decode(): text.decode() for key, text in table.schema.metadata.items()}
+            series = None
+            if self.sweep.save is not None:
+                each = zip(self.runs.series(places), index.tolist(), strict=True)
+                series = pa.concat_tables(
+                    own.set_column(0, own.schema.field("row"), pa.array(np.full(len(own), row))) for own, row in each
+                ).replace_schema_metadata({"sweep": self.sweep.digest()})
+            self._add(index, metrics, status, code, about | {"code": str(code[0])}, series)
+            self.reused += len(index)
+
+    def simulate(self, simulator: SweepSimulator, workers: Workers, accept_new_code: bool) -> None:
+        """Simulate what is unfinished; each batch is written while the next one is simulated.
 
         Raises:
             SpecError: a parameter is refused.
-            SweepError: a simulation failed.
-            DirectoryError: a chunk cannot be written, or the rows that are there were made by other code.
+            SweepError: a simulation failed, or all workers are lost.
+            OtherCode: other code made the rows that are there.
+            DirectoryError: a batch cannot be written.
         """
-        self.tally.finish(np.flatnonzero(self.done).tolist(), resumed=not self.chunks_run)
-        self.tally.tell()
-        missing = np.flatnonzero(self.mine & ~self.done).tolist()
-        if not missing:
+        unfinished = self.unfinished
+        batches = self.batches(unfinished, self.reused)
+        self._finished, self._left = len(self._share) - len(unfinished), float(self.seconds[unfinished].sum())
+        self._tell()
+        if not batches:
             return
-        plan = self.take(known, accept_new_code)
-        if not plan.batches:
-            return
-        missing = np.flatnonzero(self.mine & ~self.done).tolist()
         workers.begin(simulator)
-        stamps = {at: simulator.stamp(at) for at in dict.fromkeys(batch.structure for batch in plan.batches)}
-        self.store.take_codes(list(stamps.values()), accept=accept_new_code)
-        first, shard = next(iter(stamps.values())), self.store.shard
-        about = session(engine=simulator.engine, code=first.id, shard="" if shard is None else "{}/{}".format(*shard),
-                        chunks=len(missing))  # fmt: skip
-        self.store.directory.note_session(about)
-        with ThreadPoolExecutor(1, "sweep-writer") as writer:
-            written: list[Future[None]] = []
-            for batch, result in self._results(plan, workers):
-                before, written = (
-                    written,
-                    [
-                        writer.submit(self._write, k, plan, known, part, stamps[batch.structure])
-                        for k, part in batch.parts(plan, result)
-                    ],
-                )
-                self.chunks_run += len(batch.chunks)
-                self.tally.finish(batch.chunks)
-                self.tally.tell()
-                for each in before:
-                    each.result()
-            for each in written:
-                each.result()
-
-    def take(self, known: KnownRows | None, accept_new_code: bool) -> BatchPlan:
-        """Write the missing chunks whose rows are all known; returns what is left to simulate."""
-        missing = np.flatnonzero(self.mine & ~self.done).tolist()
-        plan = plan_batches(self.store.sweep, self.rows, self.layout, missing, known)
-        if known is not None and plan.known:
-            self.store.take_codes(known.codes(accept=accept_new_code), accept=accept_new_code)
-            for k in missing:
-                if not len(plan.unknown(k)):
-                    self._write(k, plan, known, None, None)
-                    self.tally.finish([k], resumed=True)
-        return plan
-
-    def _results(self, plan: BatchPlan, workers: Workers) -> Iterator[tuple[Batch, Simulated]]:
-        """Results of batches, as they come."""
-        batches, sweep = {batch.chunks[0]: batch for batch in plan.batches}, self.store.sweep
+        stamps = {at: simulator.stamp(at) for at in dict.fromkeys(batch.structure for batch in batches)}
+        self._take_codes(list(stamps.values()), accept_new_code)
+        first, held = next(iter(stamps.values())), self.runs.held
+        assert held is not None
+        shard = "" if held.shard is None else "{}/{}".format(*held.shard)
+        held.note_session(session(engine=simulator.engine, code=first.id, shard=shard, chunks=len(batches)))
 
         def tasks() -> Iterator[tuple[int, tuple[int, Mapping[str, np.ndarray]]]]:
-            for k, batch in batches.items():
-                index = np.concatenate([plan.unknown(chunk) for chunk in batch.chunks])
-                walk, worlds = sweep.structures[batch.structure], plan.worlds[batch.structure]
-                yield k, (batch.structure, batch_values(walk, self.rows.take(index), worlds))
+            for k, batch in enumerate(batches):
+                walk = self.sweep.structures[batch.structure]
+                yield k, (batch.structure, batch_values(walk, self.rows.take(batch.rows), batch.worlds))
+
+        def tell(k: int, share: float) -> None:
+            self._tell(self.seconds[batches[k].rows].sum() * min(max(float(share), 0.0), 1.0))
 
         try:
-            for k, result in workers.results(tasks(), self.tally.tell):
-                yield batches[k], result
+            with ThreadPoolExecutor(1, "sweep-writer") as writer:
+                written: Future[None] | None = None
+                for k, result in workers.results(tasks(), tell):
+                    before, written = written, writer.submit(self._write, batches[k], result, stamps)
+                    self.simulated += 1
+                    self._finished += len(batches[k].rows)
+                    self._left -= float(self.seconds[batches[k].rows].sum())
+                    self._tell()
+                    if before is not None:
+                        before.result()
+                if written is not None:
+                    written.result()
         except TaskFailed as failed:
-            error, chunks = failed.__cause__, batches[failed.key].chunks
-            rows = np.concatenate([self.layout[k] for k in chunks])
-            some = f"chunk {chunks[0]}" if len(chunks) == 1 else f"chunks {listed(np.array(chunks))}"
-            named = f"{some} (rows {listed(rows)})"
+            rows, error = f"rows {listed(batches[failed.key].rows)}", failed.__cause__
             if isinstance(error, ParameterError):
-                raise SpecError(f"{named} is refused: {error}") from error
-            raise SweepError(self._failure(named, error)) from error
+                raise SpecError(f"{rows} are refused: {error}") from error
+            reason = (str(error).strip().splitlines() or [""])[0].rstrip(".")[:300]
+            full = isinstance(error, MemoryError) or _NO_MEMORY.search(reason) is not None
+            remedy = (
+                "take a smaller --chunk in another directory"
+                if full
+                else ("run the same command again when it is fixed")
+            )
+            raise SweepError(
+                f"{rows} failed: {type(error).__name__}{f': {reason}' if reason else ''}. What is finished is kept in "
+                f"{self.out}: {remedy}."
+            ) from error
         except WorkersLost as lost:
-            raise SweepError(lost.kept_in(self.store.out)) from None
+            raise SweepError(lost.kept_in(self.out)) from None
 
-    def _write(
-        self, k: int, plan: BatchPlan, known: KnownRows | None, result: Simulated | None, stamp: CodeStamp | None
-    ) -> None:
-        """Write a chunk from what was simulated for it, and from the rows that are known."""
-        index, places = self.layout[k], plan.known.get(k)
-        taken = None if places is None or known is None else known.take(places[places >= 0])
-        steps = sum(each.steps for each in (result, taken) if each is not None)
-        seconds = sum(each.seconds for each in (result, taken) if each is not None)
-        engine = stamp.engine if stamp is not None else taken.engine if taken is not None else ""
-        code = stamp.id if stamp is not None else str(taken.code[0]) if taken is not None else ""
-        about = {
-            "engine": engine,
-            "code": code,
-            "chunk": k,
-            "chunks": len(self.layout),
-            "rows": rows_digest(index),
-            "steps": steps,
-            "wall_seconds": seconds,
+    def _tell(self, current: float = 0.0) -> None:
+        """Report the progress, with the simulated time that the batches at work have done [s]."""
+        whole, count = float(self.seconds[self._share].sum()), len(self._share)
+        fraction = 1.0 if self._finished == count else 1.0 - (self._left - current) / whole
+        self._progress(SweepProgress(fraction, self._finished, count, self._resumed + self.reused))
+
+    def _take_codes(self, stamps: Sequence[Any], accept: bool) -> None:
+        several = bool(self.runs.others) or len(self.sweep.structures) > 1
+        self.runs.take_codes(stamps, accept=accept, any_model=several)
+
+    def _write(self, batch: Batch, result: Simulated, stamps: Mapping[int, Any]) -> None:
+        stamp, count = stamps[batch.structure], len(batch.rows)
+        about = {"engine": stamp.engine, "code": stamp.id, "steps": result.steps, "wall_seconds": result.seconds}
+        metrics = {name: column[:count] for name, column in result.metrics.items()}
+        series = None if result.series is None else series_table(self.sweep, batch.rows, result.series)
+        table = self._add(batch.rows, metrics, result.status[:count], stamp.id, about, series)
+        if self._log is not None:
+            self._log.tell(table, result.steps / result.seconds if result.seconds else math.nan)
+
+    def _add(
+        self,
+        index: np.ndarray,
+        metrics: Mapping[str, np.ndarray],
+        status: np.ndarray,
+        code: str | np.ndarray,
+        about: Mapping[str, Any],
+        series: pa.Table | None,
+    ) -> pa.Table:
+        rows = self.rows.take(index)
+        table = chunk_table(self.sweep, rows, index, metrics, status, code, about)
+        self.runs.add(keys_of_rows(self.sweep, rows), table, series)
+        return table
+
+
+class BatchLog:
+    """Scalars for TensorBoard, summed up as batches come: best and mean of each metric, statuses, steps per second.
+
+    Args:
+        board: is told after each batch that is added with `tell`.
+    """
+
+    def __init__(self, board: TensorBoard) -> None:
+        self._board, self._rows = board, 0
+        self._statuses: collections.Counter[str] = collections.Counter()
+        self._sums: collections.Counter[str] = collections.Counter()
+        self._counts: collections.Counter[str] = collections.Counter()
+        self._best: dict[str, float] = {}
+
+    def add(self, table: pa.Table) -> None:
+        """Add a batch's rows; only successful runs count in best and mean."""
+        self._rows += table.num_rows
+        self._statuses.update(table.column("status").to_pylist())
+        well = pc.equal(table.column("status"), "ok").to_numpy()
+        for name in columns_of(table, "metric"):
+            values = np.asarray(table.column(name).to_numpy(), float)[well]
+            values = values[np.isfinite(values)]
+            if not len(values):
+                continue
+            self._sums[name] += float(values.sum())  # type: ignore[assignment]
+            self._counts[name] += len(values)
+            if side := better(table.schema.field(name)):
+                price = {"high": -values, "low": values, "zero": np.abs(values)}[side]
+                candidates = [self._best[name]] if name in self._best else []
+                candidates.append(float(values[np.argmin(price)]))
+                self._best[name] = min(candidates, key={"high": lambda x: -x, "low": float, "zero": abs}[side])
+
+    def tell(self, table: pa.Table, steps_per_second: float = math.nan) -> None:
+        """Add a chunk's rows, and report the current state to TensorBoard; the step is the number of rows."""
+        self.add(table)
+        numbers = {
+            "rows": float(self._rows),
+            "steps_per_second": steps_per_second,
+            **{f"status/{name}": float(count) for name, count in self._statuses.items()},
+            **{f"mean/{name}": self._sums[name] / count for name, count in self._counts.items()},
+            **{f"best/{name}": value for name, value in self._best.items()},
         }
-        parts: list[pa.Table] = []
-        for here, each, by in ((plan.unknown(k), result, code), (plan.found(k), taken, None)):
-            if each is not None:
-                made = taken.code if by is None and taken is not None else code
-                rows = self.rows.take(here)
-                parts.append(chunk_table(self.store.sweep, rows, here, each.metrics, each.status, made, about))
-        table = parts[0] if len(parts) == 1 else joined(parts, index)
-        series: list[pa.Table] = []
-        if result is not None and result.series is not None:
-            series.append(series_table(self.store.sweep, plan.unknown(k), result.series))
-        if known is not None and places is not None and self.store.sweep.save is not None:
-            series.append(known.series(places[places >= 0], plan.found(k)))
-        self.store.write_chunk(k, table, joined_series(self.store.sweep, series, index) if series else None)
-        if self.log is not None:
-            self.log.tell(table, steps / seconds if seconds else math.nan)
-        self._finish(k, ChunkNote(engine, steps, seconds))
-
-    def _forget(self) -> None:
-        self.done = np.zeros(len(self.layout), bool)
-        self.engines: list[str] = []
-        self.steps = self.seconds = 0.0
-
-    def _finish(self, k: int, note: ChunkNote) -> None:
-        self.done[k] = True
-        if note.engine not in self.engines:
-            self.engines.append(note.engine)
-        self.steps += note.steps
-        self.seconds += note.seconds
-
-    def _failure(self, chunk: str, error: BaseException | None) -> str:
-        """What happened in a chunk, in a sentence."""
-        reason = (str(error).strip().splitlines() or [""])[0].rstrip(".")[:300]
-        short = isinstance(error, MemoryError) or _NO_MEMORY.search(reason) is not None
-        remedy = (
-            "take a smaller --chunk in another directory" if short else "run the same command again when it is fixed"
-        )
-        return (f"{chunk} failed: {type(error).__name__}{f': {reason}' if reason else ''}. What is finished is kept in "
-                f"{self.store.out}: {remedy}.")  # fmt: skip
+        self._board.log(self._rows, numbers)
 
 
-#: How often to rerun a chunk that is damaged each time it is read back.
+# ---
+# Running a sweep.
+
+
+#: How often rows are simulated again that are damaged each time they are read back.
 ATTEMPTS = 2
 
 
@@ -298,13 +402,13 @@ class SweepResult:
 
     Attributes:
         out: its directory.
-        summary: content of summary.json; empty while chunks of other shards are missing.
+        summary: content of summary.json; empty while rows of other shards are missing.
         plots: files of the figures.
         recordings: files of the rows that are kept.
         complete: whether the directory holds every row of the sweep.
-        chunks_run: chunks simulated by this call.
+        chunks_run: batches simulated by this call.
         rows_done, rows: finished rows and all rows of the sweep.
-        missing: which chunks are missing and how to run them, in words; empty if none is.
+        missing: how many rows are missing and how to run them, in words; empty if none is.
     """
 
     out: Path
@@ -348,7 +452,7 @@ def run_sweep(
     >>> run_sweep(spec, tempfile.mkdtemp(), engine="c").table.column("status").to_pylist()
     ['ok', 'ok']
 
-    Memory does not grow with finished work: a chunk is written while the next one is simulated, and the summary and the
+    Memory does not grow with finished work: a batch is written while the next one is simulated, and the summary and the
     figures read a few columns at a time.
 
     Args:
@@ -367,7 +471,7 @@ def run_sweep(
             rows. The result is that of running this sweep in a single pass.
         use: directories of other sweeps whose rows are reused where this sweep has the same ones.
         simulate: whether missing rows are run.
-        tensorboard: write scalars after each chunk to DIR/tensorboard; needs the extra of this name.
+        tensorboard: write scalars after each batch to DIR/tensorboard; needs the extra of this name.
         workers: what simulates; by default this process, else `nermo_mjx.runs.ray_workers.RayWorkers`.
         simulator: replaces `Simulator(spec.setup, engine)`.
 
@@ -379,7 +483,14 @@ def run_sweep(
         SweepInterrupted: Ctrl-C or SIGTERM; the same call resumes.
     """
     sweep = Sweep.of(spec)
-    _check(chunk, shard, extend)
+    if extend and shard is not None:
+        raise SpecError(
+            "extend allows a single process: start it on its own; once it is simulating, shards may continue."
+        )
+    if chunk is not None and chunk < 1:
+        raise SpecError(f"chunk is {chunk}: allowed is 1 or more.")
+    if shard is not None and not 0 <= shard[0] < shard[1]:
+        raise SpecError(f"shard is {shard[0]}/{shard[1]}: allowed is I/N with I from 0 to N - 1.")
     if tensorboard:
         require_tensorboard()
     sources = [Path(each) for each in use]
@@ -390,10 +501,9 @@ def run_sweep(
     size = chunk_with_series(
         sweep, chunk or sweep.chunk, lambda: chunk_rows_here(engine, sweep.variants * sweep.repeats, parts)
     )
-    wanted = Store(out, dataclasses.replace(sweep, chunk=size), shard, extend=extend)
     with (
-        wanted as store,
-        resumable("sweep", store.out / "sweep.yaml", SweepInterrupted) as interruption,
+        RunDirectory(out, "sweep", shard) as held,
+        resumable("sweep", held.out / "sweep.yaml", SweepInterrupted) as interruption,
         contextlib.ExitStack() as stack,
     ):
 
@@ -402,82 +512,331 @@ def run_sweep(
             if progress is not None:
                 progress(share)
 
-        rows = Sample(store.sweep)
-        seconds = simulated_seconds(store.sweep, rows)
-        layout = layout_of(seconds, store.sweep.chunk or size, rows.structures())
-        first, step = shard or (0, 1)
-        work = Work(store, rows, layout, Tally(layout, seconds, range(first, len(layout), step), report))
-        work.survey(warn)
-        check_room(sweep, store.out, seconds, [layout[k] for k in (work.mine & ~work.done).nonzero()[0]])
+        sweep = claim(held, dataclasses.replace(sweep, chunk=size), extend=extend)
+        board = None
         if tensorboard:
             part = "" if shard is None else "shard-{}-of-{}".format(*shard)
-            board = stack.enter_context(TensorBoard(store.out, part))
-            work.log = ChunkLog(board, map(pq.read_table, work.finished()))
-        begun = engine_of(store.out) or next(iter(work.engines), None)
+            board = stack.enter_context(TensorBoard(held.out, part))
+        work = Work(sweep, held.out, sweep.chunk or size, sources, shard, warn, held, report, board)
+        check_room(sweep, held.out, work.seconds[work.unfinished])
+        begun = engine_of(held.out) or next((part.engine for part in work.runs.parts), None)
         ran = engine_name(engine, simulator, begun)
         simulates = SweepSimulator(sweep.structures, ran, simulator, notify, sweep.save)
-        places = [*store.former(), *(place for source in sources for place in with_former(source))]
-        known = None
-        if places and not work.done[work.mine].all():
-            known = KnownRows(places, warn, series=sweep.save is not None)
-        if simulate:
-            _finish(work, simulates, workers, accept_new_code, known, warn)
-        elif known is not None:
-            work.take(known, accept_new_code)
-        complete = bool(work.done.all())
-        results = Results([store.chunk_path(k) for k in range(len(layout))]) if complete else None
-        summary, plots = ({}, []) if results is None else _sum_up(work, results, warn)
-        kept = (
-            []
-            if results is None or sweep.keep is None
-            else record_rows(store, results, sweep.keep, simulates.used, interruption.check, warn)
-        )
+        work.reuse(accept_new_code)
+        for _ in range(ATTEMPTS if simulate else 0):
+            work.simulate(simulates, workers, accept_new_code)
+            if not work.simulated:
+                break
+            work.runs.survey()
+            if not len(work.unfinished):
+                break
+        else:
+            if simulate:
+                raise DirectoryError(f"{held.out} loses what is written to it: it is damaged again and again.")
+        done, recordings, summary, plots = work.done, list[Path](), dict[str, Any](), list[Path]()
+        if done.all():
+            results = Results([part.path for part in work.runs.parts])
+            summary, plots = _sum_up(work, held, results, warn)
+            if sweep.keep is not None:
+                recordings = record_rows(
+                    held, sweep.digest(), results, sweep.keep, simulates.used, interruption.check, warn
+                )
         return SweepResult(
-            out=store.out, summary=summary, plots=plots, recordings=kept, complete=complete, chunks_run=work.chunks_run,
-            rows_done=work.rows_of(work.done.nonzero()[0]), rows=len(rows), missing=work.missing(),
-        )  # fmt: skip
-
-
-def _check(chunk: int | None, shard: tuple[int, int] | None, extend: bool) -> None:
-    if extend and shard is not None:
-        raise SpecError(
-            "extend allows a single process: start it on its own; once it is simulating, shards may continue."
+            out=held.out,
+            summary=summary,
+            plots=plots,
+            recordings=recordings,
+            complete=bool(done.all()),
+            chunks_run=work.simulated,
+            rows_done=int(done.sum()),
+            rows=len(done),
+            missing=work.missing(),
         )
-    if chunk is not None and chunk < 1:
-        raise SpecError(f"chunk is {chunk}: allowed is 1 or more.")
-    if shard is not None and not 0 <= shard[0] < shard[1]:
-        raise SpecError(f"shard is {shard[0]}/{shard[1]}: allowed is I/N with I from 0 to N - 1.")
 
 
-def _finish(
-    work: Work,
-    simulator: SweepSimulator,
-    workers: Workers,
-    accept_new_code: bool,
-    known: KnownRows | None,
-    warn: Callable[[str], None] | None,
-) -> None:
-    """Run what is missing of this process's share, and verify that it is stored."""
-    for _ in range(ATTEMPTS):
-        complete = work.done.all()
-        work.simulate(simulator, workers, accept_new_code, known)
-        if complete:
-            return
-        work.survey(warn)
-        if work.done[work.mine].all():
-            return
-    raise DirectoryError(f"{work.store.out} loses what is written to it: chunks are damaged again and again.")
-
-
-def _sum_up(work: Work, results: Results, warn: Callable[[str], None] | None) -> tuple[dict[str, Any], list[Path]]:
+def _sum_up(
+    work: Work, held: RunDirectory, results: Results, warn: Callable[[str], None] | None
+) -> tuple[dict[str, Any], list[Path]]:
     """Write the summary and the figures of a complete table."""
-    store = work.store
     summary, figures = {**summarize(results), **work.effort()}, figures_of(results)
-    for finding in findings(results, store.sweep, notify=warn):
-        store.directory.write(f"{finding.name}.parquet", parquet_bytes(finding.table))
-        summary[finding.name] = finding.about
-        figures = itertools.chain(figures, finding.figures)
-    store.directory.write("summary.json", to_json(summary))
-    if not store.sweep.plots:
-        return summary, []
-    return summary, write_figures(figures, store.plots)
+    comparison = None if work.sweep.comparison is None else work.sweep.comparison.written()
+    for name, table, about, drawn in findings(results, comparison, notify=warn or (lambda _: None)):
+        held.write(f"{name}.parquet", parquet_bytes(table))
+        summary[name] = about
+        figures = itertools.chain(figures, drawn)
+    held.write("summary.json", to_json(summary))
+    return summary, write_figures(figures, held.out / "plots") if work.sweep.plots else []
+
+
+# ---
+# Merging directories: the rows of all of them, each once, in a new directory.
+
+
+def merge_sweeps(
+    sources: Sequence[str | os.PathLike[str]],
+    out: str | os.PathLike[str],
+    *,
+    accept_new_code: bool = False,
+    warn: Callable[[str], None] | None = None,
+) -> SweepResult:
+    """Merge directories of sweeps into a new one; nothing is simulated, and they stay as they are.
+
+    >>> merge_sweeps(["runs/slow", "runs/slow"], "runs/slow")
+    Traceback (most recent call last):
+    nermo_mjx.specs.reading.SpecError: runs/slow is one of the directories that are merged: choose another one.
+
+    Its sweep lists the variants of all of them as `rows`, with as many repeats as the one that has most. A row that is
+    in several is taken from the first. Rows that none has are missing, and `sweep` runs them.
+
+    No code of the directories is run: metrics are known by their names; sweeps of another controller are refused, and
+    `run_sweep` takes their rows by `use`.
+
+    Args:
+        sources: the directories, two at least.
+        out: where the result goes.
+        accept_new_code: merge what different code made; the table's column `code` tells the rows apart.
+        warn: called with a message if a chunk cannot be used.
+
+    Raises:
+        SpecError: there are less than two, or the result would go into one of them.
+        DirectoryError: they differ in more than their rows, or cannot be read.
+        OtherCode: different code made them.
+    """
+    places = [Path(source) for source in sources]
+    if len(places) < 2:
+        raise SpecError("merge takes two directories or more.")
+    if Path(out).resolve() in [place.resolve() for place in places]:
+        raise SpecError(f"{out} is one of the directories that are merged: choose another one.")
+    records = [SweepRecord.of_directory(place) for place in places]
+    with without_code({digest: known for record in records if record for digest, known in record.metrics.items()}):
+        return run_sweep(merged(places), out, use=places, simulate=False, accept_new_code=accept_new_code, warn=warn)
+
+
+def merged(places: Sequence[Path]) -> Sweep:
+    """The sweep whose rows are those of all directories.
+
+    Raises:
+        DirectoryError: they differ in more than their rows, or have draws that do not go together.
+    """
+    sweeps = [sweep_in(place) for place in places]
+    for place, sweep in zip(places, sweeps, strict=True):
+        if apart := fixed_differences(sweeps[0], sweep):
+            raise DirectoryError(f"{places[0]} and {place} cannot be merged: {apart}.")
+        alone = set(sweep.varied) ^ set(sweeps[0].varied)
+        if alone and any(each.draws or each.bodies for each in sweeps):
+            raise DirectoryError(
+                f"{places[0]} and {place} cannot be merged: only one of them varies "
+                f"{', '.join(sorted(alone))}, on which the draws depend."
+            )
+    labelled = list(dict.fromkeys(name for sweep in sweeps for name in sweep.labelled))
+    varied = list(dict.fromkeys(name for sweep in sweeps for name in sweep.varied))
+    rows: dict[str, dict[str, Any]] = {}
+    for place, sweep in zip(places, sweeps, strict=True):
+        for row in _rows(place, sweep, labelled, varied):
+            rows.setdefault(json.dumps(row), row)
+    repeats = max(sweep.repeats for sweep in sweeps)
+    data = {
+        name: value for name, value in sweeps[0].resolved().items() if name not in ("vary", "sample", "rows", *labelled)
+    }
+    data["set"] = {name: value for name, value in data["set"].items() if name not in varied}
+    if "physics" in labelled:
+        data.pop("timestep", None)
+    data["randomize"]["repeats"] = repeats
+    data["plots"] = any(sweep.plots for sweep in sweeps)
+    return Sweep.from_dict(data | {"rows": list(rows.values())})
+
+
+def _rows(place: Path, sweep: Sweep, labelled: Sequence[str], varied: Sequence[str]) -> list[dict[str, Any]]:
+    """The variants of a sweep as rows that name all structures and parameters that any of them varies."""
+    variants = Sample(sweep).take(np.arange(sweep.variants) * sweep.repeats)
+    fixed = []
+    for each in sweep.structures:
+        whole: dict[str, Any] = {name: each.written(name) for name in labelled}
+        for name in varied:
+            if name not in sweep.varied and unread(each.setup, name) is None:
+                if name not in each.fixed:
+                    raise DirectoryError(
+                        f"{place} cannot be merged: it neither varies nor sets {name}, which another one varies."
+                    )
+                whole[name] = each.fixed[name]
+        fixed.append(whole)
+    own = {name: variants.values[name].tolist() for name in sweep.varied}
+    result = []
+    for i, at in enumerate(variants.structure.tolist()):
+        values = {name: column[i] for name, column in own.items() if column[i] == column[i]}
+        values = {name: value for name, value in (fixed[at] | values).items() if name in labelled or value == value}
+        result.append({name: values[name] for name in (*labelled, *varied) if name in values})
+    return result
+
+
+# ---
+# What a sweep would cost: rows, time, disk and memory, before anything runs. Nothing is written.
+
+
+#: Memory of a process apart from its batch: Python, JAX, MuJoCo, the compiled controller, matplotlib [bytes].
+PROCESS_BYTES: Final = 600_000_000
+#: A world of the engine c: MuJoCo's data, the controller's state and what the metrics sum up [bytes]. Both as measured.
+C_WORLD_BYTES: Final = 100_000
+#: Simulated seconds of the measurement, and worlds of it.
+_MEASURED_SECONDS: Final = 0.5
+_MEASURED_WORLDS: Final = 64
+
+
+@dataclasses.dataclass(frozen=True)
+class Forecast:
+    """What a sweep would cost.
+
+    Attributes:
+        rows, chunks: of the sweep, and the batches in which it would be simulated in one go.
+        rows_left: to be simulated; the others are in the directory, or known from other directories.
+        batches: that would be simulated.
+        structures: setups that are compiled and simulated, one after the other.
+        engine: that would run.
+        steps: physics steps that would be simulated, all worlds together.
+        steps_per_second: at that rate; NaN if it is not known.
+        rate_from: source of the rate, in words.
+        seconds: time for the steps [s]; NaN if the rate is unknown. Compilation comes in addition.
+        disk_bytes: that the missing part of the table will take, without figures.
+        disk_free: free space at the directory's location [bytes].
+        memory_bytes: of this process; on a GPU, that of the batch is the device's.
+        notes: sentences.
+    """
+
+    rows: int
+    chunks: int
+    rows_left: int
+    batches: int
+    structures: int
+    engine: str
+    steps: float
+    steps_per_second: float
+    rate_from: str
+    seconds: float
+    disk_bytes: int
+    disk_free: int
+    memory_bytes: int
+    notes: tuple[str, ...]
+
+
+def forecast(
+    sweep: Sweep,
+    out: str | os.PathLike[str] | None = None,
+    *,
+    engine: str = "auto",
+    chunk: int | None = None,
+    shard: tuple[int, int] | None = None,
+    extend: bool = False,
+    use: Sequence[str | os.PathLike[str]] = (),
+    parts: int = 1,
+    measure: Callable[[Sweep, str], float] | None = None,
+) -> Forecast:
+    """What it would cost to run a sweep, or to resume it; see `run_sweep` for the arguments.
+
+    The rate is that of the directory's rows, if it has any; otherwise 64 worlds of the engine `c` are simulated for
+    half a second, which takes some seconds in all. For other engines it is then not known, since they compile for
+    minutes.
+
+    Args:
+        out: the directory, which need not be there.
+        parts: processes that share the chunks.
+        measure: replaces the measurement: steps per second of a sweep on an engine.
+
+    Raises:
+        DirectoryError, SpecError: the directory holds another sweep, or one named under `use` no rows of such a sweep.
+    """
+    sources = [Path(each) for each in use]
+    for source in sources:
+        check_source(source, sweep)
+    notes: list[str] = []
+    folder = None if out is None else Path(out)
+    begun = _begun(folder, sweep, extend)
+    wanted = engine if engine != "auto" else (engine_of(folder) if folder is not None else None) or "auto"
+    runs = resolve_engine(wanted)
+    size = (begun.chunk if begun is not None else None) or chunk or sweep.chunk
+    size = size or chunk_rows_here(runs, sweep.variants * sweep.repeats, parts * (1 if shard is None else shard[1]))
+    work = Work(sweep, folder or Path(), size, sources, shard, notes.append)
+    unfinished = work.unfinished
+    left = np.setdiff1d(unfinished, np.concatenate([np.empty(0, int), *(index for index, _ in work.known())]))
+    left = unfinished[np.isin(unfinished, left)]
+    batches = work.batches(left, len(unfinished) - len(left))
+    # Each batch lasts as long as its longest row, in all of its worlds.
+    steps = sum(
+        batch.worlds * float(work.seconds[batch.rows].max()) / float(sweep.structures[batch.structure].setup.timestep)
+        for batch in batches
+    )
+    rate, rate_from = math.nan, "not needed: nothing is left to be simulated"
+    there = [part for part in (*work.runs.parts, *work.runs.others) if folder is not None and part.directory == folder]
+    done = np.array([(part.steps, part.seconds) for part in there if part.engine == runs and part.seconds > 0])
+    if len(done):
+        rate, rate_from = (
+            float(done[:, 0].sum() / done[:, 1].sum()),
+            f"measured: {len(done):,} chunks of the directory",
+        )
+    elif steps and runs == "c":
+        rate = (measure or measured_rate)(sweep, runs)
+        rate_from = f"measured now: {_MEASURED_WORLDS} worlds for {_MEASURED_SECONDS:g} simulated s"
+    elif steps:
+        rate_from = f"not known: no chunk of the engine {runs} has been measured in the directory"
+    if there:  # as much per row as those take
+        disk = math.ceil(len(left) * sum(part.path.stat().st_size for part in there) / sum(part.rows for part in there))
+    else:  # as in a batch of noise
+        index, rng = np.arange(min(size, len(work.rows))), np.random.default_rng(0)
+        metrics = {name: rng.random(len(index)) for name in METRICS}
+        some = work.rows.take(index)
+        table = chunk_table(sweep, some, index, metrics, np.full(len(index), "ok"), "00000000", {"engine": "c"})
+        key = pa.array(keys_of_rows(sweep, some).astype(str))
+        disk = math.ceil(len(left) * len(parquet_bytes(table.append_column("key", key))) / len(index))
+    above = (folder or Path.cwd()).absolute()
+    free = shutil.disk_usage(next(each for each in (above, *above.parents) if each.is_dir())).free
+    if disk > free:
+        notes.append(f"There is no room for it: {free / 1e9:.1f} GB are free.")
+    worlds = max((batch.worlds for batch in batches), default=0)
+    points = 0 if sweep.sampler in ("grid", "rows") else sweep.variants * len(sweep.axes) * 8
+    summary = min(len(work.rows) * 8 * (len(METRICS) + len(sweep.axes)), HELD * 8) * 2
+    if runs != "c" and worlds:
+        notes.append(
+            f"The batch of {worlds:,} worlds takes about {worlds * WORLD_BYTES[runs] / 1e9:.2g} GB of the devices' "
+            "memory, besides."
+        )
+    return Forecast(
+        rows=len(work.rows),
+        chunks=work.batches_in_all,
+        rows_left=len(left),
+        batches=len(batches),
+        structures=len({batch.structure for batch in batches}),
+        engine=runs,
+        steps=steps,
+        steps_per_second=rate,
+        rate_from=rate_from,
+        seconds=steps / rate if rate > 0 else 0.0 if not steps else math.nan,
+        disk_bytes=disk,
+        disk_free=free,
+        memory_bytes=PROCESS_BYTES + worlds * C_WORLD_BYTES * (runs == "c") + len(work.rows) * 24 + points + summary,
+        notes=tuple(notes),
+    )
+
+
+def measured_rate(sweep: Sweep, engine: str) -> float:
+    """Physics steps per second, all worlds together, of 64 worlds that run for half a second."""
+    walk = sweep.structures[0]
+    run = Run(duration=_MEASURED_SECONDS, warmup=0.0)
+    some = Sample(sweep)
+    rows = some.take(np.flatnonzero(some.structures() == 0)[:_MEASURED_WORLDS])
+    values, simulator = batch_values(walk, rows, _MEASURED_WORLDS), Simulator(walk.setup, engine)
+    simulator.run(values, run)  # compiles
+    began = time.perf_counter()
+    result = simulator.run(values, run)
+    return float(result.steps * _MEASURED_WORLDS / (time.perf_counter() - began))
+
+
+def _begun(folder: Path | None, sweep: Sweep, extend: bool) -> Sweep | None:
+    """The sweep that a directory contains, if it can be extended to this one."""
+    if folder is None or not (folder / "sweep.yaml").exists():
+        return None
+    begun = Sweep.from_directory(folder)
+    if begun.digest() != sweep.digest():
+        why = refusal(begun, sweep)
+        if why or not extend:
+            hint = why or f"{differences(begun, sweep)}; --extend would extend it"
+            raise WrongDirectory(f"{folder} holds the results of another sweep: {hint}.")
+    return begun

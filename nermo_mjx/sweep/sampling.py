@@ -10,8 +10,7 @@ from scipy.stats import qmc
 
 from nermo_mjx.robot import identified
 from nermo_mjx.specs.walk import unread
-from nermo_mjx.sweep.axes import Axis
-from nermo_mjx.sweep.saltelli import saltelli_points
+from nermo_mjx.sweep.axes import Axis, saltelli_points
 from nermo_mjx.sweep.spec import Sweep
 
 #: Rows made at once where a column of all rows is wanted.
@@ -71,8 +70,10 @@ class Sample:
         self._shares = shares if shares is not None else _low_discrepancy(sweep) if drawn else None
         self._ends = np.cumsum(sweep.counts) if shares is None else np.array([len(shares)])
         self._read = [[axis.name for axis in sweep.read_axes(structure)] for structure in sweep.structures]
-        self._unread = [{name for name in (*sweep.varied, *(draw.name for draw in sweep.draws))
-                         if unread(structure.setup, name)} for structure in sweep.structures]  # fmt: skip
+        self._unread = [
+            {name for name in (*sweep.varied, *(draw.name for draw in sweep.draws)) if unread(structure.setup, name)}
+            for structure in sweep.structures
+        ]
 
     def __len__(self) -> int:
         return self.sweep.variants * self.sweep.repeats

@@ -6,16 +6,24 @@ import dataclasses
 import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 import pyarrow as pa
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
 
+from nermo_mjx.plotting.files import Figures
+from nermo_mjx.plotting.page import Page
+from nermo_mjx.plotting.style import BAND, GRID, INK, LINE, MUTED, OKABE_ITO
 from nermo_mjx.robot.quantity import ParameterError, did_you_mean
-from nermo_mjx.sweep.comparing.arms import Source, opened
+from nermo_mjx.sweep.axes import saltelli_size, unit_problem
+from nermo_mjx.sweep.comparing import Source, opened
+from nermo_mjx.sweep.figures import titled
 from nermo_mjx.sweep.results import Results
-from nermo_mjx.sweep.saltelli import saltelli_size, unit_problem
-from nermo_mjx.sweep.table import LEADING, Columns, columns_of, labelled
+from nermo_mjx.sweep.table import LEADING, Columns, columns_of, labelled, report_table
 
 #: Resamples of SALib's bootstrap, the same ones in each call.
 RESAMPLES: Final = 1000
@@ -51,8 +59,14 @@ class Sensitivity:
 
     def about(self) -> dict[str, Any]:
         """All of it for JSON: `indices` are the table's rows."""
-        return {"metric": self.metric, "method": self.method, "about": _METHODS[self.method], "noise": self.noise,
-                "indices": self.table.to_pylist(), "notes": list(self.notes)}  # fmt: skip
+        return {
+            "metric": self.metric,
+            "method": self.method,
+            "about": _METHODS[self.method],
+            "noise": self.noise,
+            "indices": self.table.to_pylist(),
+            "notes": list(self.notes),
+        }
 
 
 def sensitivity(source: Source, metric: str = LEADING) -> Sensitivity:
@@ -88,8 +102,9 @@ def sensitivity(source: Source, metric: str = LEADING) -> Sensitivity:
     about = results.schema.metadata or {}
     sampler, pairs = about.get(b"sampler", b"").decode(), about.get(b"second_order") == b"true"
     if sampler in ("grid", "rows") and columns_of(results, "varied"):
-        raise ParameterError(f"sample is {sampler}, whose variants are not drawn at random: run a sweep with "
-                             "sample: {saltelli: 256}.")  # fmt: skip
+        raise ParameterError(
+            f"sample is {sampler}, whose variants are not drawn at random: run a sweep with sample: {{saltelli: 256}}."
+        )
     method, columns, noises = "sobol" if sampler == "saltelli" else "rbd_fast", Columns(), list[float]()
     lines: list[dict[str, Any]] = []
     for labels, rows in _structures(results):
@@ -106,13 +121,27 @@ def sensitivity(source: Source, metric: str = LEADING) -> Sensitivity:
         columns.add(name, np.array([line[name] for line in lines]), "varied", "1", name, scale="structure")
     columns.add("parameter", np.array([line["parameter"] for line in lines]), "index", "1", "varied parameter")
     columns.add("second", np.array([line["second"] for line in lines]), "index", "1", "the other parameter of a pair")
-    columns.add("order", np.array([line["order"] for line in lines]), "index", "1",
-                "first: alone; second: of a pair, beyond each alone; total: with all others")  # fmt: skip
-    for name, text in {"index": "share of the metric's variance", "low": "lower end of its 95 % interval",
-                       "high": "upper end of it"}.items():  # fmt: skip
+    columns.add(
+        "order",
+        np.array([line["order"] for line in lines]),
+        "index",
+        "1",
+        "first: alone; second: of a pair, beyond each alone; total: with all others",
+    )
+    for name, text in {
+        "index": "share of the metric's variance",
+        "low": "lower end of its 95 % interval",
+        "high": "upper end of it",
+    }.items():
         columns.add(name, np.array([line[name] for line in lines], float), "metric", "1", text)
-    table = columns.table({"sensitivity": metric, "method": method, "noise": float(np.mean(noises)),
-                           "notes": "\n".join(dict.fromkeys(notes))})  # fmt: skip
+    table = columns.table(
+        {
+            "sensitivity": metric,
+            "method": method,
+            "noise": float(np.mean(noises)),
+            "notes": "\n".join(dict.fromkeys(notes)),
+        }
+    )
     return Sensitivity(table, metric, method, float(np.mean(noises)), tuple(dict.fromkeys(notes)))
 
 
@@ -153,8 +182,11 @@ class _Data:
         inputs = np.column_stack([column[rows][first] for _, column in results.columns(names)])
         read = ~np.isnan(inputs).all(axis=0)  # in this structure
         lost = int((count == 0).sum())
-        notes = [f"{int((~good).sum()):,} of {len(good):,} runs fell or were lost, {lost:,} variants with all of "
-                 "theirs."] if lost or not good.all() else []  # fmt: skip
+        notes = (
+            [f"{int((~good).sum()):,} of {len(good):,} runs fell or were lost, {lost:,} variants with all of theirs."]
+            if lost or not good.all()
+            else []
+        )
         if count.any() and whole <= (1e-12 * np.nanmax(np.abs(means))) ** 2:
             raise ParameterError(f"metric is {metric!r}, which is the same in all variants: it depends on nothing.")
         noise = float(min(within / whole, 1.0)) if whole > 0 else math.nan
@@ -175,17 +207,25 @@ def _sobol(data: _Data, pairs: bool) -> Iterator[dict[str, Any]]:
 
     block = saltelli_size(len(data.names), pairs)
     if len(data.means) % block:
-        raise ParameterError(f"the table has {len(data.means):,} variants, not whole blocks of {block}: finish "
-                             "the sweep first.")  # fmt: skip
+        raise ParameterError(
+            f"the table has {len(data.means):,} variants, not whole blocks of {block}: finish the sweep first."
+        )
     blocks = data.means.reshape(-1, block)
     whole = np.isfinite(blocks).all(axis=1)
     if lost := int((~whole).sum()):
-        data.notes.append(f"{lost:,} of {len(blocks):,} points are left out, of which a variant has no run that went "
-                          "well: the indices are of where the robot walks.")  # fmt: skip
+        data.notes.append(
+            f"{lost:,} of {len(blocks):,} points are left out, of which a variant has no run that went "
+            "well: the indices are of where the robot walks."
+        )
     if whole.sum() < 4:
         raise ParameterError(f"only {int(whole.sum())} points have all of their variants: too few for indices.")
-    found = sobol.analyze(unit_problem(len(data.names)), blocks[whole].ravel(), calc_second_order=pairs,
-                          num_resamples=RESAMPLES, seed=_SEED)  # fmt: skip
+    found = sobol.analyze(
+        unit_problem(len(data.names)),
+        blocks[whole].ravel(),
+        calc_second_order=pairs,
+        num_resamples=RESAMPLES,
+        seed=_SEED,
+    )
     for i, name in enumerate(data.names):
         yield _line(name, "first", found["S1"][i], found["S1_conf"][i])
         yield _line(name, "total", found["ST"][i], found["ST_conf"][i])
@@ -199,22 +239,36 @@ def _given(data: _Data) -> Iterator[dict[str, Any]]:
     good = np.isfinite(data.means)
     if good.sum() < _FEWEST:
         raise ParameterError(f"{int(good.sum())} variants went well: RBD-FAST needs {_FEWEST} or more.")
-    found = rbd_fast.analyze(unit_problem(len(data.names)), data.inputs[good], data.means[good], M=_HARMONICS,
-                             num_resamples=RESAMPLES, seed=_SEED)  # fmt: skip
+    found = rbd_fast.analyze(
+        unit_problem(len(data.names)),
+        data.inputs[good],
+        data.means[good],
+        M=_HARMONICS,
+        num_resamples=RESAMPLES,
+        seed=_SEED,
+    )
     for i, name in enumerate(data.names):
         yield _line(name, "first", found["S1"][i], found["S1_conf"][i])
 
 
 def _line(parameter: str, order: str, index: float, half: float, second: str = "") -> dict[str, Any]:
-    return {"parameter": parameter, "second": second, "order": order, "index": float(index),
-            "low": float(index - half), "high": float(index + half)}  # fmt: skip
+    return {
+        "parameter": parameter,
+        "second": second,
+        "order": order,
+        "index": float(index),
+        "low": float(index - half),
+        "high": float(index + half),
+    }
 
 
 def _about_noise(noise: float, method: str) -> str:
     """The effect of the randomized parameters on the indices."""
-    rest = "a total index of a parameter without effect is about as large" if method == "sobol" else (
-        "which no parameter explains"
-    )  # fmt: skip
+    rest = (
+        "a total index of a parameter without effect is about as large"
+        if method == "sobol"
+        else ("which no parameter explains")
+    )
     if math.isnan(noise):
         return "What is randomized counts as noise; one repeat does not tell how much it is: give repeats."
     return f"What is randomized counts as noise, {noise:.1%} of the variance: {rest}.".replace("%", " %")
@@ -229,3 +283,86 @@ def strongest(table: pa.Table) -> list[str]:
         if line["order"] == order:
             most[line["parameter"]] = max(most.get(line["parameter"], -math.inf), line["index"])
     return sorted(most, key=lambda name: -most[name])
+
+
+# ---
+# Figures of Sobol indices, from their table alone: a bar for each parameter alone and with interactions.
+
+
+Line = Mapping[str, Any]
+#: Bars, and panels, of one figure.
+_MOST_PARAMETERS: Final = 16
+_MOST_PAIRS: Final = 10
+_MOST_PANELS: Final = 6
+_COLOURS: Final = {"first": LINE, "total": BAND, "second": OKABE_ITO["purple"]}
+_WORDS: Final = {"first": "alone (first)", "total": "with all others (total)", "second": "of a pair (second)"}
+
+
+def figures(out: Path) -> Figures:
+    """The figures of a sensitivity's directory.
+
+    Raises:
+        DirectoryError: its table is absent or damaged.
+    """
+    return figures_of(report_table(out, "sensitivity"))
+
+
+def figures_of(table: pa.Table) -> Iterator[tuple[str, Figure]]:
+    """(file name, figure) of a table of indices; a panel for each structure, and one for its pairs."""
+    about = {key.decode(): value.decode() for key, value in (table.schema.metadata or {}).items()}
+    lines, metric = table.to_pylist(), about["sensitivity"]
+    structures = labelled(table)
+    parts = list(dict.fromkeys(tuple(line[name] for name in structures) for line in lines))[:_MOST_PANELS]
+    names = strongest(table)[:_MOST_PARAMETERS]
+    pairs = any(line["order"] == "second" for line in lines)
+    columns = 2 if pairs else min(len(parts), 2)
+    rows = len(parts) if pairs else -(-len(parts) // columns)
+    size = (5.6 if columns == 1 else 9.6, rows * (0.34 * len(names) + 0.9) + 1.2)
+    page = Page(f"What {titled(metric).lower()} depends on", size, rows, columns)
+    axes = page.axes.ravel()
+    places = iter(axes)
+    for part in parts:
+        own = [line for line in lines if tuple(line[name] for name in structures) == part]
+        title = ", ".join(f"{name} {value}" for name, value in zip(structures, part, strict=True))
+        _bars(next(places), own, names, title)
+        if pairs:
+            _pairs(next(places), own, title)
+    for ax in places:
+        ax.remove()
+    orders = dict.fromkeys(line["order"] for line in lines)
+    handles = [Patch(fc=_COLOURS[order], label=_WORDS[order]) for order in orders]
+    more = len(strongest(table)) - len(names)
+    note = "share of the variance; lines: 95 % intervals" + f"; {more} weaker ones are in the table" * (more > 0)
+    yield f"{metric}-sensitivity", page.finish(handles, f"{note}\n{about['notes']}".strip())
+
+
+def _bars(ax: Axes, lines: Sequence[Line], names: Sequence[str], title: str) -> None:
+    orders = [order for order in ("total", "first") if any(line["order"] == order for line in lines)]
+    for order in orders:
+        own = {line["parameter"]: line for line in lines if line["order"] == order}
+        shift = 0.0 if len(orders) == 1 else -0.19 if order == "first" else 0.19
+        there = [(place, own[name]) for place, name in enumerate(names) if name in own]
+        _draw(ax, np.array([place + shift for place, _ in there]), [line for _, line in there], 0.38 if shift else 0.6)
+    _finish(ax, names, title)
+
+
+def _pairs(ax: Axes, lines: Sequence[Line], title: str) -> None:
+    pairs = sorted((line for line in lines if line["order"] == "second"), key=lambda line: -line["index"])[:_MOST_PAIRS]
+    _draw(ax, np.arange(len(pairs), dtype=float), pairs, 0.6)
+    _finish(ax, [f"{line['parameter']}\n{line['second']}" for line in pairs], title)
+
+
+def _draw(ax: Axes, places: np.ndarray, lines: Sequence[Line], height: float) -> None:
+    if lines:
+        values = np.array([[line["index"], line["low"], line["high"]] for line in lines])
+        ax.barh(places, values[:, 0], height, color=_COLOURS[lines[0]["order"]])
+        ax.hlines(places, values[:, 1], values[:, 2], color=INK, lw=1.0)
+
+
+def _finish(ax: Axes, names: Sequence[str], title: str) -> None:
+    ax.axvline(0, color=MUTED, lw=0.8)
+    ax.set_yticks(range(len(names)), names)
+    ax.set(ylim=(max(len(names), 1) - 0.4, -0.6), title=title, xlabel="Sobol index [1]")
+    low, high = ax.get_xlim()
+    ax.set_xlim(max(low, -0.5), min(max(high, 0.1), 1.5))
+    ax.grid(axis="x", color=GRID, lw=0.8)

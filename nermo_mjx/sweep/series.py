@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import functools
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
 
@@ -16,14 +17,15 @@ from nermo_mjx.recording import Recording, RecordingError
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.rollout import Series, Setup, Simulator
 from nermo_mjx.rollout.saving import Signal, chosen_signals
+from nermo_mjx.runs.directory import RunDirectory
 from nermo_mjx.runs.files import WrongDirectory
 from nermo_mjx.runs.text import plain
 from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.sweep.replay import engine_for, find_row, replay_row, report_of
-from nermo_mjx.sweep.results import Results
+from nermo_mjx.sweep.results import RECORDINGS, Results
 from nermo_mjx.sweep.sampling import Sample
 from nermo_mjx.sweep.spec import Keep, Sweep, cost, sides_in
-from nermo_mjx.sweep.store import RECORDINGS, Store, simulated_seconds
+from nermo_mjx.sweep.store import simulated_seconds
 
 #: Most that the series of one chunk may take in memory [bytes]; two chunks are held at once.
 LARGEST_CHUNK: Final = 512 * 2**20
@@ -44,22 +46,14 @@ def series_table(sweep: Sweep, index: np.ndarray, series: Series) -> pa.Table:
         "row": pa.array(np.repeat(index.astype(np.int64), chunk.count)),
         "time": pa.array(np.broadcast_to(chunk.time, kept.shape)[kept]),
     }
-    fields = [_field("row", pa.int64(), "1", "position of the run in the sweep", "index"),
-              _field("time", pa.float64(), "s", "since the start, warm-up included", "index")]  # fmt: skip
+    fields = [
+        _field("row", pa.int64(), "1", "position of the run in the sweep", "index"),
+        _field("time", pa.float64(), "s", "since the start, warm-up included", "index"),
+    ]
     for signal in signals_of(sweep):
         arrays[signal.name] = pa.array(chunk.values[signal.name][kept])
         fields.append(_field(signal.name, pa.float32(), signal.unit, signal.doc, "signal"))
     return pa.table(arrays, schema=pa.schema(fields, metadata={"sweep": sweep.digest()}))
-
-
-def joined_series(sweep: Sweep, parts: Sequence[pa.Table], index: np.ndarray) -> pa.Table:
-    """One table of several, a run after the other, in the order of the chunk's rows (n,)."""
-    if len(parts) == 1:
-        return parts[0].replace_schema_metadata({"sweep": sweep.digest()})
-    table = pa.concat_tables(part.replace_schema_metadata({"sweep": sweep.digest()}) for part in parts)
-    place = np.empty(int(index.max()) + 1, int)
-    place[index] = np.arange(len(index))
-    return table.take(np.argsort(place[table.column("row").to_numpy()], kind="stable"))
 
 
 def signals_of(sweep: Sweep) -> tuple[Signal, ...]:
@@ -101,20 +95,17 @@ def chunk_with_series(sweep: Sweep, wanted: int | None, usual: Callable[[], int]
     return wanted or min(usual(), most)
 
 
-def check_room(sweep: Sweep, out: Path, seconds: np.ndarray, missing: Sequence[np.ndarray]) -> None:
+def check_room(sweep: Sweep, out: Path, seconds: np.ndarray) -> None:
     """Refuse a sweep for which the disk has no room.
 
     Args:
         out: the directory.
-        seconds: how long each run of the sweep lasts (rows,) [s].
-        missing: rows of each chunk to be run.
+        seconds: how long each run lasts that is missing (n,) [s].
 
     Raises:
-        WrongDirectory: the series of these chunks need more than is free.
+        WrongDirectory: the series of these runs need more than is free.
     """
-    if sweep.save is None or not missing:
-        return
-    needed, free = series_bytes(sweep, seconds[np.concatenate(missing)]), shutil.disk_usage(out).free
+    needed, free = series_bytes(sweep, seconds), shutil.disk_usage(out).free
     if needed > free:
         raise WrongDirectory(
             f"{out} has room for {size(free)}, and the time series would take up to {size(needed)}: choose another "
@@ -173,7 +164,8 @@ def kept_rows(results: Results, keep: Keep) -> dict[int, str]:
 
 
 def record_rows(
-    store: Store,
+    held: RunDirectory,
+    digest: str,
     results: Results,
     keep: Keep,
     used: Any = None,
@@ -183,7 +175,8 @@ def record_rows(
     """Record the rows to keep that are not recorded yet; returns the files of all of them, in the order of the rows.
 
     Args:
-        store: of the complete table.
+        held: the directory of the complete table.
+        digest: of its sweep.
         results: the table.
         keep: which rows.
         used: what simulated the table in this process, if anything; a `Simulator` has its programs compiled.
@@ -206,12 +199,14 @@ def record_rows(
             return Simulator(setup, "c")
 
     for row, why in sorted(kept_rows(results, keep).items()):
-        path = recording_file(store.out, row)
-        if _is_recorded(store, row):
-            files.append(path)
-            continue
+        path = recording_file(held.out, row)
+        with contextlib.suppress(RecordingError):  # absent, or damaged
+            there = Recording.load(path).metadata
+            if (there.get("row"), there.get("sweep")) == (row, digest):
+                files.append(path)
+                continue
         check()
-        found = find_row(store.out, row)
+        found = find_row(held.out, row)
         walker = simulator(found.walk.setup, engine_for(found))
         replay = replay_row(found, progress=lambda _: check(), simulator=walker)
         if not len(replay.history.time):
@@ -220,18 +215,9 @@ def record_rows(
         report = report_of(found, replay)
         if replay.comparison is not None and not replay.comparison.equal:
             say(f"row {row} as it is recorded: {report['compared']}")
-        about = {**report, "kept": why, "sweep": store.sweep.digest()}
+        about = {**report, "kept": why, "sweep": digest}
         content = dataclasses.replace(replay.recording(), metadata=plain(about)).content()
-        store.directory.move_aside(path.relative_to(store.out))
-        store.directory.write(path.relative_to(store.out), content)
+        held.move_aside(path.relative_to(held.out))
+        held.write(path.relative_to(held.out), content)
         files.append(path)
     return files
-
-
-def _is_recorded(store: Store, row: int) -> bool:
-    """Whether there is an undamaged recording of this row of this sweep."""
-    try:
-        about = Recording.load(recording_file(store.out, row)).metadata
-    except RecordingError:
-        return False
-    return (about.get("row"), about.get("sweep")) == (row, store.sweep.digest())

@@ -25,10 +25,19 @@ from nermo_mjx.specs.fields import Fields, OneOf, Refused, optional, read
 from nermo_mjx.specs.reading import Document, describe, read_file, read_mapping
 from nermo_mjx.specs.values import Choice, Positive, Whole, by_parameter, refuse_parameter
 from nermo_mjx.specs.walk import WalkFields, WalkSpec, check_sources, check_workspace, unread, written_out
-from nermo_mjx.sweep.axes import Axis, Draw, DrawForm, read_axis, read_draw
-from nermo_mjx.sweep.rows import RowList, RowsForm, RowTable, listed_rows, read_row_table
-from nermo_mjx.sweep.saltelli import Saltelli, saltelli_size
-from nermo_mjx.sweep.structures import Structure, Vary, check_repeats, combinations_of, read_structures
+from nermo_mjx.sweep.axes import Axis, Draw, DrawForm, Saltelli, read_axis, read_draw, saltelli_size
+from nermo_mjx.sweep.structures import (
+    RowList,
+    RowsForm,
+    RowTable,
+    Structure,
+    Vary,
+    check_repeats,
+    combinations_of,
+    listed_rows,
+    read_row_table,
+    read_structures,
+)
 
 # ---
 # The comparison that a sweep file may request of the finished table.
@@ -89,11 +98,17 @@ def read_comparison(
         return None
     for path, name in ((("compare", "by"), fields.by), *((("compare", "for"), name) for name in fields.groups)):
         if name not in varied:
-            doc.fail(path, f"names {name!r}, which is not varied{did_you_mean(name, varied)} Varied: "
-                           f"{', '.join(varied) or 'nothing'}.")  # fmt: skip
+            doc.fail(
+                path,
+                f"names {name!r}, which is not varied{did_you_mean(name, varied)} Varied: "
+                f"{', '.join(varied) or 'nothing'}.",
+            )
         if varied[name] is None:
-            doc.fail(path, f"names {name!r}, which is drawn between bounds, so that no two variants share a value: "
-                           "list its values.")  # fmt: skip
+            doc.fail(
+                path,
+                f"names {name!r}, which is drawn between bounds, so that no two variants share a value: "
+                "list its values.",
+            )
     values = list(varied[fields.by] or ())
     if len(values) < 2:
         doc.fail(("compare", "by"), f"names {fields.by!r}, which has one value: there is nothing to compare.")
@@ -101,8 +116,11 @@ def read_comparison(
         doc.fail(("compare", "for"), f"names {fields.by!r}, whose values are compared: name other columns.")
     if fields.base is not None and fields.base not in values:
         listed = [value if isinstance(value, str) else f"{value:g}" for value in values]
-        doc.fail(("compare", "base"), f"is {describe(fields.base)}, no value of {fields.by}; allowed are "
-                                      f"{', '.join(listed)}{did_you_mean(str(fields.base), listed)}")  # fmt: skip
+        doc.fail(
+            ("compare", "base"),
+            f"is {describe(fields.base)}, no value of {fields.by}; allowed are "
+            f"{', '.join(listed)}{did_you_mean(str(fields.base), listed)}",
+        )
     return AskedComparison(fields.by, fields.base, tuple(dict.fromkeys(fields.groups)))
 
 
@@ -114,6 +132,7 @@ def read_comparison(
 OBJECTIVES: Final = {
     "speed": "max",
     "cost_of_transport": "min",
+    "electrical_cost_of_transport": "min",
     "servo_work": "min",
     "slip": "min",
     "roll_std": "min",
@@ -215,8 +234,11 @@ def check_keep(doc: Document, keep: Keep | None, metrics: Mapping[str, Metric]) 
     """Fail if the best would be chosen by a metric without a better direction, or by an unknown one."""
     sides = sides_of(metrics)
     if keep is not None and keep.metric not in sides:
-        doc.fail(("keep", "metric"), f"is '{keep.metric}': allowed is a metric with a better direction, "
-                                     f"{', '.join(sides)}{did_you_mean(keep.metric, sides)}")  # fmt: skip
+        doc.fail(
+            ("keep", "metric"),
+            f"is '{keep.metric}': allowed is a metric with a better direction, "
+            f"{', '.join(sides)}{did_you_mean(keep.metric, sides)}",
+        )
 
 
 # ---
@@ -284,10 +306,13 @@ def narrowest(structures: Sequence[Structure]) -> dict[str, Quantity]:
     if len(each) == 1:
         return structures[0].parameters
     return {
-        name: dataclasses.replace(about, low=max(other[name].low for other in each.values()),
-                                  high=min(other[name].high for other in each.values()))
+        name: dataclasses.replace(
+            about,
+            low=max(other[name].low for other in each.values()),
+            high=min(other[name].high for other in each.values()),
+        )
         for name, about in structures[0].parameters.items()
-    }  # fmt: skip
+    }
 
 
 def values_of(sweep: Sweep) -> dict[str, list[Value] | None]:
@@ -315,8 +340,11 @@ def check_together(doc: Document, sweep: Sweep) -> None:
     check_keep(doc, sweep.keep, sweep.metrics)
     rows = sweep.variants * sweep.repeats
     if rows > LARGEST_SWEEP:
-        doc.fail((section,), f"makes {rows:,} runs; allowed are {LARGEST_SWEEP:,}: take fewer values, or a sampler "
-                             "such as sample: {sobol: 4096}.")  # fmt: skip
+        doc.fail(
+            (section,),
+            f"makes {rows:,} runs; allowed are {LARGEST_SWEEP:,}: take fewer values, or a sampler "
+            "such as sample: {sobol: 4096}.",
+        )
     tried: dict[str, Mapping[str, np.ndarray]] = {"randomize": {draw.name: draw.tried() for draw in sweep.draws}}
     if sweep.rows is None:
         tried["vary"] = {axis.name: axis.tried(grid=sweep.sampler == "grid") for axis in sweep.axes}
@@ -329,8 +357,11 @@ def check_together(doc: Document, sweep: Sweep) -> None:
 def _check_rows(doc: Document, sweep: Sweep, rows: RowList) -> None:
     """Fail where the values of a row do not go together."""
     for at, walk in enumerate(sweep.structures):
-        values = {name: column[rows.structure == at] for name, column in rows.values.items()
-                  if unread(walk.setup, name) is None}  # fmt: skip
+        values = {
+            name: column[rows.structure == at]
+            for name, column in rows.values.items()
+            if unread(walk.setup, name) is None
+        }
         try:
             walk.setup.check(walk.setup.world(walk.constants | values))
         except ParameterError as error:
@@ -482,8 +513,11 @@ class Sweep(WalkSpec, Described):
     def decisive(self) -> dict[str, Any]:
         """The fields that decide the rows; a controller counts by what it is, and not by where it is."""
         first = self.rows.fingerprint if self.rows is not None else None
-        data = {key: value for key, value in (self if first is None else _few(self)).resolved().items()
-                if key not in _NOT_DECISIVE}  # fmt: skip
+        data = {
+            key: value
+            for key, value in (self if first is None else _few(self)).resolved().items()
+            if key not in _NOT_DECISIVE
+        }
         return data | code_identity(self.setup) | ({} if first is None else {"rows": first})
 
     def digest(self) -> str:

@@ -415,7 +415,7 @@ _SHOWN: Final = {"rad": ("°", _DEGREES), "rad/s": ("°/s", _DEGREES), "m": ("mm
 #: Metrics in the page's head, and their labels.
 _HEADLINE: Final = {
     "speed": "speed", "roll_std": "roll σ", "pitch_std": "pitch σ", "slip": "slip",
-    "cost_of_transport": "cost of transport",
+    "cost_of_transport": "cost of transport", "electrical_cost_of_transport": "electrical cost",
 }  # fmt: skip
 
 

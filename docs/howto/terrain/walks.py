@@ -9,7 +9,7 @@ import dataclasses
 from pathlib import Path
 
 import numpy as np
-from search_gait import POLES
+from search_gait import DAMPED, POLES
 
 from nermo_mjx import Run, Setup, Simulator
 from nermo_mjx.learn import load_policy
@@ -45,7 +45,7 @@ if __name__ == "__main__":
             policy = load_policy(HERE / f"{spine}.npz").upon(**pilot)
             simulator = Simulator(Setup(scene=scene, physics="fast", controller=policy), engine="c")
             run = Run(duration=10.0, warmup=1.0)
-            result = simulator.run(values | {"contact.friction": 1.2}, run, record=True)
+            result = simulator.run(DAMPED | values | {"contact.friction": 1.2}, run, record=True)
             speed, aside = (float(result.metrics[name][0]) for name in ("speed", "cross_track_peak"))
             outcome = f"{result.status[0]}, {1000 * speed:.0f} mm/s, {1000 * aside:.0f} mm aside"
             print(f"{spine} on {scene}: {outcome}", flush=True)

@@ -1,0 +1,1006 @@
+"""Two sets of runs compared, of two tables or of two values of a column in one: what is paired, with what intervals."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final, TypeAlias
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import FuncFormatter
+from scipy import stats
+
+from nermo_mjx.plotting.files import Figures
+from nermo_mjx.plotting.page import Page
+from nermo_mjx.plotting.shown import ShownValues, shown
+from nermo_mjx.plotting.style import BEST, GRID, INK, LINE, MUTED, SERIES, horizontal_grid, set_scales
+from nermo_mjx.robot.quantity import ParameterError, did_you_mean
+from nermo_mjx.runs.files import DirectoryError
+from nermo_mjx.specs.reading import SpecError
+from nermo_mjx.sweep.figures import titled
+from nermo_mjx.sweep.results import HELD, Results, SweepRecord, result_files
+from nermo_mjx.sweep.spec import OBJECTIVES
+from nermo_mjx.sweep.structures import label_of
+from nermo_mjx.sweep.table import LEADING, Columns, columns_of, meta, report_table
+
+#: A directory of a sweep, or its table.
+Source: TypeAlias = "str | os.PathLike[str] | pa.Table | Results"
+Value: TypeAlias = "float | str"
+
+
+@dataclasses.dataclass(frozen=True)
+class Arm:
+    """A set of runs.
+
+    Attributes:
+        name: as messages and tables call it.
+        results: the table that holds them.
+        rows: their places in it, (n,).
+        keys: what may distinguish their variants, name -> (n,): the varied columns, and values fixed instead.
+    """
+
+    name: str
+    results: Results
+    rows: np.ndarray
+    keys: Mapping[str, np.ndarray]
+
+    def take(self, chosen: np.ndarray) -> Arm:
+        """The runs at these places, or where a mask holds."""
+        return dataclasses.replace(
+            self, rows=self.rows[chosen], keys={name: values[chosen] for name, values in self.keys.items()}
+        )
+
+    def column(self, name: str) -> np.ndarray:
+        """A column of these runs, (n,)."""
+        return self.results.column(name)[self.rows]
+
+
+def opened(source: Source) -> tuple[str, Results, SweepRecord | None, list[str]]:
+    """The name of a table, the table, what is known of its sweep, and notes on missing rows.
+
+    Raises:
+        DirectoryError: it holds no results, or they cannot be read.
+    """
+    if isinstance(source, Results | pa.Table):
+        return "table", source if isinstance(source, Results) else Results(source), None, []
+    out = Path(source)
+    if not out.is_dir():
+        raise SpecError(f"{out}: {'this is a file, not a directory' if out.exists() else 'no such directory'}.")
+    files = result_files(out)
+    if not files:
+        raise DirectoryError(f"{out} holds no results of a sweep.")
+    results, sweep, notes = Results(files), SweepRecord.of_directory(out), []
+    if sweep is not None and results.rows < sweep.rows:
+        notes.append(f"{out} is not complete: {results.rows:,} of {sweep.rows:,} runs.")
+    return str(source), results, sweep, notes
+
+
+def two_tables(base: Source, other: Source) -> tuple[list[Arm], list[str]]:
+    """All runs of two tables, and notes on how their sweeps differ."""
+    arms, notes, sweeps = [], [], []
+    for source in (base, other):
+        name, results, sweep, said = opened(source)
+        arms.append(Arm(name, results, np.arange(results.rows), keys_of(results)))
+        sweeps.append(sweep)
+        notes += said
+    if arms[0].name == arms[1].name:
+        arms = [dataclasses.replace(arm, name=f"{arm.name} ({word})") for arm, word in zip(arms, "AB", strict=True)]
+    names = {name: None for arm in arms for name in arm.keys}
+    arms = [
+        dataclasses.replace(arm, keys={**arm.keys, **_fixed(arm, sweep, [*names])})
+        for arm, sweep in zip(arms, sweeps, strict=True)
+    ]
+    first, second = sweeps
+    if first is not None and second is not None:
+        notes += [f"They differ in {each}." for each in _differences(first, second, names)]
+    return arms, notes
+
+
+def values_of(source: Source, by: str, base: Value | None) -> tuple[list[Arm], list[str]]:
+    """The runs of one table, split by a varied column; the base's come first.
+
+    Raises:
+        ParameterError: there is no such column, or it has no such value, or one value only.
+    """
+    _, results, _, notes = opened(source)
+    keys = keys_of(results)
+    check_name(by, [*keys], "by")
+    column = keys.pop(by)
+    values = _in_order(column)
+    if len(values) < 2:
+        raise ParameterError(f"by is {by!r}, which has the one value {value_text(values[0])}: nothing can be compared.")
+    first = ("none" if "none" in values else values[0]) if base is None else value_among(base, values, "base")
+    everyone = Arm("", results, np.arange(results.rows), keys)
+    arms = [
+        dataclasses.replace(everyone.take(column == value), name=value_text(value))
+        for value in (first, *(value for value in values if value != first))
+    ]
+    return arms, notes
+
+
+def keys_of(results: Results) -> dict[str, np.ndarray]:
+    """The varied columns, (rows,) each; what a run does not have is NaN, or an empty text."""
+    found = {}
+    for name, values in results.columns(columns_of(results, "varied")):
+        text = values.dtype == object
+        found[name] = np.array(["" if each is None else str(each) for each in values]) if text else values.astype(float)
+    return found
+
+
+def absent(values: np.ndarray) -> np.ndarray:
+    """Where a key has no value, (n,) bool."""
+    return values == "" if values.dtype.kind == "U" else np.isnan(values)
+
+
+def check_name(name: str, known: Sequence[str], option: str) -> None:
+    """Refuse a column that is not varied."""
+    if name not in known:
+        raise ParameterError(
+            f"{option} is {name!r}, which is not varied{did_you_mean(name, known)} "
+            f"Varied: {', '.join(known) or 'nothing'}."
+        )
+
+
+def value_among(wanted: Value, values: Sequence[Value], option: str) -> Value:
+    """The requested value, as in the column; numbers may differ in their last digits."""
+    try:
+        number = float(wanted)
+    except ValueError:
+        number = math.nan
+    for value in values:
+        close = str(wanted) == value if isinstance(value, str) else math.isclose(number, value, abs_tol=1e-12)
+        if close:
+            return value
+    listed = ", ".join(map(value_text, values[:12])) + (f" and {len(values) - 12} more" if len(values) > 12 else "")
+    hint = did_you_mean(str(wanted), list(map(value_text, values)))
+    raise ParameterError(f"{option} is {wanted!r}: the table has {listed}{hint or '.'}")
+
+
+def value_text(value: Value) -> str:
+    """A value of a column as text: none, 0.8."""
+    return value if isinstance(value, str) else f"{value:.10g}"
+
+
+def _in_order(values: np.ndarray) -> list[Value]:
+    """The different values of a column, in the order in which they come."""
+    distinct, first = np.unique(values[~absent(values)], return_index=True)
+    return distinct[np.argsort(first)].tolist()
+
+
+def _fixed(arm: Arm, sweep: SweepRecord | None, names: Sequence[str]) -> dict[str, np.ndarray]:
+    """Columns that only the other table varies: the value that this sweep has fixed, or none where it has no effect."""
+    found: dict[str, np.ndarray] = {}
+    for name in (name for name in names if name not in arm.keys):
+        value: Any = None
+        if sweep is not None and name not in columns_of(arm.results, "randomized"):
+            value = sweep.parameters[name] if name in sweep.parameters else label_of(sweep.fields[name])
+        found[name] = np.full(len(arm.rows), math.nan if value is None else value)
+    return found
+
+
+def _differences(base: SweepRecord, other: SweepRecord, varied: Mapping[str, Any]) -> list[str]:
+    """What the two sweeps fix to different values, apart from what one of them varies."""
+    first, second = ({**each.fields, **each.fields["set"]} for each in (base, other))
+    apart = []
+    for name in {**first, **second}:
+        if name in ("set", *varied, *base.labelled, *other.labelled) or first.get(name) == second.get(name):
+            continue
+        values = ("the default" if each.get(name) is None else each[name] for each in (first, second))
+        apart.append("{}: {} and {}".format(name, *values))
+    return apart
+
+
+# ---
+# Confidence intervals of a mean over variants whose runs are repeated: a two-stage bootstrap.
+#
+# Variants are drawn with replacement, and within each drawn variant its runs. Both stages together would count the
+# runs' noise twice, because the variants' means already contain it, so these are shrunk towards their mean first
+# (Davison and Hinkley, Bootstrap Methods and their Application, 1997, section 3.8; Ng, Grieve and Carpenter, Stata
+# Journal 13, 2013). Few repeats are treated with caution: deviations from a mean of n are scaled by sqrt(n / (n - 1)),
+# and the whole by the ratio of Student's t quantile to the normal one. `scipy.stats.bootstrap` has one stage only.
+
+
+#: Resamples; the same ones in each call, so that the same table gives the same intervals.
+RESAMPLES: Final = 4000
+#: Variants above which only their means are resampled: that many show the runs' noise without a second stage.
+MANY_VARIANTS: Final = 400
+#: Variants above which nothing is resampled: the resampled mean of that many is normal.
+MOST_DRAWN: Final = 10_000
+_LEVEL: Final = 0.95
+#: Numbers of a block of resamples that are held at once.
+_HELD: Final = 4_000_000
+
+
+@dataclasses.dataclass(frozen=True)
+class Interval:
+    """Estimates of m metrics, (m,) each.
+
+    Attributes:
+        estimate: the mean over the variants.
+        low, high: its 95 % confidence interval; NaN where the noise is unknown (one variant, and one run per cell).
+        p: probability of an estimate as far from 0 by chance, two-sided; NaN without an interval. It is the larger of
+            the share of resamples beyond 0 and Student's t, because few runs have no resamples far out.
+    """
+
+    estimate: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    p: np.ndarray
+
+
+def two_stage(values: np.ndarray, cell: np.ndarray, variant: np.ndarray) -> Interval:
+    """The mean over variants of the sum of their cells' means.
+
+    >>> two_stage(np.array([[1.0], [1.0], [3.0], [3.0]]), np.array([0, 0, 1, 1]), np.array([0, 1])).estimate
+    array([2.])
+
+    Args:
+        values: of each run, (n, m), all finite; those of the side to subtract carry a minus sign.
+        cell: the cell of each run, (n,), from 0 to c - 1; runs of a cell are exchangeable.
+        variant: the variant of each cell, (c,), from 0 to v - 1.
+    """
+    cells, variants = len(variant), int(variant.max()) + 1
+    count = np.bincount(cell, minlength=cells)
+    mean = _sums(values, cell, cells) / count[:, None]
+    apart = values - mean[cell]
+    rounding = 1e-12 * np.abs(values).max(axis=0)
+    apart[np.abs(apart) <= rounding] = 0.0
+    # Squared standard error of each cell's mean; unknown for a single run.
+    noise = _sums(apart**2, cell, cells) / (count * np.maximum(count - 1, 1))[:, None]
+    each = _sums(mean, variant, variants)
+    each[np.abs(each) <= rounding] = 0.0
+    estimate = each.mean(axis=0)
+    within = noise.sum(axis=0) / variants**2
+    across = each.var(axis=0, ddof=1) / variants if variants > 1 else np.zeros_like(within)
+    deviation, shrink = each - estimate, np.ones_like(within)
+    runs_too = variants <= MANY_VARIANTS
+    if runs_too:
+        shrink = np.sqrt(np.maximum(1 - np.divide(within, across, out=np.ones_like(within), where=across > 0), 0))
+    deviation = deviation * shrink * np.sqrt(variants / max(variants - 1, 1))
+    apart = apart * np.sqrt(count / np.maximum(count - 1, 1))[cell][:, None]
+    rng, drawn = np.random.default_rng(0), np.empty((RESAMPLES, values.shape[1]))
+    members = np.split(np.argsort(cell, kind="stable"), np.cumsum(count)[:-1])
+    block = max(1, _HELD // max(variants, len(cell)))
+    if variants > MOST_DRAWN:
+        drawn[:] = rng.normal(size=(RESAMPLES, 1)) * np.sqrt(across)
+    for start in range(0, RESAMPLES if variants <= MOST_DRAWN else 0, block):
+        size = min(block, RESAMPLES - start)
+        picked = rng.integers(variants, size=(size, variants)) + variants * np.arange(size)[:, None]
+        often = np.bincount(picked.ravel(), minlength=size * variants).reshape(size, variants)
+        part = often @ deviation
+        for k, runs in enumerate(members) if runs_too else ():
+            picks = rng.multinomial(often[:, variant[k]] * len(runs), np.full(len(runs), 1 / len(runs)))
+            part += picks @ apart[runs] / len(runs)
+        drawn[start : start + size] = part / variants
+    freedom = _freedom(noise / variants**2, count, np.maximum(across - within, 0), variants)
+    drawn *= stats.t.ppf((1 + _LEVEL) / 2, freedom) / stats.norm.ppf((1 + _LEVEL) / 2)
+    unknown = variants == 1 and bool((count == 1).any())
+    low, high = estimate + np.quantile(drawn, [(1 - _LEVEL) / 2, (1 + _LEVEL) / 2], axis=0)
+    p = _chance(estimate, drawn, np.maximum(across, within), freedom)
+    nan = np.full_like(estimate, np.nan)
+    return Interval(estimate, *((nan, nan, nan) if unknown else (low, high, p)))
+
+
+def _sums(values: np.ndarray, place: np.ndarray, places: int) -> np.ndarray:
+    """Sums of rows (n, m) by their place, (places, m)."""
+    total = np.zeros((places, values.shape[1]))
+    np.add.at(total, place, values)
+    return total
+
+
+def _freedom(noise: np.ndarray, count: np.ndarray, between: np.ndarray, variants: int) -> np.ndarray:
+    """Degrees of freedom of the variance of the estimate (m,), by Satterthwaite's rule.
+
+    Args:
+        noise: each cell's share of that variance, (c, m), and `count` its runs, (c,).
+        between: what the variants add, (m,), beyond the noise of their runs.
+    """
+    known = count > 1
+    square = (noise[known] ** 2 / (count[known] - 1)[:, None]).sum(axis=0) + between**2 / max(variants - 1, 1)
+    whole = (noise.sum(axis=0) + between) ** 2
+    return np.divide(whole, square, out=np.full_like(whole, np.inf), where=square > 0)
+
+
+def _chance(estimate: np.ndarray, drawn: np.ndarray, variance: np.ndarray, freedom: np.ndarray) -> np.ndarray:
+    beyond = np.minimum((estimate + drawn <= 0).sum(axis=0), (estimate + drawn >= 0).sum(axis=0))
+    far = np.divide(np.abs(estimate), np.sqrt(variance), out=np.full_like(estimate, np.inf), where=variance > 0)
+    student = 2 * stats.t.sf(far, freedom)
+    p = np.minimum(np.maximum(2 * (beyond + 1) / (len(drawn) + 1), student), 1.0)
+    return np.where(estimate == 0, 1.0, p)
+
+
+# ---
+# Which runs are compared with which: variants that both sides have, groups of them, and seeds that both share.
+
+
+@dataclasses.dataclass(frozen=True)
+class Side:
+    """The runs of one side in common variants.
+
+    Attributes:
+        arm: those runs, (n,).
+        variant: the common variant of each, (n,), from 0.
+        seed: of its random draws, (n,).
+    """
+
+    arm: Arm
+    variant: np.ndarray
+    seed: np.ndarray
+
+    def take(self, chosen: np.ndarray) -> Side:
+        """The runs where a mask holds."""
+        return Side(self.arm.take(chosen), self.variant[chosen], self.seed[chosen])
+
+
+@dataclasses.dataclass(frozen=True)
+class Pairing:
+    """Two sides over common variants.
+
+    A key that one side lacks, because nothing reads it there, does not distinguish variants: on the other side all its
+    runs are averaged, or in groups by this key those of one value.
+
+    Attributes:
+        base, other: their runs.
+        variants: how many there are in common.
+        values: the keys of the common variants, name -> (variants,).
+        alone: keys that one side has alone.
+        notes: what is averaged or left out, in sentences.
+    """
+
+    base: Side
+    other: Side
+    variants: int
+    values: Mapping[str, np.ndarray]
+    alone: tuple[str, ...]
+    notes: tuple[str, ...]
+
+    def groups(self, names: Sequence[str]) -> Iterator[tuple[dict[str, Value], Pairing]]:
+        """One pairing for each combination of values of some keys."""
+        label = np.zeros(self.variants, int)
+        for name in names:
+            check_name(name, [*self.values, *self.alone], "for")
+            if name in self.alone:
+                continue
+            code = _codes(self.values[name])
+            label = np.unique(label * (code.max(initial=0) + 1) + code, return_inverse=True)[1]
+        for each in np.unique(label):
+            here = label == each
+            first = int(here.argmax())
+            sides = (side.take(here[side.variant]) for side in (self.base, self.other))
+            whole = dataclasses.replace(self, base=next(sides), other=next(sides))
+            known = {name: self.values[name][first].item() for name in names if name in self.values}
+            for values, part in whole._by_value([name for name in names if name in self.alone]):
+                yield {name: (known | values)[name] for name in names}, part
+
+    def _by_value(self, names: Sequence[str]) -> Iterator[tuple[dict[str, Value], Pairing]]:
+        """One pairing for each combination of values of keys that one side has alone."""
+        if not names:
+            yield {}, self
+            return
+        of_base = not absent(self.base.arm.keys[names[0]]).all()
+        own = self.base if of_base else self.other
+        column = own.arm.keys[names[0]]
+        for value in np.unique(column[~absent(column)]):
+            kept = own.take(column == value)
+            part = dataclasses.replace(self, base=kept) if of_base else dataclasses.replace(self, other=kept)
+            for more, smallest in part._by_value(names[1:]):
+                yield {names[0]: value.item(), **more}, smallest
+
+
+def pair(base: Arm, other: Arm) -> Pairing:
+    """Match the variants of two sides by their keys; what only one side has is left out.
+
+    Raises:
+        ParameterError: they have no variant in common.
+    """
+    names = list(dict.fromkeys((*base.keys, *other.keys)))
+    base, other = (  # a key that a side lacks is absent in all of its runs
+        dataclasses.replace(arm, keys={name: np.full(len(arm.rows), np.nan) for name in names} | dict(arm.keys))
+        for arm in (base, other)
+    )
+    codes, notes = (np.zeros(len(base.rows), int), np.zeros(len(other.rows), int)), list[str]()
+    values: dict[str, np.ndarray] = {}
+    alone: list[str] = []
+    split = len(base.rows)
+    for name in names:
+        sides = [arm.keys[name] for arm in (base, other)]
+        lacking = [bool(absent(side).all()) for side in sides]
+        if any(lacking):
+            if not all(lacking):
+                one = base if lacking[1] else other
+                alone.append(name)
+                notes.append(f"{name} varies in {one.name} alone, and is averaged there, but for groups by it.")
+            continue
+        joined = np.concatenate(sides)
+        values[name] = joined
+        code = _codes(joined)
+        both = np.unique(np.concatenate(codes) * (code.max(initial=0) + 1) + code, return_inverse=True)[1]
+        codes = both[:split], both[split:]
+    common = np.intersect1d(*codes)
+    if not len(common):
+        raise ParameterError(f"{base.name} and {other.name} have no variant in common: {_apart(base, other)}")
+    everything = np.concatenate(codes)
+    place = np.full(int(everything.max()) + 1, -1)
+    place[common] = np.arange(len(common))
+    variants = [place[code] for code in codes]
+    for arm, variant, code in zip((base, other), variants, codes, strict=True):
+        if len(left := np.setdiff1d(code, common)):
+            notes.append(
+                f"{len(left):,} variants are in {arm.name} alone, and left out ({int((variant < 0).sum()):,} runs)."
+            )
+    _, first = np.unique(everything, return_index=True)
+    first = first[np.isin(everything[first], common)]
+    known = all("seed" in arm.results.schema.names for arm in (base, other))
+    seeds = (arm.column("seed") if known else np.full(len(arm.rows), i) for i, arm in enumerate((base, other)))
+    paired = [
+        Side(arm.take(at >= 0), at[at >= 0], seed[at >= 0])
+        for arm, at, seed in zip((base, other), variants, seeds, strict=True)
+    ]
+    kept = {name: column[first] for name, column in values.items()}
+    return Pairing(paired[0], paired[1], len(common), kept, tuple(alone), tuple(notes))
+
+
+#: Metrics that say what became of a run; all runs have them.
+OF_ALL_RUNS: Final = ("fell", "diverged")
+
+
+def differences(pairing: Pairing, metrics: Sequence[str]) -> Iterator[dict[str, Any]]:
+    """The numbers of each metric's row in the table. Failed runs count in `fell` and `diverged` alone."""
+    sides = (pairing.base, pairing.other)
+    well = [side.arm.results.well[side.arm.rows] for side in sides]
+    schema, found = pairing.base.arm.results.schema, dict[str, dict[str, Any]]()
+    at_once = max(1, HELD // max(len(pairing.base.seed) + len(pairing.other.seed), 1))
+    for start in range(0, len(metrics), at_once):
+        names = metrics[start : start + at_once]
+        columns = [{name: column[side.arm.rows] for name, column in side.arm.results.columns(names)} for side in sides]
+        alike: dict[bytes, tuple[list[np.ndarray], list[str]]] = {}  # metrics of which the same runs have a number
+        for name in names:
+            both = zip(columns, well, strict=True)
+            masks = [np.isfinite(column[name]) & (good | (name in OF_ALL_RUNS)) for column, good in both]
+            alike.setdefault(b"".join(each.tobytes() for each in masks), (masks, []))[1].append(name)
+        for masks, few in alike.values():
+            numbers = [np.stack([column[name] for name in few], axis=1) for column in columns]
+            base, other, known, interval, counts = _compare(sides, numbers, masks)
+            for i, name in enumerate(few):
+                difference, low, high = (float(each[i]) for each in (interval.estimate, interval.low, interval.high))
+                scale = abs(float(base[i])) if known[i] else math.nan
+                found[name] = {
+                    "metric": name,
+                    "metric_unit": meta(schema.field(name))["unit"],
+                    "better": better(schema.field(name)),
+                    "base_mean": float(base[i]),
+                    "other_mean": float(other[i]),
+                    "difference": difference,
+                    "low": low,
+                    "high": high,
+                    "relative": difference / scale,
+                    "relative_low": low / scale,
+                    "relative_high": high / scale,
+                    "p": float(interval.p[i]),
+                    **dict(zip(("variants", "runs_base", "runs_other"), counts, strict=True)),
+                    "failed_base": int((~well[0]).sum()),
+                    "failed_other": int((~well[1]).sum()),
+                }
+    yield from (found[name] for name in metrics)
+
+
+def _compare(
+    sides: Sequence[Side], numbers: Sequence[np.ndarray], masks: Sequence[np.ndarray]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, Interval, tuple[int, int, int]]:
+    """The sides' means over common variants (m,), where the base's is beyond its noise (m,), the interval of their
+    difference, and how many variants and runs there are, of numbers (runs, m) where the masks (runs,) hold."""
+    kept = [side.take(mask) for side, mask in zip(sides, masks, strict=True)]
+    numbers = [each[mask] for each, mask in zip(numbers, masks, strict=True)]
+    both = np.intersect1d(kept[0].variant, kept[1].variant)
+    inside = [np.isin(side.variant, both) for side in kept]
+    kept = [side.take(mask) for side, mask in zip(kept, inside, strict=True)]
+    numbers = [each[mask] for each, mask in zip(numbers, inside, strict=True)]
+    variant = [np.searchsorted(both, side.variant) for side in kept]
+    if not len(both):
+        nothing = np.full(numbers[0].shape[1], np.nan)
+        return nothing, nothing, nothing > 0, Interval(nothing, nothing, nothing, nothing), (0, 0, 0)
+    order = _shared_seeds(kept, variant)
+    if order is None:  # each variant has a cell of either side
+        cell, values = np.concatenate([variant[0], variant[1] + len(both)]), np.concatenate([-numbers[0], numbers[1]])
+        owner = np.tile(np.arange(len(both)), 2)
+    else:  # runs with the same seed are paired: what they share cancels in the difference
+        cell, values, owner = variant[0][order[0]], numbers[1][order[1]] - numbers[0][order[0]], np.arange(len(both))
+    base, other = (
+        (_sums(each, at, len(both)) / np.bincount(at, minlength=len(both))[:, None]).mean(axis=0)
+        for each, at in zip(numbers, variant, strict=True)
+    )
+    known = np.abs(base) > 2 * numbers[0].std(axis=0) / np.sqrt(len(numbers[0]))
+    return base, other, known, two_stage(values, cell, owner), (len(both), len(variant[0]), len(variant[1]))
+
+
+def _shared_seeds(sides: list[Side], variant: list[np.ndarray]) -> list[np.ndarray] | None:
+    """The orders in which the runs of both sides pair by variant and seed; None where any seed is on one side alone."""
+    order = [np.lexsort((side.seed, at)) for side, at in zip(sides, variant, strict=True)]
+    keys = [np.stack([at[index], side.seed[index]]) for side, at, index in zip(sides, variant, order, strict=True)]
+    once = keys[0].shape[1] == np.unique(keys[0], axis=1).shape[1]
+    return order if once and np.array_equal(keys[0], keys[1]) else None
+
+
+def _codes(values: np.ndarray) -> np.ndarray:
+    """A whole number for each different value: numbers by their order, names in the order in which they come."""
+    _, first, code = np.unique(values, return_index=True, return_inverse=True)
+    codes: np.ndarray = np.argsort(np.argsort(first))[code] if values.dtype.kind == "U" else code
+    return codes
+
+
+def _apart(base: Arm, other: Arm) -> str:
+    """The first key of which they share no value, in words."""
+    for name, column in base.keys.items():
+        here, there = (np.unique(each[~absent(each)]) for each in (column, other.keys.get(name, column)))
+        if len(here) and len(there) and not len(np.intersect1d(here, there)):
+            first, second = (
+                ", ".join(map(value_text, each[:4].tolist())) + (", ..." if len(each) > 4 else "")
+                for each in (here, there)
+            )
+            return f"{name} is {first} in the one and {second} in the other."
+    return "each combination of values is in one of them alone."
+
+
+# ---
+# Two sets of runs compared: the difference of every metric with its interval, over all variants and by groups.
+
+
+#: Share of false findings among those labelled beyond noise.
+FALSE_SHARE: Final = 0.05
+#: Number of variants whose mean says little about others.
+FEW_VARIANTS: Final = 4
+_NUMBERS: Final = {
+    "base_mean": "mean of the base's variants",
+    "other_mean": "mean of the other's variants",
+    "difference": "other minus base, mean over the variants",
+    "low": "lower end of the difference's 95 % confidence interval",
+    "high": "upper end of it",
+    "relative": "difference over the magnitude of the base's mean; none where that is not beyond its noise",
+    "relative_low": "low over the same",
+    "relative_high": "high over the same",
+    "p": "probability of so large a difference by chance, two-sided",
+}
+_COUNTS: Final = {
+    "variants": "common variants with a number on both sides",
+    "runs_base": "runs of the base that count",
+    "runs_other": "runs of the other that count",
+    "failed_base": "runs of the base that fell or were lost",
+    "failed_other": "runs of the other that fell or were lost",
+}
+
+
+@dataclasses.dataclass(frozen=True)
+class Comparison:
+    """The result of `compare`.
+
+    Attributes:
+        table: one row per metric, group and other side: `other`, what it is compared with; the columns of the groups
+            (null in the rows over all variants); `metric` and `metric_unit`; base_mean, other_mean, difference, low,
+            high, relative, relative_low, relative_high, p, beyond_noise, better, variants, runs_base, runs_other,
+            failed_base, failed_other. Each field's metadata has its description.
+        base: what is compared with.
+        others: what is compared with it; more than one if a column has more than two values.
+        groups: the columns that make groups.
+        drawn: the metrics of which figures and summaries have the groups.
+        status: for each side, how often each status occurs in the common variants.
+        notes: what is left out or averaged, in sentences.
+    """
+
+    table: pa.Table
+    base: str
+    others: tuple[str, ...]
+    groups: tuple[str, ...]
+    drawn: tuple[str, ...]
+    status: Mapping[str, Mapping[str, int]]
+    notes: tuple[str, ...]
+
+    def rows(self, other: str, *, grouped: bool = False) -> list[dict[str, Any]]:
+        """Rows of the table about one other side: those over all variants, or those of the groups."""
+        group, about = pc.field("group"), pc.field("other")
+        chosen = self.table.filter((about == other) & (group >= 0 if grouped else group < 0))
+        return chosen.to_pylist()
+
+    def about(self, only: Sequence[str] = ()) -> dict[str, Any]:
+        """All of it for JSON: `metrics` by name; with groups, `groups`; with several others, `comparisons` of each.
+
+        Args:
+            only: metrics that the groups have; by default all.
+        """
+        each = [self._about(other, only) for other in self.others]
+        about = {"base": self.base, "status": self.status, "notes": list(self.notes)}
+        return about | (each[0] if len(each) == 1 else {"comparisons": each})
+
+    def _about(self, other: str, only: Sequence[str]) -> dict[str, Any]:
+        about: dict[str, Any] = {"other": other, "metrics": _by_metric(self.rows(other), self.groups)}
+        if self.groups:
+            grouped: dict[int, list[dict[str, Any]]] = {}
+            for row in self.rows(other, grouped=True):
+                if only and row["metric"] not in only:
+                    continue
+                grouped.setdefault(row["group"], []).append(row)
+            about["groups"] = [
+                {"for": {name: rows[0][name] for name in self.groups}, "metrics": _by_metric(rows, self.groups)}
+                for rows in grouped.values()
+            ]
+        return about
+
+
+def compare(
+    a: Source,
+    b: Source | None = None,
+    *,
+    by: str | None = None,
+    base: Value | None = None,
+    groups: Sequence[str] = (),
+    where: Mapping[str, Value] | None = None,
+    drawn: Sequence[str] = (),
+) -> Comparison:
+    """Differences of every metric between two sweeps, or between two values of a column of one, with 95 % intervals.
+
+    Runs are paired over the variants that both sides have, and over seeds where both have the same. A difference is
+    the mean over the variants of the difference of their runs' means, B minus A, or other minus base. Intervals are
+    of a two-stage bootstrap, of the variants and of the runs in each. `beyond_noise` is stricter than an interval
+    without 0: it controls the share of false findings among all metrics, or among all groups of one metric, at 5 %, by
+    Benjamini and Hochberg's procedure. Runs that fell or diverged count in the metrics `fell` and `diverged`, and are
+    counted beside each of the others.
+
+    >>> import tempfile
+    >>> from nermo_mjx import run_sweep
+    >>> spec = {"vary": {"frequency": [0.6, 0.8]}, "run": {"duration": 0.2}, "plots": False}
+    >>> one, two = tempfile.mkdtemp(), tempfile.mkdtemp()
+    >>> _ = run_sweep(spec, one, engine="c"), run_sweep(spec | {"physics": "fast"}, two, engine="c")
+    >>> sorted(compare(one, two).about()["metrics"]["speed"])[:4]
+    ['base_mean', 'better', 'beyond_noise', 'difference']
+
+    Args:
+        a: directory of a sweep, or its table.
+        b: another one; without it, `by` says what is compared in `a`.
+        by: a varied column, of which each value is compared with the base.
+        base: the baseline value; by default `none`, if present, else the first.
+        groups: varied columns: an additional interval for each combination of their values.
+        where: varied columns and the value to which the runs are restricted.
+        drawn: metrics of which figures and summaries have the groups; by default the speed.
+
+    Raises:
+        ParameterError: there is no such column or value, or no common variant.
+        DirectoryError, SpecError: a directory holds no results, or cannot be read.
+    """
+    if (b is None) == (by is None):
+        raise ParameterError("compare two directories, or with by two values of a column in one, and not both.")
+    arms, notes = values_of(a, str(by), base) if b is None else two_tables(a, b)
+    for i, arm in enumerate(arms):
+        for name, wanted in (where or {}).items():
+            check_name(name, [*arm.keys], "where")
+            value = value_among(wanted, _in_order(arm.keys[name]), f"where {name}")
+            arm = arm.take(arm.keys[name] == value)
+        if not len(arm.rows):
+            values = ", ".join(f"{name} = {value}" for name, value in (where or {}).items())
+            raise ParameterError(f"no run of {arm.name} is left with {values}.")
+        arms[i] = arm
+    schemas = [columns_of(arm.results, "metric") for arm in arms]
+    shared = [name for name in schemas[0] if all(name in known for known in schemas)]
+    for name in drawn:
+        if name not in shared:
+            raise ParameterError(f"metric is {name!r}, which no table has or one lacks{did_you_mean(name, shared)}")
+    drawn = drawn or ([LEADING] if LEADING in shared else shared[:1])
+    lines: list[dict[str, Any]] = []
+    status: dict[str, dict[str, int]] = {}
+    for other in arms[1:]:
+        pairing = pair(arms[0], other)
+        notes += pairing.notes
+        if 1 < pairing.variants <= FEW_VARIANTS and not groups:
+            notes.append(
+                f"The means are over {pairing.variants} variants only: their intervals are meant for variants "
+                "in general, and wide; groups have an interval for each variant."
+            )
+        for side in (pairing.base, pairing.other):
+            status.setdefault(side.arm.name, _statuses(side.arm))
+        lines += _lines(pairing, shared, ())
+        lines += _lines(pairing, shared, groups) if groups else []
+    if not any(math.isfinite(line["low"]) for line in lines):
+        notes.append("No interval: each side has one run of one variant, which tells no noise; give repeats.")
+    return Comparison(
+        table=_table(lines, arms[0], by or "", groups, drawn),
+        base=arms[0].name,
+        others=tuple(arm.name for arm in arms[1:]),
+        groups=tuple(groups),
+        drawn=tuple(drawn),
+        status=status,
+        notes=tuple(dict.fromkeys(notes)),
+    )
+
+
+def better(field: pa.Field) -> str:
+    """Whether high or low is better of a metric, or what is nearer to 0; empty if neither is."""
+    known = {"max": "high", "min": "low", "nearest zero": "zero"}
+    return meta(field).get("better") or known.get(OBJECTIVES.get(field.name, ""), "")
+
+
+def _lines(pairing: Pairing, metrics: Sequence[str], groups: Sequence[str]) -> list[dict[str, Any]]:
+    """Rows of the table about all variants, whose metrics form one family of tests, or about each group, where
+    the tests of one metric form a family."""
+    parts = list(pairing.groups(groups)) if groups else [({}, pairing)]
+    lines = [
+        {"other": pairing.other.arm.name, "group": place if groups else -1, **label, **line}
+        for place, (label, part) in enumerate(parts)
+        for line in differences(part, metrics)
+    ]
+    families = [[line for line in lines if line["metric"] == name] for name in metrics] if groups else [lines]
+    for family in families:
+        known = [line for line in family if math.isfinite(line["p"])]
+        adjusted = stats.false_discovery_control([line["p"] for line in known]) if known else []
+        for line, p in zip(known, adjusted, strict=True):
+            line["beyond_noise"] = bool(p <= FALSE_SHARE)
+    return lines
+
+
+def _table(
+    lines: Sequence[Mapping[str, Any]], base: Arm, by: str, groups: Sequence[str], drawn: Sequence[str]
+) -> pa.Table:
+    """The lines as a table with described fields."""
+    columns = Columns()
+
+    def add(name: str, role: str, about: str, unit: str = "1", scale: str = "linear") -> None:
+        columns.add(name, np.array([line.get(name) for line in lines]), role, unit, about, scale=scale)
+
+    add("other", "index", "what is compared with the base")
+    add("group", "index", "number of the group; -1: over all variants")
+    for name in groups:
+        known = meta(base.results.schema.field(name)) if name in base.results.schema.names else {}
+        add(name, "varied", known.get("description", name), known.get("unit", "1"), scale=known.get("scale", "linear"))
+    add("metric", "index", "which metric differs")
+    add("metric_unit", "index", "unit of its means and of their difference")
+    for name, about in _NUMBERS.items():
+        add(name, "metric", about, "1" if name.startswith("relative") or name == "p" else "that of metric_unit")
+    add(
+        "beyond_noise",
+        "status",
+        f"whether the difference is beyond noise: at most {FALSE_SHARE:.0%} of all such "
+        "findings are false, by Benjamini and Hochberg",
+    )
+    add("better", "index", "whether high or low is better, or what is nearer to zero; empty if none is")
+    for name, about in _COUNTS.items():
+        add(name, "metric", about)
+    return columns.table({"comparison": base.name, "by": by, "drawn": " ".join(drawn), "resamples": RESAMPLES})
+
+
+def _by_metric(rows: Sequence[Mapping[str, Any]], groups: Sequence[str]) -> dict[str, dict[str, Any]]:
+    left_out = {"other", "group", "metric", *groups}
+    return {
+        row["metric"]: {
+            ("unit" if key == "metric_unit" else key): value for key, value in row.items() if key not in left_out
+        }
+        for row in rows
+    }
+
+
+def _statuses(arm: Arm) -> dict[str, int]:
+    names, counts = np.unique(arm.results.column("status")[arm.rows].astype(str), return_counts=True)
+    return dict(zip(names.tolist(), counts.tolist(), strict=True))
+
+
+# ---
+# Figures of a comparison, from its table alone: differences by metric, and the gain of one metric by groups.
+
+
+Row = Mapping[str, Any]
+#: Metrics of one figure, and panels.
+_MOST_METRICS: Final = 30
+_MOST_PANELS: Final = 12
+#: Relative differences beyond this are cut off in the figure, if there are others [fraction].
+_FAR: Final = 1.0
+_MARKS: Final = "filled: beyond noise; hollow: within it; bars: 95 % intervals"
+
+
+def figures_of(table: pa.Table) -> Iterator[tuple[str, Figure]]:
+    """(file name, figure) of a comparison's table, for each other side; by groups, of the metrics that it names."""
+    about = table.schema.metadata or {}
+    base, metrics = about[b"comparison"].decode(), about[b"drawn"].decode().split()
+    groups = columns_of(table, "varied")
+    lines = table.to_pylist()
+    for other in dict.fromkeys(line["other"] for line in lines):
+        own = [line for line in lines if line["other"] == other]
+        # Directories may have long names, and one figure is of two values of a column at most.
+        against = f"{about.get(b'by', b'').decode()} {_last(other)} against {_last(base)}".lstrip()
+        tail = "" if len({line["other"] for line in lines}) == 1 else f"-{_last(other)}"
+        yield f"differences{tail}", _forest([line for line in own if line["group"] < 0], against)
+        for metric in metrics if groups else ():
+            rows = [line for line in own if line["group"] >= 0 and line["metric"] == metric]
+            yield f"{metric}-gain-by-{'-and-'.join(groups)}{tail}", _by_groups(rows, table.schema, groups, against)
+
+
+def figures(out: Path) -> Figures:
+    """The figures of a comparison's directory.
+
+    Raises:
+        DirectoryError: its table is absent or damaged.
+    """
+    return figures_of(report_table(out, "comparison"))
+
+
+def _forest(rows: Sequence[Row], against: str) -> Figure:
+    """The relative difference of each metric with its interval, and in numbers beside it."""
+    known = [row for row in rows if row["relative"] is not None and np.isfinite(row["relative"])]
+    listed = [row for row in known if row["metric"] in OBJECTIVES or row["beyond_noise"]] or known
+    drawn = sorted(listed, key=lambda row: row["metric"] not in OBJECTIVES)[:_MOST_METRICS]
+    page = Page(f"Relative differences: {against}", (7.6, 0.24 * len(drawn) + 1.5))
+    ax = page.axes[0, 0]
+    # An outlier would leave the others no room.
+    ends = np.abs([[row["relative_low"], row["relative_high"]] for row in drawn] or [[0.1, 0.1]])
+    far = float(min(max(1.12 * np.nanmax(ends, initial=0.02), 0.02), _FAR))
+    ax.axvline(0, color=MUTED, lw=0.8)
+    for place, row in enumerate(drawn):
+        low, middle, high = (float(row[name]) for name in ("relative_low", "relative", "relative_high"))
+        colour = _colour(row)
+        ax.plot(np.clip([low, high], -far, far), [place, place], color=colour, lw=1.4, solid_capstyle="butt")
+        out = abs(middle) > far
+        ax.plot(
+            np.clip(middle, -far, far),
+            place,
+            marker=("<" if middle < 0 else ">") if out else "o",
+            ms=5.5,
+            color=colour,
+            mfc=colour if row["beyond_noise"] else "white",
+            clip_on=False,
+        )
+        about = "no interval" if np.isnan(low) else f"[{_percent(low)}, {_percent(high)}]"
+        ax.text(
+            1.02,
+            place,
+            f"{_percent(middle)} %  {about}",
+            transform=ax.get_yaxis_transform(),
+            va="center",
+            fontsize=8,
+            color=INK if row["beyond_noise"] else MUTED,
+        )
+    ax.set_yticks(range(len(drawn)), [row["metric"] for row in drawn])
+    ax.set(ylim=(len(drawn) - 0.4, -0.6), xlim=(-far, far), xlabel="difference relative to the base's mean [%]")
+    ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: _percent(value)))
+    ax.grid(axis="x", color=GRID, lw=0.8)
+    left = len(rows) - len(drawn)
+    more = f"\n{left} more metrics are in the table" if left else ""
+    handles = [_mark(LINE, "better"), _mark(BEST, "worse"), _mark(MUTED, "neither")]
+    return page.finish(handles, f"{_MARKS}\n{_runs(rows)}{more}")
+
+
+def _by_groups(rows: Sequence[Row], schema: pa.Schema, groups: Sequence[str], against: str) -> Figure:
+    """The gain of one metric over the groups: one of their columns across, one as lines, the others as panels."""
+    x, series, panels = _roles(rows, groups)
+    relative = all(row["relative"] is not None and np.isfinite(row["relative"]) for row in rows)
+    metric, unit = rows[0]["metric"], rows[0]["metric_unit"]
+    names = ("relative", "relative_low", "relative_high") if relative else ("difference", "low", "high")
+    numbers = shown(metric, unit, [[row[name] for name in names] for row in rows])
+    values = 100 * np.array([[row[name] for name in names] for row in rows], float) if relative else numbers.values
+    across = _column(schema, x, [row[x] for row in rows])
+    parts = list(dict.fromkeys(tuple(row[name] for name in panels) for row in rows))[:_MOST_PANELS]
+    each = list(dict.fromkeys(row[series] if series else None for row in rows))
+    columns = min(len(parts), 3)
+    page = Page(
+        f"{titled(metric)}: {against}",
+        (max(6.4, 3.3 * columns), 3.0 * -(-len(parts) // columns) + 1.0),
+        -(-len(parts) // columns),
+        columns,
+        sharey=True,
+    )
+    for ax in page.axes.ravel()[len(parts) :]:
+        ax.remove()
+    for ax, part in zip(page.axes.ravel(), parts, strict=False):
+        for place, value in enumerate(each):
+            own = [
+                i
+                for i, row in enumerate(rows)
+                if tuple(row[name] for name in panels) == part and (series is None or row[series] == value)
+            ]
+            _line(ax, across, values, [rows[i]["beyond_noise"] for i in own], own, place, len(each))
+        ax.set_title(", ".join(f"{name} {_text(value)}" for name, value in zip(panels, part, strict=True)))
+        if isinstance(across, ShownValues):
+            set_scales(ax, across)
+        else:
+            ax.set_xticks(range(len(across[0])), across[0])
+        ax.axhline(0, color=MUTED, lw=0.8, zorder=1)
+        horizontal_grid(ax)
+    for ax in page.figure.axes:
+        if (spec := ax.get_subplotspec()) is not None and spec.is_first_col():
+            ax.set_ylabel(f"difference in {metric} [{'%' if relative else numbers.unit or 1}]")
+        ax.set_xlabel(across.label if isinstance(across, ShownValues) else x)
+    handles = [_mark(SERIES[i % len(SERIES)], f"{series} {_text(value)}") for i, value in enumerate(each) if series]
+    return page.finish(handles, f"{_MARKS}\n{_runs(rows)}{_failures(rows, groups)}")
+
+
+def _line(
+    ax: Axes,
+    across: ShownValues | tuple[list[str], np.ndarray],
+    values: np.ndarray,
+    beyond: Sequence[bool | None],
+    own: Sequence[int],
+    place: int,
+    count: int,
+) -> None:
+    """One line with bars; lines stand a little apart, so that their bars do not cover each other."""
+    positions = across.values if isinstance(across, ShownValues) else across[1]
+    distinct = np.unique(positions)
+    step = float(np.diff(distinct).min()) if len(distinct) > 1 else 1.0
+    order = np.array(own)[np.argsort(positions[own], kind="stable")]
+    log = isinstance(across, ShownValues) and across.log
+    shift = 0.0 if log else (place - (count - 1) / 2) * 0.09 * step
+    at, colour = positions[order] + shift, SERIES[place % len(SERIES)]
+    middle, low, high = values[order].T
+    ax.plot(at, middle, color=colour, lw=1.2 if isinstance(across, ShownValues) else 0, alpha=0.7, zorder=2)
+    ax.vlines(at, low, high, color=colour, lw=1.6, zorder=3)
+    hollow = {i: not flag for i, flag in zip(own, beyond, strict=True)}
+    ax.scatter(at, middle, s=34, ec=colour, fc=["white" if hollow[i] else colour for i in order], lw=1.3, zorder=4)
+
+
+def _roles(rows: Sequence[Row], groups: Sequence[str]) -> tuple[str, str | None, list[str]]:
+    """Which columns give the x axis, the lines and the panels: numbers with many values give the x axis."""
+    count = {name: len({row[name] for row in rows}) for name in groups}
+    numbers = [name for name in groups if all(isinstance(row[name], float) for row in rows)]
+    x = max(numbers or groups, key=count.__getitem__)
+    rest = [name for name in groups if name != x]
+    few = [name for name in rest if count[name] <= len(SERIES)]
+    series = max(few, key=count.__getitem__) if few else None
+    return x, series, [name for name in rest if name != series]
+
+
+def _column(schema: pa.Schema, name: str, values: Sequence[Any]) -> ShownValues | tuple[list[str], np.ndarray]:
+    """The values across as shown, or of a column of names these and their places."""
+    if all(isinstance(value, float) for value in values):
+        about = meta(schema.field(name))
+        return shown(name, about["unit"], values, log=about.get("scale") == "log")
+    names = list(dict.fromkeys(map(_text, values)))
+    return names, np.array([names.index(_text(value)) for value in values], float)
+
+
+def _colour(row: Row) -> str:
+    if not row["better"] or not row["difference"]:
+        return MUTED
+    closer = abs(row["other_mean"]) < abs(row["base_mean"])
+    gains = {"high": row["difference"] > 0, "low": row["difference"] < 0, "zero": closer}[row["better"]]
+    return LINE if gains else BEST
+
+
+def _mark(colour: str, label: str) -> Line2D:
+    return Line2D([], [], color=colour, marker="o", ms=5.5, lw=1.4, label=label)
+
+
+def _runs(rows: Sequence[Row]) -> str:
+    """How many runs went into it, and how many of them failed."""
+    groups = {row["group"]: row for row in rows}.values()
+    base, other = (
+        sum(max(own["runs_" + side] for own in rows if own["group"] == row["group"]) for row in groups)
+        for side in ("base", "other")
+    )
+    failed = [sum(row["failed_" + side] for row in groups) for side in ("base", "other")]
+    fell = f"; {failed[0]} of the base and {failed[1]} of the other fell or were lost" if any(failed) else "; none fell"
+    return f"{base:,} runs of the base, {other:,} of the other{fell}"
+
+
+def _failures(rows: Sequence[Row], groups: Sequence[str]) -> str:
+    """Where the most runs failed."""
+    failed = sorted(((row["failed_base"] + row["failed_other"], row) for row in rows), key=lambda pair: -pair[0])
+    told = [f"{', '.join(_text(row[name]) for name in groups)} ({count})" for count, row in failed[:4] if count]
+    return f", most at {'; '.join(told)}" if told else ""
+
+
+def _percent(share: float) -> str:
+    """A share in percent with its sign."""
+    percent = 100 * share
+    text = f"{percent:+,.0f}" if abs(percent) >= 100 else f"{percent:+.3g}" if abs(percent) >= 10 else f"{percent:+.1f}"
+    return ("0" if not round(percent, 1) else text).replace("-", "−")
+
+
+def _text(value: Any) -> str:
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def _last(name: str) -> str:
+    """The last part of a path."""
+    return name.rstrip("/").rpartition("/")[2] or name
