@@ -24,17 +24,25 @@ if TYPE_CHECKING:
     from nermo_mjx.control import Controller, ControllerLike, control_parameters, leg_servos, published_controller
     from nermo_mjx.experiments.run import run_experiment, run_experiments
     from nermo_mjx.hardware import ServoTable, servo_table
+    from nermo_mjx.optimize import (
+        Search,
+        SearchResult,
+        Tuning,
+        TuningResult,
+        read_history,
+        run_landscape,
+        run_search,
+        run_tuning,
+    )
     from nermo_mjx.physics import make_engine
     from nermo_mjx.robot import LIMBS, SERVOS, ParameterError, Robot, RobotConfig, Sensors, ServoAngles, load_robot
     from nermo_mjx.robot.quantity import parameter_tree, quantity
     from nermo_mjx.rollout import METRICS, Run, RunResult, Setup, Simulator, all_metrics, all_parameters, metric
     from nermo_mjx.rollout.differentiable import Rollout
     from nermo_mjx.runtime import compiler_options
-    from nermo_mjx.search import Search, SearchResult, run_search
     from nermo_mjx.sweep import Sweep, SweepResult, merge_sweeps, read_table, run_sweep
     from nermo_mjx.sweep.comparing import Comparison, compare
     from nermo_mjx.sweep.sensitivity import Sensitivity, sensitivity
-    from nermo_mjx.tune import Tuning, TuningResult, read_history, run_landscape, run_tuning
     from nermo_mjx.view import Page, Recording, render, show
 
 _HOMES = {
@@ -43,6 +51,9 @@ _HOMES = {
     ),
     "nermo_mjx.experiments.run": ("run_experiment", "run_experiments"),
     "nermo_mjx.hardware": ("ServoTable", "servo_table"),
+    "nermo_mjx.optimize": (
+        "Search", "SearchResult", "Tuning", "TuningResult", "read_history", "run_landscape", "run_search", "run_tuning",
+    ),
     "nermo_mjx.physics": ("make_engine",),
     "nermo_mjx.robot": (
         "LIMBS", "SERVOS", "ParameterError", "Robot", "RobotConfig", "Sensors", "ServoAngles", "load_robot",
@@ -53,11 +64,9 @@ _HOMES = {
     ),
     "nermo_mjx.rollout.differentiable": ("Rollout",),
     "nermo_mjx.runtime": ("compiler_options",),
-    "nermo_mjx.search": ("Search", "SearchResult", "run_search"),
     "nermo_mjx.sweep": ("Sweep", "SweepResult", "merge_sweeps", "read_table", "run_sweep"),
     "nermo_mjx.sweep.comparing": ("Comparison", "compare"),
     "nermo_mjx.sweep.sensitivity": ("Sensitivity", "sensitivity"),
-    "nermo_mjx.tune": ("Tuning", "TuningResult", "read_history", "run_landscape", "run_tuning"),
     "nermo_mjx.view": ("Page", "Recording", "render", "show"),
 }  # fmt: skip
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}

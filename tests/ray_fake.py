@@ -76,7 +76,7 @@ def tune(out, log):
     os.environ.update(ray_workers.QUIET | ray_workers.LOOPBACK)
     from ray.cluster_utils import Cluster
 
-    from nermo_mjx.tune import Tuning, run_tuning
+    from nermo_mjx.optimize import Tuning, run_tuning
 
     tuning = Tuning.from_dict(STARTS)
     cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False})

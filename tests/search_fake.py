@@ -71,7 +71,7 @@ class FakeSimulator:
 
 
 if __name__ == "__main__":  # search_fake.py OUT LOG
-    from nermo_mjx.search import SearchInterrupted, run_search
+    from nermo_mjx.optimize import SearchInterrupted, run_search
 
     Path(sys.argv[2]).write_text("")
     try:

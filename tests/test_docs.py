@@ -136,7 +136,7 @@ def test_a_command_is_valid(line: str, tmp_path: Path, monkeypatch: pytest.Monke
 )
 def test_a_spec_file_is_valid(page: Path, beside: Callable[[Path], None]) -> None:
     """One of a search has an objective."""
-    from nermo_mjx.search import Search
+    from nermo_mjx.optimize import Search
     from nermo_mjx.sweep import Sweep
 
     beside(page)

@@ -19,14 +19,14 @@ from nermo_mjx.control.pilot import Drive
 from nermo_mjx.control.spine_modes import SpineModes, harmonics, stride_extension
 from nermo_mjx.control.stepping import FreeStepping, bumps, within
 from nermo_mjx.kinematics.leg import four_legs, four_reaches, inverse
+from nermo_mjx.optimize.search import Search
+from nermo_mjx.optimize.tuning import Tuning
 from nermo_mjx.robot import SERVOS
 from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.parameters import servo_range
 from nermo_mjx.robot.quantity import ParameterError, quantities, replace_quantities
-from nermo_mjx.search.spec import Search
 from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.sweep import Sweep
-from nermo_mjx.tune.spec import Tuning
 
 #: The published robot.
 ROBOT = Geometry()

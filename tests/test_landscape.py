@@ -1,7 +1,6 @@
 """Landscapes: which points are measured, that the measures are right, and the files."""
 
 import dataclasses
-import errno
 import json
 
 import jax.numpy as jnp
@@ -10,17 +9,13 @@ import pyarrow.parquet as pq
 import pytest
 from tune_fake import SPEC, FakeProblem
 
+from nermo_mjx.optimize import Evaluation, Tuning, landscape, run_landscape
+from nermo_mjx.optimize.landscape import CENTRES, WIDTHS, figures, line_figure, lines_of, plan
+from nermo_mjx.optimize.tuning_directory import landscape_status
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.runs import DirectoryError, OtherCode, RunDirectory, codes_of, kind_of
 from nermo_mjx.runs.files import WrongDirectory
 from nermo_mjx.sweep import SpecError
-from nermo_mjx.tune import Evaluation, Tuning, run_landscape, run_tuning
-from nermo_mjx.tune.landscape import points, run
-from nermo_mjx.tune.landscape.batches import Batches
-from nermo_mjx.tune.landscape.lines import lines_of
-from nermo_mjx.tune.landscape.plan import CENTRES, WIDTHS, plan
-from nermo_mjx.tune.landscape.plots import figures, line_figure
-from nermo_mjx.tune.status import landscape_status
 
 pytestmark = pytest.mark.draws
 
@@ -153,7 +148,7 @@ def test_an_interrupted_landscape_is_gone_on_with(tmp_path, smooth):
 
 def test_points_once_found_are_kept(tmp_path, monkeypatch):
     """Drawing fails: the table is there, and the same call resumes from it, evaluating nothing."""
-    monkeypatch.setattr("nermo_mjx.tune.landscape.plots.line_figure", lambda *_: 1 / 0)
+    monkeypatch.setattr("nermo_mjx.optimize.landscape.line_figure", lambda *_: 1 / 0)
     with pytest.raises(ZeroDivisionError):
         measure(tmp_path)
     assert (tmp_path / "landscape.parquet").exists()
@@ -170,8 +165,8 @@ def other_code(monkeypatch):
     """From here on, another version runs."""
 
     def upgrade():
-        real = run.stamp
-        monkeypatch.setattr(run, "stamp", lambda *known: dataclasses.replace(real(*known), package="9.9.9"))
+        real = landscape.stamp
+        monkeypatch.setattr(landscape, "stamp", lambda *known: dataclasses.replace(real(*known), package="9.9.9"))
 
     return upgrade
 
@@ -188,55 +183,6 @@ def test_points_of_other_code_are_refused_until_they_are_accepted(tmp_path, othe
     assert len(problem.batches) == 2
     before, now = codes_of(tmp_path)
     assert result.table["code"].to_pylist() == [before] * 159 + [now] * 103
-
-
-def test_points_that_do_not_say_their_code_are_refused_until_they_are_accepted(tmp_path):
-    """The directory has lost its run.json."""
-    with pytest.raises(KeyboardInterrupt):
-        measure(tmp_path, stop_at=1)
-    (lost,) = codes_of(tmp_path)
-    (tmp_path / "run.json").unlink()
-    with pytest.raises(OtherCode, match="does not say which code made it"):
-        measure(tmp_path)
-    result, problem = measure(tmp_path, accept=True)
-    assert len(problem.batches) == 4
-    assert result.table["code"].to_pylist() == [lost] * 262
-
-
-def test_a_measured_landscape_is_drawn_again_by_any_code(tmp_path, other_code):
-    """No point is added, so nothing is refused."""
-    measure(tmp_path, points=5)
-    other_code()
-    result, problem = measure(tmp_path, points=5)
-    assert (result.evaluated, problem.batches, len(codes_of(tmp_path))) == (0, [], 1)
-
-
-def test_a_batch_that_cannot_be_read_now_is_not_evaluated_again(tmp_path, monkeypatch):
-    """A disk that does not answer ends it in a sentence, and changes nothing."""
-    with pytest.raises(KeyboardInterrupt):
-        measure(tmp_path, stop_at=1)
-    (batch,) = (tmp_path / "batches").iterdir()
-    read = type(batch).read_bytes
-
-    def fail(path):
-        if path.suffix == ".npz":
-            raise OSError(errno.EIO, "Input/output error")
-        return read(path)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(type(batch), "read_bytes", fail)
-        with pytest.raises(DirectoryError, match=r"npz cannot be read: Input/output error; nothing was changed\."):
-            measure(tmp_path)
-    assert list((tmp_path / "batches").iterdir()) == [batch]
-
-
-def test_one_process_measures_at_a_time(tmp_path):
-    """And a tuning does not begin in a landscape's directory."""
-    with RunDirectory(tmp_path, "landscape"), pytest.raises(DirectoryError, match="another process works in"):
-        measure(tmp_path, points=5)
-    measure(tmp_path, points=5)
-    with pytest.raises(DirectoryError, match="holds a landscape, and not a tuning"):
-        run_tuning(TUNING, tmp_path, problem=FakeProblem(TUNING))
 
 
 def test_a_landscape_of_a_recording_can_be_moved(tmp_path):
@@ -282,7 +228,7 @@ def test_what_is_not_allowed_is_said_before_anything_is_written(tmp_path, points
 
 def test_a_path_and_a_dict_are_tunings_too(tmp_path, monkeypatch):
     """The simulation is made of the tuning where nothing stands in."""
-    monkeypatch.setattr(run, "simulation_of", FakeProblem)
+    monkeypatch.setattr(landscape, "simulation_of", FakeProblem)
     (tmp_path / "t.yaml").write_text(TUNING.to_yaml())
     assert run_landscape(tmp_path / "t.yaml", tmp_path / "a", points=5).tuning == TUNING
     assert run_landscape(SPEC, tmp_path / "b", points=5).evaluated > 0
@@ -413,7 +359,7 @@ def test_a_landscape_that_was_killed_while_it_drew_is_not_complete(tmp_path, mon
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr("nermo_mjx.tune.landscape.plots.figures_of", killed)
+        patch.setattr("nermo_mjx.optimize.landscape.figures_of", killed)
         with pytest.raises(KeyboardInterrupt):
             measure(tmp_path, points=5)
     assert not landscape_status(tmp_path).complete
@@ -423,10 +369,11 @@ def test_a_landscape_that_was_killed_while_it_drew_is_not_complete(tmp_path, mon
 
 def test_batches_are_as_even_as_they_can_be(tmp_path, monkeypatch):
     """Whatever the most is, all batches have one size, and no more is walked than that needs."""
-    monkeypatch.setattr(points, "CPU_BATCH", 7)
+    monkeypatch.setattr(landscape, "CPU_BATCH", 7)
     problem, wanted = FakeProblem(TUNING), plan(TUNING, 5, 1.0)
-    batches = Batches(RunDirectory(tmp_path, "landscape"), "a", points.batch_size(len(wanted)), "code")
-    found, count = points.evaluate(TUNING, problem, wanted, lambda *_: None, {points.KEY: "a"}, batches)
+    with RunDirectory(tmp_path, "landscape") as held:
+        about = {landscape.KEY: "a"}
+        found, count = landscape.evaluate(held, TUNING, problem, wanted, lambda *_: None, about, "code")
     sizes = {size for size, _ in problem.batches}
     assert len(sizes) == 1
     assert len(wanted) <= sum(size for size, _ in problem.batches) < len(wanted) + len(problem.batches)

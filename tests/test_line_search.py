@@ -9,15 +9,14 @@ import numpy as np
 import pytest
 from tune_fake import SPEC, FakeProblem, Three
 
+from nermo_mjx.optimize import Tuning, TuningInterrupted, run_tuning
+from nermo_mjx.optimize.estimators import Smoothed, estimate
+from nermo_mjx.optimize.methods import initial_state
+from nermo_mjx.optimize.optimizers import LineSearch, Optimizer
+from nermo_mjx.optimize.problems import SimulatedProblem, WalkProblem
+from nermo_mjx.optimize.tuning_run import costs_of, tuner_of
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.specs.reading import SpecError
-from nermo_mjx.tune import Tuning, TuningInterrupted, run_tuning
-from nermo_mjx.tune.cost import costs_of
-from nermo_mjx.tune.estimators import Estimator, estimate
-from nermo_mjx.tune.optimizer import LineSearch, Optimizer
-from nermo_mjx.tune.problems import GuidedProblem, SimulatedProblem
-from nermo_mjx.tune.run import tuner_of
-from nermo_mjx.tune.tuner import initial_state
 
 AVERAGED = {"smoothed": {"samples": 4, "sigma": 0.1, "normalized": True}}
 SEARCH = SPEC | {"optimizer": "line_search", "estimator": AVERAGED}
@@ -133,7 +132,7 @@ def test_one_wild_gradient_does_not_decide():
     """One world of eight has a derivative 10,000 times as long, and opposite: the mean of directions stays right."""
     true, wild = jnp.array([3.0, 4.0]), jnp.zeros((1, 9, 2)).at[0, :].set([3.0, 4.0]).at[0, 5].set([-3e4, -4e4])
     noise, value, ok = jnp.ones((1, 4, 2)), jnp.zeros((1, 9)), jnp.ones((1, 9), bool)
-    found = {each: estimate(Estimator("smoothed", 8, 0.1, normalized=each), noise, value, wild, ok).gradient[0]
+    found = {each: estimate(Smoothed(8, 0.1, normalized=each), noise, value, wild, ok).gradient[0]
              for each in (True, False)}  # fmt: skip
     np.testing.assert_allclose(found[True], true / 5 * 6 / 8, rtol=1e-6)
     assert float(found[False] @ true) < 0
@@ -157,21 +156,21 @@ def test_walks_without_gradients_are_those_of_the_engine_c(monkeypatch):
     tuning = Tuning.from_dict(SEARCH | {"run": {"duration": 0.1, "warmup": 0.02}, "starts": 1})
     asked = []
 
-    def evaluate(self, points, gradient):
-        engine = self.simulator.engine.name if hasattr(self, "simulator") else "mjx"
-        asked.append((type(self).__name__, gradient, engine))
-
-    monkeypatch.setattr("nermo_mjx.tune.problems.WalkProblem.evaluate", evaluate)
-    monkeypatch.setattr(SimulatedProblem, "evaluate", evaluate)
-    problem = pickle.loads(pickle.dumps(GuidedProblem(tuning)))
+    monkeypatch.setattr(WalkProblem, "_part", lambda self, points, gradient: asked.append((gradient, "mjx")))
+    monkeypatch.setattr(
+        SimulatedProblem,
+        "evaluate",
+        lambda self, points, gradient: asked.append((gradient, self.simulator.engine.name)),
+    )
+    problem = pickle.loads(pickle.dumps(WalkProblem(tuning)))
     problem.evaluate(np.zeros((1, 2)), True)
     problem.evaluate(np.zeros((1, 2)), False)
-    assert asked == [("WalkProblem", True, "mjx"), ("SimulatedProblem", False, "c")]
+    assert asked == [(True, "mjx"), (False, "c")]
 
 
 def test_its_cost_counts_both_kinds_of_walks(monkeypatch):
     """Counted by hand for two starts, seven evaluations of 5 s, at a hundred simulated seconds a second."""
-    monkeypatch.setattr("nermo_mjx.tune.cost.pace_here", lambda _: 100.0)
+    monkeypatch.setattr("nermo_mjx.optimize.tuning_run.pace_here", lambda _: 100.0)
     averaged, values, differences = (
         costs_of(Tuning.from_dict(spec))[0]
         for spec in (SEARCH, VALUES, SPEC | {"method": "differences", "optimizer": "line_search"})

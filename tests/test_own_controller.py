@@ -17,6 +17,7 @@ from nermo_mjx import Controller, Rollout, Run, Setup, Simulator, leg_servos
 from nermo_mjx.control import SpineModes, load_controller, published_controller
 from nermo_mjx.control.parameters import ControlParameters
 from nermo_mjx.control.path import straight
+from nermo_mjx.optimize import Tuning
 from nermo_mjx.robot.model_parameters import Servo
 from nermo_mjx.robot.quantity import ParameterError, parameter_tree, quantity
 from nermo_mjx.rollout.loop import ClosedLoop, LoopParameters, check_controller
@@ -27,7 +28,6 @@ from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.sweep import Sweep, run_sweep
 from nermo_mjx.sweep.sampling import Sample
 from nermo_mjx.sweep.store import simulated_seconds
-from nermo_mjx.tune import Tuning
 
 pytestmark = pytest.mark.compiles
 

@@ -20,14 +20,14 @@ from test_metrics import DT, STEPS, stream
 
 from nermo_mjx import METRICS, ParameterError, Rollout, Run, Setup, Simulator, all_metrics, metric
 from nermo_mjx.cli import main
+from nermo_mjx.optimize import Tuning
+from nermo_mjx.optimize.history import columns
 from nermo_mjx.rollout import metrics as measures
 from nermo_mjx.rollout.own_metrics import REDUCTIONS, OwnMetric, check_metrics, load_metrics
 from nermo_mjx.rollout.setup import Window
 from nermo_mjx.sweep import Sweep, read_table, run_sweep
 from nermo_mjx.sweep.plots import figures
 from nermo_mjx.sweep.table import meta
-from nermo_mjx.tune import Tuning
-from nermo_mjx.tune.history import columns
 from nermo_mjx.view.recorded import details_of
 
 SHAKE = '''\

@@ -22,12 +22,11 @@ from nermo_mjx.cli.directories import KINDS, RECORDING, Kind
 from nermo_mjx.experiments.plots import figures_of
 from nermo_mjx.experiments.published import compare
 from nermo_mjx.experiments.run import Directory
+from nermo_mjx.optimize import Tuning, run_landscape, run_tuning
 from nermo_mjx.plotting.files import write_figures
 from nermo_mjx.runs import RunDirectory, Written
 from nermo_mjx.runs.lock import hold
 from nermo_mjx.sweep import run_sweep
-from nermo_mjx.tune import Tuning, run_tuning
-from nermo_mjx.tune.landscape import run_landscape
 
 pytestmark = pytest.mark.draws
 plot = functools.partial(call, "plot")

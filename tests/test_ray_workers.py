@@ -24,10 +24,10 @@ from tune_fake import FakeProblem
 from nermo_mjx.cli import main
 from nermo_mjx.experiments.identification import run_identification
 from nermo_mjx.experiments.run import run_experiments
+from nermo_mjx.optimize import Tuning, run_tuning
 from nermo_mjx.runs.ray_workers import RayWorkers
 from nermo_mjx.runs.workers import LocalWorkers, WorkersLost
 from nermo_mjx.sweep import read_table, run_sweep
-from nermo_mjx.tune import Tuning, run_tuning
 from nermo_mjx.version import __version__
 
 pytestmark = pytest.mark.cluster

@@ -10,11 +10,12 @@ from click.testing import CliRunner
 from search_fake import ATLAS, BEST, FRONT, SPEED, WALK, FakeSimulator
 
 from nermo_mjx.cli import main
+from nermo_mjx.optimize import Search, run_search
+from nermo_mjx.optimize.methods import searcher
+from nermo_mjx.optimize.problems import WalkGradients
+from nermo_mjx.optimize.search import Scores, Space, ranked_cost
+from nermo_mjx.optimize.search_run import cost_of
 from nermo_mjx.recording import Recording
-from nermo_mjx.search import Search, run_search
-from nermo_mjx.search.cost import cost_of
-from nermo_mjx.search.evolution import WalkGradients, make_optimizer
-from nermo_mjx.search.spec import Scores, Space, ranked_cost
 from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.sweep.simulating import PROBE
 
@@ -53,9 +54,9 @@ def test_points_stay_within_the_bounds_whatever_happens(spec):
     """Even if every run falls, or all points are equal."""
     search = Search.from_dict(spec)
     for answer in ("falls", "alike"):
-        optimizer = make_optimizer(search, 12)
+        optimizer = searcher(search, 12)
         for _ in range(8):
-            shares = optimizer.ask().shares
+            shares = optimizer.ask().points
             assert ((shares >= 0) & (shares <= 1)).all()
             n, m, k = len(shares), len(search.aim.measures), 2 if search.aim.pareto else 1
             lost = answer == "falls"

@@ -14,8 +14,8 @@ import pyarrow.parquet as pq
 import pytest
 from search_fake import ATLAS, BEST, FALLS, FRONT, SPEED, WALK, FakeSimulator, walk
 
+from nermo_mjx.optimize import SearchFailed, SearchInterrupted, run_search
 from nermo_mjx.runs.files import DirectoryError
-from nermo_mjx.search import SearchFailed, SearchInterrupted, run_search
 from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.sweep import read_table
 

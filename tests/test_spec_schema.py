@@ -66,9 +66,8 @@ def test_the_shipped_files_are_valid(schemas, path):
 def test_resolved_files_are_valid(schemas, path):
     """So are those that results hold, with all defaults written out."""
     from nermo_mjx.learn.spec import Training
-    from nermo_mjx.search import Search
+    from nermo_mjx.optimize import Search, Tuning
     from nermo_mjx.sweep import Sweep
-    from nermo_mjx.tune import Tuning
 
     kind = kind_of(path)
     read = {"tune": Tuning, "search": Search, "sweep": Sweep, "train": Training}[kind]
@@ -93,8 +92,8 @@ GOOD = [
 @pytest.mark.parametrize(("kind", "more"), GOOD)
 def test_what_is_read_is_valid(schemas, kind, more):
     """A schema that rejects valid files would be ignored."""
+    from nermo_mjx.optimize import Tuning
     from nermo_mjx.sweep import Sweep
-    from nermo_mjx.tune import Tuning
 
     text = (SWEEP if kind == "sweep" else TUNE) + more
     (Sweep if kind == "sweep" else Tuning).from_text(text)
@@ -147,8 +146,8 @@ WRONG = [
 def test_what_is_wrong_in_a_field_is_not_valid(schemas, kind, wrong):
     """An editor marks what reading the file refuses, too."""
     from nermo_mjx.hardware.channels import read_channels
+    from nermo_mjx.optimize import Tuning
     from nermo_mjx.sweep import SpecError, Sweep
-    from nermo_mjx.tune import Tuning
 
     base = {"sweep": SWEEP, "tune": TUNE, "servos": ""}[kind]
     field = wrong.partition(":")[0]
@@ -208,25 +207,19 @@ def test_no_odd_value_leads_to_anything_but_a_sentence():
     from nermo_mjx.hardware.channels import ChannelsFile
     from nermo_mjx.learn import PPO, Modulation, Residual, Task
     from nermo_mjx.learn.spec import Evaluation, SceneFields, TrainingFile
+    from nermo_mjx.optimize.estimators import Mixture, Smoothed
+    from nermo_mjx.optimize.objective import Term
+    from nermo_mjx.optimize.search import CmaMega, Limit, SearchFile
+    from nermo_mjx.optimize.tuning import Differences, Generations, OptimizerFields, Tuned, TuningFile
     from nermo_mjx.specs.fields import read
     from nermo_mjx.specs.reading import SpecError, read_mapping
     from nermo_mjx.specs.walk import Arc, OpenLoop, Pilot, RunFields, Straight, Waypoints
     from nermo_mjx.sweep.axes import AxisForm, DrawForm
     from nermo_mjx.sweep.spec import Randomized, Sampler, SweepFile
-    from nermo_mjx.tune.spec import (
-        EstimatorFields,
-        Mixture,
-        OptimizerFields,
-        Sampled,
-        TermFields,
-        TunedFields,
-        TuningFile,
-    )
 
-    models = [SweepFile, TuningFile, ChannelsFile, TrainingFile, SceneFields,
+    models = [SweepFile, TuningFile, SearchFile, ChannelsFile, TrainingFile, SceneFields,
               AxisForm, DrawForm, Randomized, Sampler, Arc, OpenLoop, Pilot,
-              RunFields, Straight, Waypoints, EstimatorFields, Mixture, OptimizerFields, Sampled, TermFields,
-              TunedFields]  # fmt: skip
+              RunFields, Straight, Waypoints, OptimizerFields]  # fmt: skip
     messages = []
     for model in models:
         for name in [*model.names(), "frequency", "other"]:
@@ -236,16 +229,25 @@ def test_no_odd_value_leads_to_anything_but_a_sentence():
                 except SpecError as error:
                     messages.append(str(error))
     places = {
-        "task": (Task, lambda given: {"task": given}), "evaluate": (Evaluation, lambda given: {"evaluate": given}),
-        "ppo": (PPO, lambda given: {"algorithm": {"ppo": given}}),
-        "residual": (Residual, lambda given: {"task": {"action": {"residual": given}}}),
-        "modulation": (Modulation, lambda given: {"task": {"action": {"modulation": given}}}),
-    }  # fmt: skip
-    for section, placed in places.values():
+        Task: (TrainingFile, lambda given: {"task": given}),
+        Evaluation: (TrainingFile, lambda given: {"evaluate": given}),
+        PPO: (TrainingFile, lambda given: {"algorithm": {"ppo": given}}),
+        Residual: (TrainingFile, lambda given: {"task": {"action": {"residual": given}}}),
+        Modulation: (TrainingFile, lambda given: {"task": {"action": {"modulation": given}}}),
+        Term: (TuningFile, lambda given: {"objective": [given]}),
+        Tuned: (TuningFile, lambda given: {"tune": {"duty": given}}),
+        Generations: (TuningFile, lambda given: {"method": {"cma": given}}),
+        Differences: (TuningFile, lambda given: {"method": {"differences": given}}),
+        Smoothed: (TuningFile, lambda given: {"estimator": {"smoothed": given}}),
+        Mixture: (TuningFile, lambda given: {"estimator": {"mixture": given}}),
+        Limit: (SearchFile, lambda given: {"subject_to": {"speed": given}}),
+        CmaMega: (SearchFile, lambda given: {"method": {"cma_mega": given}}),
+    }
+    for section, (file, placed) in places.items():
         for name in [each.name for each in dataclasses.fields(section)]:
             for odd in ODD:
                 try:
-                    read(read_mapping(placed({name: odd})), TrainingFile)
+                    read(read_mapping(placed({name: odd})), file)
                 except SpecError as error:
                     messages.append(str(error))
     assert len(messages) > 1500

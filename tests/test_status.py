@@ -21,10 +21,9 @@ from nermo_mjx.bench.results import RESULTS, append
 from nermo_mjx.experiments import identification, plots
 from nermo_mjx.experiments.identification import CASES
 from nermo_mjx.experiments.run import EXPERIMENTS, ExperimentsInterrupted, run_experiments
+from nermo_mjx.optimize import Tuning, run_landscape, run_tuning
 from nermo_mjx.runs import RunDirectory, codes_of, stamp
 from nermo_mjx.sweep import run_sweep
-from nermo_mjx.tune import Tuning, run_tuning
-from nermo_mjx.tune.landscape import run_landscape
 
 status = functools.partial(call, "status")
 KEYS = {"kind", "rows", "rows_done", "code", "engine", "complete"}

@@ -22,6 +22,8 @@ import pyarrow.parquet as pq
 import pytest
 from command import call
 from experiment_fake import ABOUT
+from nermo_mjx.search import Search, run_search
+from nermo_mjx.tune import Tuning
 from search_fake import SPEED as SEARCH
 from search_fake import FakeSimulator as FakeSearched
 from sweep_fake import SPEC as SWEEP
@@ -46,13 +48,11 @@ from nermo_mjx.rollout import own_metrics
 from nermo_mjx.runs.directory import codes_of, read_record
 from nermo_mjx.runs.files import parquet_table
 from nermo_mjx.runs.status import last_command
-from nermo_mjx.search import Search, run_search
 from nermo_mjx.specs.reading import SpecError, read_file, read_mapping
 from nermo_mjx.sweep import Sweep, read_table, run_sweep
 from nermo_mjx.sweep.comparing import two_tables
 from nermo_mjx.sweep.results import Results, status
 from nermo_mjx.sweep.structures import read_row_table
-from nermo_mjx.tune import Tuning
 from nermo_mjx.view.explore import runs_of
 from nermo_mjx.view.recorded import robot_of
 

@@ -21,13 +21,12 @@ import search_fake
 
 from nermo_mjx import Run, Setup, Simulator, all_metrics, all_parameters, load_robot
 from nermo_mjx.cli import main
+from nermo_mjx.optimize import Tuning, run_search
+from nermo_mjx.optimize.search_run import SearchFailed
+from nermo_mjx.optimize.tuning_run import costs_of
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.rollout.setup import TAKEN
-from nermo_mjx.search import run_search
-from nermo_mjx.search.run import SearchFailed
 from nermo_mjx.sweep import Sweep
-from nermo_mjx.tune import Tuning
-from nermo_mjx.tune.cost import costs_of
 
 BOUND = (Path(__file__).parents[1] / "docs" / "howto" / "controllers" / "bound.py").read_text()
 

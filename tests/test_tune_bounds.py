@@ -5,8 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from nermo_mjx.tune import objective
-from nermo_mjx.tune.objective import EDGE, FURTHEST, Bounds
+from nermo_mjx.optimize import objective
+from nermo_mjx.optimize.objective import EDGE, FURTHEST, Bounds
 
 to_unconstrained, from_unconstrained = jax.jit(objective.to_unconstrained), jax.jit(objective.from_unconstrained)
 slope, confine = jax.jit(objective.slope), jax.jit(objective.confine)

@@ -14,13 +14,13 @@ import pytest
 from test_tune_run import lasting, same, tune
 from tune_fake import SPEC, FakeProblem
 
-from nermo_mjx.runs import DirectoryError, OtherCode, RunDirectory
+from nermo_mjx.optimize import Tuning, run_tuning
+from nermo_mjx.optimize.history import empty_log
+from nermo_mjx.optimize.methods import initial_state
+from nermo_mjx.optimize.tuning_directory import Directory
+from nermo_mjx.runs import DirectoryError, OtherCode
 from nermo_mjx.runs.checkpoints import KEPT
 from nermo_mjx.runs.files import WrongDirectory
-from nermo_mjx.tune import Tuning, run_tuning
-from nermo_mjx.tune.checkpoints import Checkpoints
-from nermo_mjx.tune.history import empty_log
-from nermo_mjx.tune.tuner import initial_state
 
 pytestmark = pytest.mark.compiles
 
@@ -60,11 +60,11 @@ def test_a_state_comes_back_as_it_was(tmp_path, optimizer):
     rows[0, 0, 0] = np.nan
     log = type(log)(log.metrics, rows, ((0, "one"), (1, "other")))
     state = jax.tree.map(lambda leaf: (leaf + 1) / 3 if leaf.dtype == np.float32 else leaf + 5, state)
-    with RunDirectory(tmp_path, "tuning") as held, Checkpoints(held, tuning) as checkpoints:
-        checkpoints.save(state, log)
-    with RunDirectory(tmp_path, "tuning") as held, Checkpoints(held, tuning) as checkpoints:
-        found = checkpoints.restore(initial_state(tuning))
-    assert found is not None
+    with Directory(tmp_path, tuning) as directory:
+        directory.claim(None)
+        directory.keep(state, log)
+    with Directory(tmp_path, tuning) as directory:
+        found = directory.restore()
     assert jax.tree.structure(found[0]) == jax.tree.structure(state)
     for a, b in zip(jax.tree.leaves(found[0]), jax.tree.leaves(state), strict=True):
         assert a.dtype == b.dtype

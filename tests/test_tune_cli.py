@@ -16,8 +16,8 @@ from tune_fake import SPEC, FakeProblem, FakeWalker, speed
 import nermo_mjx
 from nermo_mjx.cli import jobs
 from nermo_mjx.cli.progress import Progress, Stages
+from nermo_mjx.optimize import Tuning
 from nermo_mjx.runs import codes_of, stamp
-from nermo_mjx.tune import Tuning
 
 
 @pytest.fixture
@@ -37,9 +37,9 @@ def fakes(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
         made["problems"].append(FakeProblem(tuning, **made["options"]))
         return made["problems"][-1]
 
-    monkeypatch.setattr("nermo_mjx.tune.problems.WalkProblem", problem)
-    monkeypatch.setattr("nermo_mjx.tune.run.Simulator", lambda *_: made["walker"])
-    monkeypatch.setattr("nermo_mjx.tune.cost.pace_here", lambda _: 100.0)
+    monkeypatch.setattr("nermo_mjx.optimize.tuning_run.WalkProblem", problem)
+    monkeypatch.setattr("nermo_mjx.optimize.tuning_run.Simulator", lambda *_: made["walker"])
+    monkeypatch.setattr("nermo_mjx.optimize.tuning_run.pace_here", lambda _: 100.0)
     return made
 
 
@@ -185,7 +185,7 @@ def shown(monkeypatch: pytest.MonkeyPatch, stream: io.StringIO) -> None:
 def test_a_tuning_counts_its_evaluations_and_names_the_best(
     fakes: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from nermo_mjx.tune import run_tuning
+    from nermo_mjx.optimize import run_tuning
 
     stream, tuning = io.StringIO(), Tuning.from_dict(SPEC)
     shown(monkeypatch, stream)
@@ -287,7 +287,7 @@ def test_other_code_is_wrong_use_until_it_is_accepted(
     fakes["options"] = {"stop_at": 1}
     assert call(name, spec, "--out", out).exit_code == 1
     fakes["options"] = {}
-    module = {"tune": "nermo_mjx.tune.directory", "landscape": "nermo_mjx.tune.landscape.run"}[name]
+    module = {"tune": "nermo_mjx.optimize.tuning_directory", "landscape": "nermo_mjx.optimize.landscape"}[name]
     here = stamp("another model", "mjx")
     monkeypatch.setattr(f"{module}.stamp", lambda *_: here)
     refused = call(name, spec, "--out", out)
@@ -316,8 +316,8 @@ def test_what_is_moved_aside_is_said(fakes: dict[str, Any], spec: Path, tmp_path
 
 
 def test_the_package_gives_what_tunes() -> None:
+    from nermo_mjx.optimize import read_history, run_landscape, run_tuning
     from nermo_mjx.rollout.differentiable import Rollout
-    from nermo_mjx.tune import read_history, run_landscape, run_tuning
 
     assert (nermo_mjx.Tuning, nermo_mjx.Rollout) == (Tuning, Rollout)
     assert (nermo_mjx.run_tuning, nermo_mjx.read_history) == (run_tuning, read_history)

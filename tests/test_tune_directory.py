@@ -1,19 +1,16 @@
 """A tuning's directory: which code made each row, that it can be moved, and that nothing is lost in it."""
 
 import dataclasses
-import errno
 import shutil
-from pathlib import Path
 
 import pytest
 from test_tune_run import lasting, tune
 from tune_fake import SPEC, FakeProblem
 
-from nermo_mjx.runs import DirectoryError, OtherCode, codes_of, kind_of
+from nermo_mjx.optimize import Tuning, TuningInterrupted, load_tuning, read_history, run_tuning, tuning_directory
+from nermo_mjx.optimize.tuning_figures import figures
+from nermo_mjx.runs import OtherCode, codes_of, kind_of
 from nermo_mjx.runs.files import WrongDirectory
-from nermo_mjx.sweep import SpecError
-from nermo_mjx.tune import Tuning, TuningInterrupted, directory, load_tuning, read_history, run_tuning
-from nermo_mjx.tune.plots import figures
 
 pytestmark = pytest.mark.compiles
 
@@ -27,8 +24,10 @@ def other_code(monkeypatch):
     """From here on, another version runs."""
 
     def upgrade(package="9.9.9"):
-        real = directory.stamp
-        monkeypatch.setattr(directory, "stamp", lambda *known: dataclasses.replace(real(*known), package=package))
+        real = tuning_directory.stamp
+        monkeypatch.setattr(
+            tuning_directory, "stamp", lambda *known: dataclasses.replace(real(*known), package=package)
+        )
 
     return upgrade
 
@@ -114,23 +113,6 @@ def test_a_history_that_goes_further_than_the_checkpoints_is_kept_aside(tmp_path
     assert read_history(tmp_path).equals(done.history)
 
 
-def test_a_history_that_cannot_be_read_now_stays_where_it_is(tmp_path, monkeypatch):
-    """A disk that does not answer ends it in a sentence: nothing is moved, and nothing written."""
-    tune(tmp_path, FEW)
-    before, read = sorted(path.name for path in tmp_path.iterdir()), Path.read_bytes
-
-    def fail(path):
-        if path.name == "history.parquet":
-            raise OSError(errno.EIO, "Input/output error")
-        return read(path)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(Path, "read_bytes", fail)
-        with pytest.raises(DirectoryError, match=r"history\.parquet cannot be read: Input/output error"):
-            tune(tmp_path, FEW)
-    assert sorted(path.name for path in tmp_path.iterdir()) == before
-
-
 # --- moved
 
 
@@ -160,23 +142,3 @@ def test_another_recording_is_another_tuning(tmp_path):
     with pytest.raises(WrongDirectory, match="of another tuning, with another recording; choose another directory"):
         run_tuning(by_name["c"], tmp_path / "out", problem=FakeProblem(by_name["c"]))
     assert (tmp_path / "out" / "recording.npz").read_bytes() == b"one"
-
-
-@pytest.mark.parametrize("gone", [False, True])
-def test_an_earlier_directory_with_an_absolute_path_goes_on_working(tmp_path, gone):
-    """If the recording exists, the tuning resumes and copies it; figures are drawn in any case."""
-    (tmp_path / "walk.npz").write_bytes(b"a walk")
-    tuning, out = Tuning.from_dict(COMPARED | {"recording": str(tmp_path / "walk.npz")}), tmp_path / "out"
-    run_tuning(tuning, out, problem=FakeProblem(tuning))
-    (out / "recording.npz").unlink()
-    (out / "tuning.yaml").write_text(tuning.to_yaml())
-    if gone:
-        (tmp_path / "walk.npz").unlink()
-        assert len(list(figures(out))) == 4
-        with pytest.raises(SpecError, match=r"recording is .*walk\.npz: cannot be read"):
-            run_tuning(load_tuning(out), out, problem=FakeProblem(tuning))
-        return
-    again = dataclasses.replace(Tuning.from_file(out / "tuning.yaml"), iterations=2)
-    assert run_tuning(again, out, problem=FakeProblem(again)).iterations_run == 1
-    assert (out / "recording.npz").read_bytes() == b"a walk"
-    assert load_tuning(out).recording == (out / "recording.npz").resolve()

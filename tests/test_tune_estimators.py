@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from nermo_mjx.tune.estimators import Estimator, estimate, offsets, perturbations
+from nermo_mjx.optimize.estimators import ESTIMATORS, Exact, Smoothed, estimate, offsets, perturbations
 
 pytestmark = pytest.mark.compiles
 
@@ -54,7 +54,7 @@ TRUE = {
 @functools.cache
 def trials(name, function, samples=32, ok=None, trials=TRIALS):
     """The estimate in so many independent trials, one "start" each; `ok(points)` says which worlds count."""
-    estimator = Estimator(name, 0 if name == "exact" else samples, SIGMA)
+    estimator = Exact() if name == "exact" else ESTIMATORS[name](samples, SIGMA)
 
     @jax.jit
     def run(key):
@@ -156,14 +156,14 @@ def test_the_same_key_gives_the_same_noise():
     key = jax.random.key_data(jax.random.key(0))
 
     def noise(common, iteration, name="smoothed"):
-        return np.asarray(perturbations(Estimator(name, 6, 0.1, common), key, jnp.asarray(iteration), 3, 2))
+        return np.asarray(perturbations(ESTIMATORS[name](6, 0.1, common), key, jnp.asarray(iteration), 3, 2))
 
     np.testing.assert_array_equal(noise("none", 4), noise("none", 4, "evolution"))
     for common in ("none", "starts", "iterations", "both"):
         now, later = noise(common, 4), noise(common, 5)
         assert (now[0] == now[1]).all() == (common in ("starts", "both"))
         assert (now == later).all() == (common in ("iterations", "both"))
-    assert not (noise("none", 4) == np.asarray(perturbations(Estimator("smoothed", 6, 0.1),
+    assert not (noise("none", 4) == np.asarray(perturbations(Smoothed(6, 0.1),
                 jax.random.key_data(jax.random.key(1)), jnp.asarray(4), 3, 2))).any()  # fmt: skip
 
 

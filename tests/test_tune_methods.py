@@ -13,11 +13,11 @@ from click.testing import CliRunner
 from tune_fake import BEST, SPEC, FakeProblem, speed
 
 from nermo_mjx.cli import main
+from nermo_mjx.optimize import Tuning, TuningInterrupted, run_tuning
+from nermo_mjx.optimize.problems import SimulatedProblem
+from nermo_mjx.optimize.tuning_run import costs_of
 from nermo_mjx.runs import codes_of
 from nermo_mjx.specs.reading import SpecError
-from nermo_mjx.tune import Tuning, TuningInterrupted, run_tuning
-from nermo_mjx.tune.cost import costs_of
-from nermo_mjx.tune.problems import SimulatedProblem
 
 PLAIN = {key: value for key, value in SPEC.items() if key not in ("optimizer", "starts")}
 CMA = PLAIN | {"method": {"cma": {"population": 8}}, "iterations": 12}
@@ -151,7 +151,7 @@ def test_a_tuning_reads_back_as_itself(spec) -> None:
 
 def test_each_method_says_its_cost_before(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """At a hundred simulated seconds a second: counted by hand for two starts, six iterations, runs of five seconds."""
-    monkeypatch.setattr("nermo_mjx.tune.cost.pace_here", lambda _: 100.0)
+    monkeypatch.setattr("nermo_mjx.optimize.tuning_run.pace_here", lambda _: 100.0)
     costs = {each.method: each for each in costs_of(Tuning.from_dict(DIFFERENCES))}
     assert list(costs) == ["differences", "gradient", "cma"]
     assert costs["differences"].evaluations == 2 * 7 * 5

@@ -5,14 +5,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from nermo_mjx.optimize.objective import OBJECTIVE_METRICS, TRAJECTORY_ERROR, Objective, Term
 from nermo_mjx.rollout import METRICS
-from nermo_mjx.tune.objective import OBJECTIVE_METRICS, TRAJECTORY_ERROR, Objective, Term
 
 TERMS = Objective(
     (
-        Term("maximize", "speed", scale=0.1),
-        Term("minimize", "roll_std", 0.5, 0.05),
-        Term("hold", "slip", 10, 0.005, 0.05),
+        Term(maximize="speed", scale=0.1),
+        Term(minimize="roll_std", weight=0.5, scale=0.05),
+        Term(hold="slip", weight=10, scale=0.005, at=0.05),
     )
 )
 

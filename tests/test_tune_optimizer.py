@@ -6,8 +6,8 @@ import numpy as np
 import optax
 import pytest
 
+from nermo_mjx.optimize.optimizers import Optimizer, optimizers, schedules
 from nermo_mjx.robot.quantity import ParameterError
-from nermo_mjx.tune.optimizer import Optimizer, optimizers, schedules
 
 
 def walk(optimizer, steps=12):

@@ -1,10 +1,8 @@
 """Pictures of a tuning: which figures there are, that they show the history's numbers, the landscape and the video."""
 
 import dataclasses
-import errno
 import json
 import shutil
-from pathlib import Path
 
 import imageio.v2 as imageio
 import matplotlib
@@ -16,26 +14,22 @@ from matplotlib.contour import QuadContourSet
 from matplotlib.image import imread
 from tune_fake import BEST, SPEC, FakeProblem, FakeWalker, speed
 
-from nermo_mjx.plotting.files import write_figures
-from nermo_mjx.plotting.style import STYLE
-from nermo_mjx.robot.quantity import ParameterError
-from nermo_mjx.runs import DirectoryError
-from nermo_mjx.tune import (
+from nermo_mjx.optimize import (
     Objective,
     Term,
     Tuning,
     TuningInterrupted,
-    figures,
     load_tuning,
-    plots,
     read_history,
     run_tuning,
+    tuning_figures,
 )
-from nermo_mjx.tune import pictures as tune_video
-from nermo_mjx.tune.figures import MOST_STARTS, Background, Traces, path_figure
-from nermo_mjx.tune.history import empty_log, history_table
-from nermo_mjx.tune.plots import figures_of
-from nermo_mjx.tune.tuner import Tuner, initial_state
+from nermo_mjx.optimize.history import empty_log, history_table
+from nermo_mjx.optimize.methods import Tuner, initial_state
+from nermo_mjx.optimize.tuning_figures import MOST_STARTS, Background, Traces, figures_of, path_figure
+from nermo_mjx.plotting.files import write_figures
+from nermo_mjx.plotting.style import STYLE
+from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.view import offscreen
 
 pytestmark = pytest.mark.draws
@@ -89,7 +83,7 @@ def again(finished, tmp_path):
 def undrawn(monkeypatch):
     """No figures; the landscapes that they would have had."""
     landscapes = []
-    monkeypatch.setattr(plots, "figures_of", lambda tuning, history, background: landscapes.append(background) or [])
+    monkeypatch.setattr(tuning_figures, "figures_of", lambda *known: landscapes.append(known[-1]) or [])
     return landscapes
 
 
@@ -137,7 +131,7 @@ def test_a_tuning_leaves_its_figures(drawn):
 def test_the_same_history_gives_the_same_bytes(drawn, tmp_path):
     """Figures can be drawn again from the directory alone."""
     result, _ = drawn
-    landscape = figures.background_of(result.tuning, pq.read_table(result.out / "plots" / "landscape.parquet"))
+    landscape = tuning_figures.background_of(result.tuning, pq.read_table(result.out / "plots" / "landscape.parquet"))
     again = write_figures(figures_of(load_tuning(result.out), read_history(result.out), landscape), tmp_path)
     assert [path.read_bytes() for path in again] == [path.read_bytes() for path in result.pictures.plots]
 
@@ -145,7 +139,7 @@ def test_the_same_history_gives_the_same_bytes(drawn, tmp_path):
 def test_objective_and_metrics_of_each_start_are_drawn():
     """A line a start in shown units, the best so far as steps below, and the star where the best is."""
     traces = traces_of()
-    figure = figures.objective_figure(traces)
+    figure = tuning_figures.objective_figure(traces)
     objective, speeds, rolls = figure.axes
     value = traces.column("objective")
     *starts, best = lines(objective, 7)
@@ -171,7 +165,7 @@ def test_objective_and_metrics_of_each_start_are_drawn():
 def test_a_held_metric_has_its_line():
     """What a metric is held at is drawn in its shown unit."""
     traces = traces_of({"objective": [{"hold": "speed", "at": 0.09, "scale": 0.01}]})
-    ax = figures.objective_figure(traces).axes[1]
+    ax = tuning_figures.objective_figure(traces).axes[1]
     assert [90.0, 90.0] in [np.asarray(line.get_ydata(), float).tolist() for line in ax.lines]
 
 
@@ -181,7 +175,7 @@ def test_falls_are_marked_and_never_drawn_as_values():
     traces = traces_of(change | {"starts": 1, "optimizer": {"name": "sgd", "learning_rate": 3.0}},
                        falls=lambda points: points[:, 0] > 0.06)  # fmt: skip
     assert not traces.ok.all()
-    figure = figures.objective_figure(traces)
+    figure = tuning_figures.objective_figure(traces)
     assert np.array_equal(np.isfinite(lines(figure.axes[0], 5)[0]), traces.ok[:, 0])
     assert np.array_equal(np.isfinite(lines(figure.axes[1], 5)[0]), traces.ok[:, 0])
     (crosses,) = [line for line in figure.axes[0].lines if line.get_marker() == "x"]
@@ -193,7 +187,7 @@ def test_one_wild_value_does_not_flatten_the_rest():
     ax = matplotlib.figure.Figure().subplots()
     values = np.concatenate([np.linspace(3.0, 1.0, 30), [1e6]])[:, None]
     ax.plot(values)
-    figures._cut(ax, values)
+    tuning_figures._cut(ax, values)
     assert 3.0 < ax.get_ylim()[1] < 20.0
     assert "1 higher" in [text.get_text() for text in ax.texts]
 
@@ -203,7 +197,7 @@ def test_parameters_are_in_shown_units_with_their_bounds():
     change = {"tune": SPEC["tune"] | {"spine.phase": {"bounds": [-3.14159, 3.14159], "start": 3.0, "periodic": True}},
               "starts": 1, "iterations": 20, "optimizer": {"name": "sgd", "learning_rate": 1.0}}  # fmt: skip
     traces = traces_of(change)
-    figure = figures.parameters_figure(traces)
+    figure = tuning_figures.parameters_figure(traces)
     amplitude, phase = figure.axes
     np.testing.assert_allclose(lines(amplitude, 21)[0], np.degrees(traces.column("spine.amplitude")[:, 0]))
     bounds = [line.get_ydata()[0] for line in amplitude.lines if line.get_linestyle() == "--"]
@@ -225,7 +219,7 @@ def test_gradients_are_per_range_and_tell_signal_from_noise():
     assert (error > 0).all()
     assert (error <= np.hypot(traces.column("gradient_error.spine.amplitude") * 0.4,
                               traces.column("gradient_error.spine.phase") * 2 * np.pi) * (1 + 1e-9)).all()  # fmt: skip
-    figure = figures.gradients_figure(traces)
+    figure = tuning_figures.gradients_figure(traces)
     assert len(figure.axes) == 3
     assert figure.axes[0].get_yscale() == "log"
     np.testing.assert_allclose(lines(figure.axes[1], 7)[0], (error / norm)[:, 0])
@@ -233,10 +227,10 @@ def test_gradients_are_per_range_and_tell_signal_from_noise():
     assert any(np.allclose(line, share) for line in lines(figure.axes[2], 7))
     one_pair = traces_of({"estimator": {"smoothed": {"samples": 2, "sigma": 0.1}}, "iterations": 1})
     assert np.isnan(one_pair.gradient_norm()[1]).all()
-    assert len(figures.gradients_figure(one_pair).axes) == 2
+    assert len(tuning_figures.gradients_figure(one_pair).axes) == 2
     exact = traces_of()
     assert exact.gradient_norm()[1] is None
-    assert len(figures.gradients_figure(exact).axes) == 1
+    assert len(tuning_figures.gradients_figure(exact).axes) == 1
 
 
 def test_many_starts_are_thinned_and_the_best_is_among_them():
@@ -244,7 +238,7 @@ def test_many_starts_are_thinned_and_the_best_is_among_them():
     traces = traces_of({"starts": 100, "iterations": 1})
     assert len(traces.drawn()) <= MOST_STARTS
     assert {0, traces.best[1]} <= set(traces.drawn())
-    text = texts(figures.objective_figure(traces))
+    text = texts(tuning_figures.objective_figure(traces))
     assert f"start {traces.best[1]} (best)" in text
     assert f"100 starts ({len(traces.drawn())} of them drawn)" in text
 
@@ -254,7 +248,7 @@ def test_many_parameters_fit_one_figure():
     more = {f"offset.{limb}": {"bounds": [0.0, 1.0], "start": 0.5} for limb in ("front_left", "rear_left")}
     more |= {"duty": {"bounds": [0.4, 0.7], "start": 0.5}}
     traces = traces_of({"tune": SPEC["tune"] | more, "iterations": 1})
-    assert len(figures.parameters_figure(traces).axes) == 5
+    assert len(tuning_figures.parameters_figure(traces).axes) == 5
 
 
 # --- the landscape behind the paths
@@ -270,7 +264,7 @@ def test_the_landscape_is_walked_once_in_one_batch(drawn):
     np.testing.assert_allclose([phase.min(), phase.max()], [-np.pi, np.pi * 7 / 8], rtol=1e-6)
     expected = -np.asarray(speed(amplitude, phase)) / 0.1 + 2 * (0.1 + 0.1 * amplitude**2)
     np.testing.assert_allclose(table.column("objective").to_numpy(), expected, rtol=1e-5)
-    landscape = figures.background_of(result.tuning, table)
+    landscape = tuning_figures.background_of(result.tuning, table)
     assert landscape.value.shape == (17, 17)
     np.testing.assert_array_equal(landscape.value[:, 0], landscape.value[:, -1])
 
@@ -285,29 +279,11 @@ def test_a_kept_landscape_is_not_walked_again_unless_it_is_another(again, undraw
     kept = out / "plots" / "landscape.parquet"
     for change, known in (({"optimizer": "sgd", "seed": 9, "starts": 3}, True), ({"set": {"frequency": 0.7}}, False)):
         other = Tuning.from_dict(SPEC | change)
-        assert (figures.read(kept, other, {}) is not None) is known
+        assert (tuning_figures.read(kept, other, {}) is not None) is known
     kept.write_text("damaged")
     again(walker)
     assert len(walker.batches) == 2
     assert (out / "plots" / "landscape.parquet.aside-1").read_text() == "damaged"
-
-
-def test_a_landscape_that_cannot_be_read_now_is_not_walked_again(again, undrawn, monkeypatch):
-    """A disk that does not answer ends it in a sentence, and the file stays what it is."""
-    walker = FakeWalker()
-    kept = again(walker).out / "plots" / "landscape.parquet"
-    before, read = kept.read_bytes(), Path.read_bytes
-
-    def fail(path):
-        if path == kept:
-            raise OSError(errno.EIO, "Input/output error")
-        return read(path)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(Path, "read_bytes", fail)
-        with pytest.raises(DirectoryError, match=r"cannot be read: Input/output error; nothing was changed\."):
-            again(walker)
-    assert (kept.read_bytes(), len(walker.batches)) == (before, 1)
 
 
 def test_other_parameters_stand_where_they_are_told_to():
@@ -320,17 +296,17 @@ def test_other_parameters_stand_where_they_are_told_to():
             return super().run(values, run, record, **more)
 
     tuning = Tuning.from_dict(SPEC | {"tune": SPEC["tune"] | {"duty": {"bounds": [0.4, 0.7], "start": 0.5}}})
-    table = figures.simulate(tuning, {"duty": 0.6}, Watched())
+    table = tuning_figures.simulate(tuning, {"duty": 0.6}, Watched())
     assert set(seen[0]["duty"]) == {0.6}
     assert set(seen[0]) == {"spine.amplitude", "spine.phase", "duty", "frequency"}
-    assert figures.key(tuning, {"duty": 0.6}) != figures.key(tuning, {"duty": 0.5})
-    assert figures.background_of(tuning, table).value.shape == (17, 17)
+    assert tuning_figures.key(tuning, {"duty": 0.6}) != tuning_figures.key(tuning, {"duty": 0.5})
+    assert tuning_figures.background_of(tuning, table).value.shape == (17, 17)
 
 
 def test_one_parameter_has_a_line_for_a_landscape():
     """The objective over the only parameter, with the points that were visited on it."""
     walker, traces = FakeWalker(), traces_of({"tune": {"spine.amplitude": SPEC["tune"]["spine.amplitude"]}})
-    landscape = figures.background_of(traces.tuning, figures.simulate(traces.tuning, {}, walker))
+    landscape = tuning_figures.background_of(traces.tuning, tuning_figures.simulate(traces.tuning, {}, walker))
     assert walker.batches == [(37, False)]
     assert landscape.axes["spine.amplitude"][np.argmin(landscape.value)] == pytest.approx(2.5 / 10.4, abs=0.02)
     (ax,) = path_figure(traces, landscape).axes
@@ -343,15 +319,15 @@ def test_one_parameter_has_a_line_for_a_landscape():
 def test_where_a_walk_falls_the_landscape_is_empty():
     """Fallen walks are NaN in the table, and leave a hole in the contours."""
     traces, walker = traces_of(), FakeWalker(falls=lambda values: values["spine.amplitude"] > 0.3)
-    table = figures.simulate(traces.tuning, {}, walker)
+    table = tuning_figures.simulate(traces.tuning, {}, walker)
     fell = table.column("spine.amplitude").to_numpy() > 0.3
     assert (np.array(table.column("status").to_pylist()) == np.where(fell, "fell", "ok")).all()
     assert (np.isnan(table.column("objective").to_numpy()) == fell).all()
-    ax = path_figure(traces, figures.background_of(traces.tuning, table)).axes[0]
+    ax = path_figure(traces, tuning_figures.background_of(traces.tuning, table)).axes[0]
     filled = next(c for c in ax.collections if isinstance(c, QuadContourSet))
     assert max(path.vertices[:, 0].max() for path in filled.get_paths() if len(path.vertices)) < np.degrees(0.31)
-    nothing = figures.simulate(traces.tuning, {}, FakeWalker(falls=lambda values: True))
-    path_figure(traces, figures.background_of(traces.tuning, nothing))
+    nothing = tuning_figures.simulate(traces.tuning, {}, FakeWalker(falls=lambda values: True))
+    path_figure(traces, tuning_figures.background_of(traces.tuning, nothing))
 
 
 def test_a_landscape_that_cannot_be_walked_is_a_note(again, undrawn):
@@ -367,9 +343,9 @@ def test_a_landscape_that_cannot_be_walked_is_a_note(again, undrawn):
 def test_a_recording_has_no_landscape():
     """What is compared with a recording is found in MJX only."""
     tuning = Tuning.from_dict(SPEC)
-    assert figures.has_background(tuning)
-    compared = Objective((Term("minimize", "trajectory_error"),))
-    assert not figures.has_background(dataclasses.replace(tuning, objective=compared))
+    assert tuning_figures.has_background(tuning)
+    compared = Objective((Term(minimize="trajectory_error"),))
+    assert not tuning_figures.has_background(dataclasses.replace(tuning, objective=compared))
 
 
 def test_paths_lie_on_the_landscape_and_go_on_at_the_other_side():
@@ -378,7 +354,7 @@ def test_paths_lie_on_the_landscape_and_go_on_at_the_other_side():
               "starts": 1, "iterations": 20, "optimizer": {"name": "sgd", "learning_rate": 1.0}}  # fmt: skip
     traces = traces_of(change)
     assert np.ptp(traces.column("spine.phase")) > 5.0, "it comes back at the other bound"
-    axes = figures.grid_axes(traces.tuning)
+    axes = tuning_figures.grid_axes(traces.tuning)
     value = -np.asarray(speed(axes["spine.amplitude"][:, None], axes["spine.phase"][None]))
     figure = path_figure(traces, Background(axes, value, "289 walks, engine c"))
     ax = figure.axes[0]
@@ -417,7 +393,7 @@ def test_a_stand_in_problem_alone_has_neither_landscape_nor_video(again, undrawn
 def test_start_and_best_walk_side_by_side(again, monkeypatch):
     """One batch of both, at half speed; a video that is there is kept."""
     for name, value in {"FPS": 2, "WIDTH": 96, "HEIGHT": 64, "CYCLES": 0.4}.items():
-        monkeypatch.setattr(tune_video, name, value)
+        monkeypatch.setattr(tuning_figures, name, value)
     change, walker = {"plots": False, "video": True}, FakeWalker()
     result = again(walker, change)
     assert result.pictures.video == result.out / "video.mp4"
@@ -438,9 +414,9 @@ def test_the_video_shows_the_walk_after_its_warm_up(finished, monkeypatch, tmp_p
         asked.update(panes=panes, options=options)
         return path
 
-    monkeypatch.setattr(tune_video, "render_side_by_side", take)
+    monkeypatch.setattr(tuning_figures, "render_side_by_side", take)
     best = finished.best
-    tune_video.shoot(finished.tuning, finished.start, best, FakeWalker(), tmp_path / "v.mp4")
+    tuning_figures.shoot(finished.tuning, finished.start, best, FakeWalker(), tmp_path / "v.mp4")
     start, shown = asked["panes"]
     assert (start.title, shown.title) == ("Start", f"Best, iteration {best['iteration']}, start {best['start']}")
     assert start.recording.time[[0, -1]] == pytest.approx([1.25, 3.75]), "one cycle of warm-up and two more, at 0.8 Hz"
@@ -450,7 +426,7 @@ def test_the_video_shows_the_walk_after_its_warm_up(finished, monkeypatch, tmp_p
     assert f"speed {1e3 * best['metrics']['speed']:.3g} mm/s" in shown.caption[0]
     assert asked["options"]["speed"] == 0.5
     fallen = finished.start | {"metrics": {"speed": np.nan, "roll_std": np.nan}}
-    tune_video.shoot(finished.tuning, fallen, best, FakeWalker(), tmp_path / "v.mp4")
+    tuning_figures.shoot(finished.tuning, fallen, best, FakeWalker(), tmp_path / "v.mp4")
     assert asked["panes"][0].caption[0] == "speed – mm/s, roll_std – deg"
 
 

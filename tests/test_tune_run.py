@@ -16,11 +16,10 @@ import pytest
 from sweep_fake import FakeSimulator
 from tune_fake import BEST, SPEC, FakeProblem, FakeWalker, Three
 
-from nermo_mjx.runs.files import WrongDirectory
+from nermo_mjx.optimize import Tuning, TuningFailed, TuningInterrupted, load_tuning, read_history, run_tuning
+from nermo_mjx.optimize.methods import Tuner, initial_state
 from nermo_mjx.runs.workers import TaskFailed, WorkersLost
 from nermo_mjx.sweep import DirectoryError, Sweep, run_sweep
-from nermo_mjx.tune import Tuning, TuningFailed, TuningInterrupted, load_tuning, read_history, run_tuning
-from nermo_mjx.tune.tuner import Tuner, initial_state
 
 pytestmark = pytest.mark.compiles
 
@@ -348,29 +347,6 @@ def test_a_directory_belongs_to_one_tuning(tmp_path, change, word):
     (tmp_path / "tuning.yaml").unlink()
     with pytest.raises(DirectoryError, match="checkpoints of an unknown tuning"):
         tune(tmp_path)
-
-
-def test_two_processes_never_write_one_directory(tmp_path):
-    """While one tuning holds the directory, a second call is refused; afterwards it is free."""
-    tuning = Tuning.from_dict(SPEC)
-    seen = []
-
-    def meanwhile(progress):
-        if progress.iteration == 2 and not seen:
-            seen.append(True)
-            with pytest.raises(DirectoryError, match="another process works in"):
-                tune(tmp_path)
-
-    run_tuning(tuning, tmp_path, problem=FakeProblem(tuning), progress=meanwhile)
-    assert seen
-    tune(tmp_path)
-
-
-def test_a_path_that_cannot_hold_results_is_said_so(tmp_path):
-    """A file in place of the directory is the user's error."""
-    (tmp_path / "out").write_text("")
-    with pytest.raises(WrongDirectory, match="is a file: a directory is needed"):
-        tune(tmp_path / "out")
 
 
 # --- files

@@ -7,10 +7,10 @@ import pickle
 import numpy as np
 import pytest
 
+from nermo_mjx.optimize import read_history, run_tuning
+from nermo_mjx.optimize.problems import Reference, WalkProblem
+from nermo_mjx.optimize.tuning import Tuning
 from nermo_mjx.rollout import Run
-from nermo_mjx.tune import read_history, run_tuning
-from nermo_mjx.tune.problems import Reference, WalkProblem
-from nermo_mjx.tune.spec import Tuning
 
 pytestmark = pytest.mark.slow
 

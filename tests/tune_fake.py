@@ -14,8 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 from sweep_fake import HELD
 
+from nermo_mjx.optimize import Evaluation, Tuning
 from nermo_mjx.robot import load_robot
-from nermo_mjx.tune import Evaluation, Tuning
 
 SPEC = {
     "spine": "stride_extension",
@@ -142,7 +142,7 @@ def _glide(pace, seconds):
 
 
 if __name__ == "__main__":  # a process to be killed: tune_fake.py OUT LOG
-    from nermo_mjx.tune import TuningInterrupted, run_tuning
+    from nermo_mjx.optimize import TuningInterrupted, run_tuning
 
     Path(sys.argv[2]).write_text("")
     try:

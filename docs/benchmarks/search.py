@@ -19,9 +19,8 @@ import numpy as np
 from nermo_mjx.bench import run_of
 from nermo_mjx.bench.machine import describe
 from nermo_mjx.bench.results import append
+from nermo_mjx.optimize import run_search, run_tuning
 from nermo_mjx.rollout import Run, Setup, Simulator
-from nermo_mjx.search import run_search
-from nermo_mjx.tune import run_tuning
 
 WALK = {"gait": "trt", "spine": "stride_extension", "run": {"cycles": 6, "warmup_cycles": 2}}
 EVALUATIONS, BATCH, SEEDS = 96, 16, 10

@@ -59,10 +59,11 @@ KINDS: Final = {
     kind.name: kind
     for kind in (
         Kind("sweep", "a sweep", "sweep.plots:figures", "sweep.results:status", ("x", "y", "color", "notify")),
-        Kind("search", "a search", "search.plots:figures", "search.status:status", ("x", "y", "color", "notify")),
-        Kind("tuning", "a tuning", "tune.plots:figures", "tune.status:status"),
+        Kind("search", "a search", "optimize.search_figures:figures", "optimize.search_directory:status",
+             ("x", "y", "color", "notify")),
+        Kind("tuning", "a tuning", "optimize.tuning_figures:figures", "optimize.tuning_directory:status"),
         Kind("training", "a training", "learn.plots:figures", "learn.status:status"),
-        Kind("landscape", "a landscape", "tune.landscape.plots:figures", "tune.status:landscape_status"),
+        Kind("landscape", "a landscape", "optimize.landscape:figures", "optimize.tuning_directory:landscape_status"),
         Kind("experiments", "published experiments", "experiments.run:images", "experiments.run:status",
              tracked=True),
         Kind("identification", "an identification", "experiments.identification:drawn",

@@ -22,14 +22,20 @@ if TYPE_CHECKING:
     from nermo_mjx.experiments.run import ExperimentsResult
     from nermo_mjx.learn.cost import Cost as TrainingCost
     from nermo_mjx.learn.run import TrainingProgress, TrainingResult
+    from nermo_mjx.optimize import (
+        LandscapeResult,
+        Search,
+        SearchProgress,
+        SearchResult,
+        Tuning,
+        TuningProgress,
+        TuningResult,
+    )
+    from nermo_mjx.optimize.search_run import Cost as SearchCost
+    from nermo_mjx.optimize.tuning_run import MethodCost
     from nermo_mjx.runs.workers import Workers
-    from nermo_mjx.search import Search, SearchProgress, SearchResult
-    from nermo_mjx.search.cost import Cost as SearchCost
     from nermo_mjx.sweep import Sweep, SweepResult
     from nermo_mjx.sweep.run import Forecast
-    from nermo_mjx.tune import Tuning, TuningProgress, TuningResult
-    from nermo_mjx.tune.cost import MethodCost
-    from nermo_mjx.tune.landscape import LandscapeResult
 
 
 #: What a job ends with: its content for --json, and what prints it for people.
@@ -342,7 +348,7 @@ def search_command(
     with the same numbers. A larger --budget extends a completed search.
     """
     with stdout_reserved():
-        from nermo_mjx.search import Search, run_search
+        from nermo_mjx.optimize import Search, run_search
 
         search = Search.from_file(spec)
         search = dataclasses.replace(search, **{name: value for name, value in chosen.items() if value is not None})
@@ -351,7 +357,7 @@ def search_command(
         if seed is not None:
             search = dataclasses.replace(search, sweep=dataclasses.replace(search.sweep, seed=seed))
         if dry_run:
-            from nermo_mjx.search.cost import cost_of
+            from nermo_mjx.optimize.search_run import cost_of
 
             cost = cost_of(search, engine)
     if dry_run:
@@ -473,8 +479,8 @@ def tune_command(
     no access to DIR.
     """
     with stdout_reserved():
-        from nermo_mjx.tune import Tuning
-        from nermo_mjx.tune.cost import costs_of
+        from nermo_mjx.optimize import Tuning
+        from nermo_mjx.optimize.tuning_run import costs_of
 
         tuning = Tuning.from_file(spec)
         changed = {name: value for name, value in chosen.items() if value is not None}
@@ -493,7 +499,7 @@ def tune_command(
             click.echo("\n".join(_told(costs)))
         return None
     with stdout_reserved():
-        from nermo_mjx.tune import run_tuning
+        from nermo_mjx.optimize import run_tuning
 
         with (
             Stages(quiet, compiles=lambda what: what in ("tune", "landscape")) as stages,
@@ -673,7 +679,7 @@ def landscape_command(
     Writes all points, a report, and a figure for each parameter to DIR.
     """
     with stdout_reserved():
-        from nermo_mjx.tune.landscape import run_landscape
+        from nermo_mjx.optimize import run_landscape
 
     with _working("landscape", "walks", quiet) as (progress, say, _):
         result = run_landscape(
@@ -683,7 +689,7 @@ def landscape_command(
 
 
 def _print_landscape(result: LandscapeResult) -> None:
-    from nermo_mjx.tune.landscape.report import HEADINGS, rows_of, sentences
+    from nermo_mjx.optimize.landscape import HEADINGS, rows_of, sentences
 
     content = result.content
     print_table("Exact slopes beside secants", list(HEADINGS), rows_of(content))

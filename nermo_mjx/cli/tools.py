@@ -107,9 +107,9 @@ file next to it is completed and checked as you type.
 #: Where the fields of each command's file are declared.
 FILES: Final = {
     "sweep": "sweep.spec:SweepFile",
-    "search": "search.spec:SearchFile",
-    "tune": "tune.spec:TuningFile",
-    "landscape": "tune.spec:TuningFile",
+    "search": "optimize.search:SearchFile",
+    "tune": "optimize.tuning:TuningFile",
+    "landscape": "optimize.tuning:TuningFile",
     "train": "learn.spec:TrainingFile",
     "servos": "hardware.channels:ChannelsFile",
 }

@@ -294,7 +294,7 @@ def replay_command(
         from nermo_mjx.sweep.replay import find_row, replay_row, report_of
 
         if (out / "search.yaml").exists():
-            from nermo_mjx.search.batches import find_evaluation
+            from nermo_mjx.optimize.search_directory import find_evaluation
 
             found = find_evaluation(out, row)
         else:

@@ -29,6 +29,7 @@ from nermo_mjx.experiments import ensemble
 from nermo_mjx.experiments.cases import AMPLITUDE, Case, Settings, texts, worlds
 from nermo_mjx.experiments.report import number, published_text
 from nermo_mjx.files import MOST_ARRAYS, FileError, json_of, read_bytes
+from nermo_mjx.optimize.methods import strategy
 from nermo_mjx.physics.making import resolve_engine
 from nermo_mjx.plotting.files import Figures, write_figures
 from nermo_mjx.plotting.page import page
@@ -45,7 +46,6 @@ from nermo_mjx.runs.status import Status, last_command
 from nermo_mjx.runs.text import MISSING, listed, table, to_json
 from nermo_mjx.runs.workers import LocalWorkers, TaskFailed, Workers, WorkersLost
 from nermo_mjx.specs.reading import changes
-from nermo_mjx.tune.generations import strategy
 
 #: Where the search starts, by profile: the values of an earlier prototype of this robot, or the author's.
 START: Final[dict[str, float]] = texts("identification")["start"]

@@ -36,12 +36,14 @@ class Spec:
     Attributes:
         what: what one of its fields is, for messages: "an option of 'ppo'".
         expected: what is allowed instead of something that is no mapping; by default a mapping of its fields.
+        example: where a field is missing that must be there.
         elsewhere: fields of the object that stand in another section of the file.
     """
 
     __pydantic_config__: ClassVar = ConfigDict(strict=True, extra="forbid", use_attribute_docstrings=True)
     what: ClassVar[str]
     expected: ClassVar[str] = ""
+    example: ClassVar[str] = ""
     elsewhere: ClassVar[tuple[str, ...]] = ()
 
     @classmethod
@@ -49,19 +51,32 @@ class Spec:
         names = [name for name in cls.__dataclass_fields__ if name not in cls.elsewhere]  # type: ignore[attr-defined]
         if isinstance(given, cls):
             return given
+        if given is None and (needs := " and ".join(cls.required())):
+            raise Refused(f"is without {needs}: expected {cls.example}.")
         if not isinstance(given, dict):
             raise Refused(f"is {describe(given)}: expected {cls.expected or 'a mapping of ' + ', '.join(names)}.")
         for key in given:
             if key not in names:
-                raise Refused(f"is not {cls.what}; allowed are {', '.join(names)}{did_you_mean(key, names)}", key)
+                known = f"allowed are {', '.join(names)}" if names else "it has none"
+                raise Refused(f"is not {cls.what}; {known}{did_you_mean(key, names)}", key)
+        for name in cls.required():
+            if name not in given:
+                raise Refused(f"has no '{name}': expected {cls.example}.")
         return given
 
     @classmethod
+    def required(cls) -> list[str]:
+        """Fields without a default."""
+        fields: tuple[dataclasses.Field[Any], ...] = dataclasses.fields(cls)  # type: ignore[arg-type]
+        given = [each for each in fields if each.name not in cls.elsewhere]
+        return [each.name for each in given if each.default is dataclasses.MISSING is each.default_factory]
+
+    @classmethod
     def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> core_schema.CoreSchema:
-        schema = handler(source)
-        made: dict[str, Any] = handler.resolve_ref_schema(schema)  # type: ignore[assignment]
+        made: dict[str, Any] = {**handler.resolve_ref_schema(handler(source))}
         made["strict"] = False  # a mapping will do; its values are checked strictly
-        return core_schema.no_info_before_validator_function(cls._known, schema)
+        # What stands at the reference is this, so that a second field of the same section is checked, too.
+        return core_schema.no_info_before_validator_function(cls._known, made, ref=made.pop("ref", None))
 
     @classmethod
     def __get_pydantic_json_schema__(cls, schema: core_schema.CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchema:
@@ -96,14 +111,17 @@ def one_of(form: str, other: str, models: Mapping[str, type[Spec]]) -> Any:
         models: the sections by their names; the first line of each one's docstring describes it to an editor.
     """
     fields: dict[str, Any] = {
-        name: (model | None, Field(default=None, description=(model.__doc__ or "").partition("\n")[0]))
+        name: (
+            model if model.required() else model | None,
+            Field(default=None, description=(model.__doc__ or "").partition("\n")[0]),
+        )
         for name, model in models.items()
     }
     made: type[OneOf] = create_model(form, __base__=OneOf, **fields)
     *first, last = models
     made.expected = f"{', '.join(first)} or {last} as a name, or {{name: {{option: value}}}}"
     made.other, made.other_name, made.alone = other, "is {name!r}", tuple(models)
-    made.short = ({"enum": [*models]},)
+    made.short = ({"enum": [name for name, model in models.items() if not model.required()]},)
     return _Chosen(made, models)
 
 

@@ -23,9 +23,12 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from nermo_mjx.optimize.methods import made_by
+from nermo_mjx.optimize.search import CmaMega, Scores, Search, cells_of, elites_of, scores_of
+from nermo_mjx.optimize.tuning import sweep_of
 from nermo_mjx.rollout.differentiable import cost as gradient_cost
 from nermo_mjx.runs import RunDirectory
-from nermo_mjx.runs.directory import remove_leftovers
+from nermo_mjx.runs.directory import engine_of, remove_leftovers
 from nermo_mjx.runs.files import (
     DirectoryError,
     WrongDirectory,
@@ -35,39 +38,27 @@ from nermo_mjx.runs.files import (
     create_file,
     parquet_bytes,
     parquet_table,
+    stored_json,
 )
+from nermo_mjx.runs.status import Status, metadata_of, status_of
 from nermo_mjx.runs.text import to_json
-from nermo_mjx.search.evolution import made_by
-from nermo_mjx.search.spec import Scores, Search, cells_of, elites_of, scores_of
 from nermo_mjx.specs.controllers import with_code_copied
-from nermo_mjx.specs.reading import SpecError, changes, dump
+from nermo_mjx.specs.reading import SpecError, changes
 from nermo_mjx.sweep.replay import SweepRow
 from nermo_mjx.sweep.results import RECORDINGS, Results, chunk_files, read_table
 from nermo_mjx.sweep.sampling import Rows
 from nermo_mjx.sweep.series import recording_file
-from nermo_mjx.sweep.simulating import Simulated, SimulatorLike, SweepSimulator
+from nermo_mjx.sweep.simulating import Simulated, SweepSimulator
 from nermo_mjx.sweep.table import Columns, chunk_table, columns_of, meta
 
 SEARCH: Final = "search.yaml"
 MANIFEST: Final = "manifest.sha256"
+CHUNK: Final = "results/chunk-{:05d}.parquet"
 #: How far points of a stored batch may be from those that are asked for, as a fraction of the bounds: another machine's
 #: eigenvectors differ in their last digits.
 APART: Final = 1e-6
 #: Column of a gradient: `gradient.METRIC.PARAMETER`; of the objective, METRIC is `quality`.
 GRADIENT: Final = "gradient.{}.{}"
-
-
-@dataclasses.dataclass(frozen=True)
-class Stored:
-    """A batch as the table has it.
-
-    Attributes:
-        table: its rows in order.
-        flaw: what is wrong with its file, in words; empty if nothing is.
-    """
-
-    table: pa.Table | None
-    flaw: str = ""
 
 
 class Batches:
@@ -99,19 +90,22 @@ class Batches:
     def __exit__(self, *_: object) -> None:
         self.directory.__exit__()
 
-    def begun_batch(self) -> int | None:
-        """The size of batches that the directory was started with; None if it is new."""
-        return begun.batch if (begun := self._begun()) is not None else None
+    def begun(self) -> Search | None:
+        """The search that the directory was started for, if it was."""
+        if not (self.out / SEARCH).exists():
+            return None
+        try:
+            return Search.from_file(self.out / SEARCH)
+        except SpecError as error:
+            unread = f"{self.out} holds a search that cannot be read ({error}); choose another directory."
+            raise WrongDirectory(unread) from None
 
     def claim(self, search: Search) -> None:
         """Make the directory this search's, or refuse."""
         path, folder = self.out / SEARCH, self.out.resolve()
-        self.search = search = dataclasses.replace(
-            search, sweep=dataclasses.replace(
-                search.sweep, setup=with_code_copied(search.setup, folder, self.directory.write)
-            )
-        )  # fmt: skip
-        begun = self._begun()
+        setup = with_code_copied(search.setup, folder, self.directory.write)
+        self.search = search = dataclasses.replace(search, sweep=dataclasses.replace(search.sweep, setup=setup))
+        begun = self.begun()
         if begun is None:
             if any(self.results.glob("*.parquet")):
                 raise WrongDirectory(
@@ -128,35 +122,37 @@ class Batches:
         elif begun.to_yaml(folder) != search.to_yaml(folder):  # another budget, or more recordings
             self.directory.write(SEARCH, search.to_yaml(folder).encode())
 
-    @property
-    def holds_rows(self) -> bool:
-        """Whether there is a chunk, whatever is in it."""
-        return bool(chunk_files(self.out))
-
-    def read(self, batch: int, rows: Rows) -> Stored:
-        """A batch, if its file is whole and holds these rows; see `APART`.
+    def read(self, batch: int, rows: Rows) -> tuple[pa.Table | None, str]:
+        """The table of a batch, if its file is whole and holds these rows (see `APART`); else what is wrong with it.
 
         Raises:
             DirectoryError: another version of the library asked for its points.
         """
-        path = self.chunk_path(batch)
+        path = self.out / CHUNK.format(batch)
         content = content_of(path)
         if content is None:
-            return Stored(None)
+            return None, ""
         digest = hashlib.sha256(content).hexdigest()
         table = parquet_table(content) if digest in (content_of(self.out / MANIFEST) or b"").decode() else None
         if table is None:
-            return Stored(None, "is damaged")
-        about = table.schema.metadata or {}
-        if about.get(b"search") != self.search.digest().encode():
-            return Stored(None, "was made by another search, or with other defaults")
-        if table.column("variant").to_pylist() == rows.variant.tolist() and self._near(table, rows):
-            return Stored(table)
-        before, now = about.get(b"optimizer", b"").decode(), made_by(self.search.method)
+            return None, "is damaged"
+        notes = {name.decode(): text.decode() for name, text in (table.schema.metadata or {}).items()}
+        if notes.get("search") != self.search.digest():
+            return None, "was made by another search, or with other defaults"
+        near = table.column("variant").to_pylist() == rows.variant.tolist()
+        for axis in self.search.sweep.axes if near else ():
+            room = APART * (axis.numbers[1] - axis.numbers[0])
+            stored = table.column(axis.name).to_numpy()
+            near = near and np.allclose(stored, rows.values[axis.name], rtol=0.0, atol=room)
+        if near:
+            return table, ""
+        before, now = notes.get("optimizer", ""), made_by(self.search.method)
         if before != now:
-            raise DirectoryError(f"{path} holds points that {before} asked for, and {now} asks for others: install "
-                                 f"{before}, or choose another directory.")  # fmt: skip
-        return Stored(None, "holds other points than those that follow from the batches before it")
+            raise DirectoryError(
+                f"{path} holds points that {before} asked for, and {now} asks for others: install {before}, or choose "
+                "another directory."
+            )
+        return None, "holds other points than those that follow from the batches before it"
 
     def write(
         self, batch: int, rows: Rows, first: int, found: Simulated, stamp: Any, gradients: np.ndarray | None
@@ -169,26 +165,37 @@ class Batches:
             stamp: of the code that simulated.
             gradients: (g, 1 + m, p) of its first g points, or None.
         """
-        index, count = first + np.arange(len(rows)), len(rows)
+        count = len(rows)
         about = {
-            "engine": stamp.engine, "code": stamp.id, "chunk": batch, "steps": found.steps,
-            "wall_seconds": found.seconds, "search": self.search.digest(), "optimizer": made_by(self.search.method),
-        }  # fmt: skip
+            "engine": stamp.engine,
+            "code": stamp.id,
+            "chunk": batch,
+            "steps": found.steps,
+            "wall_seconds": found.seconds,
+            "search": self.search.digest(),
+            "optimizer": made_by(self.search.method),
+        }
         metrics = {name: values[:count] for name, values in found.metrics.items()}
+        index = first + np.arange(count)
         table = chunk_table(self.search.sweep, rows, index, metrics, found.status[:count], stamp.id, about)
         about_batch = {"unit": "1", "description": "batch that the run was part of", "role": "index"}
         table = table.add_column(1, pa.field("batch", pa.int64(), metadata=about_batch), pa.array([batch] * count))
-        table = self._with_gradients(table, gradients)
-        name, content = f"results/chunk-{batch:05d}.parquet", parquet_bytes(table)
+        if isinstance(self.search.method, CmaMega):  # NaN where none was asked for
+            filled = np.full((count, len(self._differentiated), len(self.search.names)), np.nan)
+            if gradients is not None:
+                filled[: len(gradients) * self.search.repeats] = np.repeat(gradients, self.search.repeats, axis=0)
+            for i, metric in enumerate(self._differentiated):
+                for j, name in enumerate(self.search.names):
+                    meaning = {"unit": "1", "role": "gradient"}
+                    meaning["description"] = f"d {metric} / d share of the bounds of {name}"
+                    field = pa.field(GRADIENT.format(metric, name), pa.float64(), metadata=meaning)
+                    table = table.append_column(field, pa.array(np.ascontiguousarray(filled[:, i, j])))
+        name, content = CHUNK.format(batch), parquet_bytes(table)
         with clear_errors(self.out):
             append_line(self.out / MANIFEST, f"{hashlib.sha256(content).hexdigest()}  {name}")
         self.directory.move_aside(name, "results.aside")
         self.directory.write(name, content)
         return table
-
-    def chunk_path(self, batch: int) -> Path:
-        """Where a batch's rows are kept."""
-        return self.results / f"chunk-{batch:05d}.parquet"
 
     def gradients(self, table: pa.Table, points: int) -> np.ndarray:
         """The gradients of a batch's first points, from its table: (points, 1 + m, p)."""
@@ -200,42 +207,6 @@ class Batches:
     def _differentiated(self) -> tuple[str, ...]:
         return ("quality", *(each.metric for each in self.search.aim.measures))
 
-    def _with_gradients(self, table: pa.Table, gradients: np.ndarray | None) -> pa.Table:
-        """The table with columns of gradients, NaN where none was asked for, if the method asks for some at all."""
-        if self.search.method != "cma_mega":
-            return table
-        for i, metric in enumerate(self._differentiated):
-            for j, name in enumerate(self.search.names):
-                values = np.full(table.num_rows, np.nan)
-                if gradients is not None:
-                    values[: len(gradients) * self.search.repeats] = np.repeat(gradients[:, i, j], self.search.repeats)
-                meaning = f"d {metric} / d share of the bounds of {name}"
-                about = {"unit": "1", "role": "gradient", "description": meaning}
-                field = pa.field(GRADIENT.format(metric, name), pa.float64(), metadata=about)
-                table = table.append_column(field, pa.array(values))
-        return table
-
-    def _near(self, table: pa.Table, rows: Rows) -> bool:
-        """Whether the table's points are those of the rows, but for rounding."""
-        for axis in self.search.sweep.axes:
-            low, high = axis.numbers[:2]
-            there = table.column(axis.name).to_numpy()
-            if not np.allclose(there, rows.values[axis.name], rtol=0.0, atol=APART * (high - low)):
-                return False
-        return True
-
-    def _begun(self) -> Search | None:
-        """The search that the directory was started for, if it was."""
-        path = self.out / SEARCH
-        if not path.exists():
-            return None
-        try:
-            return Search.from_file(path)
-        except SpecError as error:
-            raise WrongDirectory(
-                f"{self.out} holds a search that cannot be read ({error}); choose another directory."
-            ) from None
-
 
 # ---
 # Results of a search, from its table alone: best.json for programs, best.yaml, a sweep file, and an atlas's elites.
@@ -243,8 +214,6 @@ class Batches:
 
 BEST: Final = "best.json"
 ATLAS: Final = "atlas.parquet"
-#: Runs of best.yaml: from slightly different starts, so that the sweep shows whether the best point is fragile.
-REPEATS: Final = 3
 
 
 @dataclasses.dataclass(frozen=True)
@@ -264,8 +233,10 @@ class Evaluations:
     batch: np.ndarray
 
     @classmethod
-    def of(cls, search: Search, results: Results) -> Evaluations:
-        """Of a table, as far as it goes."""
+    def of(cls, search: Search, results: Results | Path) -> Evaluations:
+        """Of a table, or a directory's, as far as it goes."""
+        if isinstance(results, Path):
+            results = Results([*chunk_files(results).values()])
         columns = dict(results.columns(["batch", *search.aim.metrics]))
         batch = columns.pop("batch")[:: search.repeats].astype(int)
         return cls(search, results, scores_of(search.aim, search.repeats, columns, results.well), batch)
@@ -279,28 +250,26 @@ class Evaluations:
         """Row, parameters, objective and metrics of some points (k,)."""
         metrics, parameters = columns_of(self.results, "metric"), list(self.search.names)
         columns = self.means([*parameters, *metrics], points)
-        told = []
-        for i, point in enumerate(points.tolist()):
-            cost = self.scores.cost[point].tolist()
-            told.append({
+        cost = self.scores.cost[points].tolist()
+        return [
+            {
                 "parameters": {name: float(columns[name][i]) for name in parameters},
-                "objective": cost if self.search.aim.pareto else cost[0],
+                "objective": cost[i] if self.search.aim.pareto else cost[i][0],
                 "metrics": {name: float(columns[name][i]) for name in metrics},
                 "row": point * self.search.repeats,
-            })  # fmt: skip
-        return told
+            }
+            for i, point in enumerate(points.tolist())
+        ]
 
     @property
     def simulated_seconds(self) -> float:
         """Of all runs, with gradients added at their cost in forward runs [s]."""
-        search = self.search
-        names = [name for name in search.setup.timing if name in self.results.schema.names]
-        values = {name: search.sweep.constants[name] for name in search.setup.timing if name in search.sweep.constants}
-        rate = search.setup.cycle_rate(values | dict(self.results.columns(names)))
-        seconds = np.broadcast_to(search.run.seconds(rate)[1], self.results.rows)
-        slope, times = GRADIENT.format("quality", search.names[0]), np.ones(self.results.rows)
-        if slope in self.results.schema.names:
-            times += np.isfinite(self.results.column(slope)) * gradient_cost(len(search.names), "forward")
+        schema, names = self.results.schema.names, self.search.names
+        timing = [name for name in self.search.setup.timing if name in schema]
+        seconds = self.search.seconds(dict(self.results.columns(timing)), self.results.rows)
+        slope, times = GRADIENT.format("quality", names[0]), np.ones(self.results.rows)
+        if slope in schema:
+            times += np.isfinite(self.results.column(slope)) * gradient_cost(len(names), "forward")
         return float(np.sum(seconds * times))
 
     def front(self) -> np.ndarray:
@@ -385,15 +354,13 @@ def publish(batches: Batches, *, complete: bool) -> dict[str, Any]:
     `complete`. Of a front `front`, with the same of each point, and `hypervolume`; of an atlas `cells`, `filled` and
     `qd_score`.
     """
-    results = Results([*chunk_files(batches.out).values()])
-    found = Evaluations.of(batches.search, results)
+    found = Evaluations.of(batches.search, batches.out)
     place = found.best()
     if place is None:
         return {}
-    best: dict[str, Any] = found.described(np.array([place]))[0] | {
-        "evaluations": len(found.scores), "failed": int((~found.scores.ok).sum()),
-        "simulated_seconds": found.simulated_seconds, "complete": complete,
-    }  # fmt: skip
+    best: dict[str, Any] = found.described(np.array([place]))[0]
+    best |= {"evaluations": len(found.scores), "failed": int((~found.scores.ok).sum())}
+    best |= {"simulated_seconds": found.simulated_seconds, "complete": complete}
     if batches.search.aim.pareto:
         best |= {"front": found.described(found.front()), "hypervolume": float(hypervolumes(found)[0][-1])}
     if batches.search.aim.measures:
@@ -402,7 +369,10 @@ def publish(batches: Batches, *, complete: bool) -> dict[str, Any]:
         best |= {"cells": cells, "filled": int(filled[-1]), "qd_score": float(total[-1])}
         batches.directory.write(ATLAS, parquet_bytes(atlas_table(found)))
     batches.directory.write(BEST, to_json(best))
-    batches.directory.write("best.yaml", best_sweep(batches.search, best, batches.out.resolve()).encode())
+    head = f"Row {best['row']} of a search: objective {best['objective']}."
+    sweep = batches.search.sweep
+    best_sweep = sweep_of(sweep, head, best["parameters"], sweep.seed, batches.out.resolve())
+    batches.directory.write("best.yaml", best_sweep.encode())
     return best
 
 
@@ -424,17 +394,10 @@ def atlas_table(found: Evaluations) -> pa.Table:
     if not plain:
         about = {"unit": "1", "description": "the sum that is minimized"}
         table.add("objective", found.scores.cost[points, 0], "metric", **about)
-    objective = dict(zip(("metric", "direction"), (term.metric, term.aim) if plain else ("objective", "minimize"),
-                         strict=True))  # fmt: skip
-    told = {"objective": objective, "measures": [dataclasses.asdict(each) for each in aim.measures]}
-    return table.table({"atlas": json.dumps(told), "search": found.search.digest()})
-
-
-def best_sweep(search: Search, best: dict[str, Any], folder: Path | None = None) -> str:
-    """The text of best.yaml: setup, run and `set` of the best point, run a few times from slightly different starts."""
-    data = search.sweep.walk_fields(folder) | {"set": {**search.sweep.fixed, **best["parameters"]}}
-    head = f"# Row {best['row']} of a search: objective {best['objective']}.\n"
-    return head + dump({**data, "randomize": {"repeats": REPEATS}, "seed": search.sweep.seed, "plots": False})
+    metric, direction = (term.metric, term.aim) if plain else ("objective", "minimize")
+    measures = [dataclasses.asdict(each) for each in aim.measures]
+    atlas = {"objective": {"metric": metric, "direction": direction}, "measures": measures}
+    return table.table({"atlas": json.dumps(atlas), "search": found.search.digest()})
 
 
 # ---
@@ -442,7 +405,7 @@ def best_sweep(search: Search, best: dict[str, Any], folder: Path | None = None)
 
 
 #: Worlds recorded at once: a walk of ten seconds is 1.5 MB.
-_TOGETHER: Final = 32
+_AT_ONCE: Final = 32
 
 
 def kept_rows(found: Evaluations, best: int) -> list[int]:
@@ -471,29 +434,22 @@ def keep_recordings(batches: Batches, best: dict[str, Any], computer: SweepSimul
     Raises:
         RecordingError, DirectoryError: one cannot be written.
     """
-    found = Evaluations.of(batches.search, Results([*chunk_files(batches.out).values()]))
-    rows = kept_rows(found, best["row"] // batches.search.repeats)
+    search, found = batches.search, Evaluations.of(batches.search, batches.out)
+    rows = kept_rows(found, best["row"] // search.repeats)
     files = {row: recording_file(batches.out, row) for row in rows}
     missing = [row for row, path in files.items() if not path.exists()]
     if missing:
         with clear_errors(batches.out):
             (batches.out / RECORDINGS).mkdir(exist_ok=True)
-        for first in range(0, len(missing), _TOGETHER):
-            _record(found, {row: files[row] for row in missing[first : first + _TOGETHER]}, computer.simulator())
-    return list(files.values())
-
-
-def _record(found: Evaluations, files: dict[int, Path], simulator: SimulatorLike) -> None:
-    """Run some rows of the table, and record each until its own end."""
-    search, rows = found.search, list(files)
     drawn = columns_of(found.results, "varied", "randomized")
-    values = {name: np.full(len(rows), value) for name, value in search.sweep.constants.items()}
-    values |= {name: column[rows] for name, column in found.results.columns(drawn)}
-    result = simulator.run(values, search.run, record=True)
-    rate = search.setup.cycle_rate({name: values[name] for name in search.setup.timing if name in values})
-    ends = np.broadcast_to(search.run.seconds(rate)[1], len(rows))
-    for world, (path, end) in enumerate(zip(files.values(), ends.tolist(), strict=True)):
-        result.recording(world).between(0.0, end).save(path)
+    for first in range(0, len(missing), _AT_ONCE):
+        part = missing[first : first + _AT_ONCE]
+        values = {name: np.full(len(part), value) for name, value in search.sweep.constants.items()}
+        values |= {name: column[part] for name, column in found.results.columns(drawn)}
+        result = computer.simulator().run(values, search.run, record=True)
+        for world, (row, end) in enumerate(zip(part, search.seconds(values, len(part)).tolist(), strict=True)):
+            result.recording(world).between(0.0, end).save(files[row])
+    return list(files.values())
 
 
 def find_evaluation(out: str | os.PathLike[str], row: int) -> SweepRow:
@@ -515,12 +471,40 @@ def find_evaluation(out: str | os.PathLike[str], row: int) -> SweepRow:
     rate = walk.setup.cycle_rate(walk.constants | {name: column[0] for name, column in values.items()})
     begin, end = walk.run.seconds(rate)
     return SweepRow(
-        out=out, sweep=search.sweep, row=row, line=Rows(**index, values=values, structure=np.zeros(1, int)),
-        begin=float(begin), end=float(end), engine=_engine_of(out),
-        stored=stored, outdated=False,
-    )  # fmt: skip
+        out=out,
+        sweep=search.sweep,
+        row=row,
+        line=Rows(**index, values=values, structure=np.zeros(1, int)),
+        begin=float(begin),
+        end=float(end),
+        engine=pq.read_schema(next(iter(chunk_files(out).values()))).metadata[b"engine"].decode(),
+        stored=stored,
+        outdated=False,
+    )
 
 
-def _engine_of(out: Path) -> str:
-    """The engine of the first batch, which a directory keeps."""
-    return pq.read_schema(next(iter(chunk_files(out).values()))).metadata[b"engine"].decode()
+# ---
+# How far a search's directory is.
+
+
+def status(out: Path) -> Status:
+    """How many points of its search a directory holds."""
+    notes, search, runs = list[str](), None, 0
+    try:
+        search = Search.from_file(out / SEARCH)
+    except (SpecError, OSError) as error:
+        notes.append(f"Its search cannot be read: {error}")
+    for path in chunk_files(out).values():
+        if about := metadata_of(path, notes, "it will be run again."):
+            runs += about.num_rows
+    done, budget = runs // (1 if search is None else search.repeats), None if search is None else search.evaluations
+    reached = False
+    try:
+        best = stored_json(out / BEST) or {}
+        spent = 0.0 if search is None else search.reached(best["evaluations"], best["simulated_seconds"])
+        reached = bool(best["complete"]) and spent >= 1.0 and best["evaluations"] == done
+    except (TypeError, KeyError):
+        pass
+    return status_of(
+        "evaluations", out, done, budget, reached, command="search", spec=SEARCH, engine=engine_of(out), notes=notes
+    )

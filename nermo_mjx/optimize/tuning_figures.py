@@ -7,13 +7,14 @@ import hashlib
 import itertools
 import json
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize, PowerNorm
@@ -22,6 +23,11 @@ from matplotlib.patches import Rectangle
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator
 
+from nermo_mjx.optimize.history import read_history
+from nermo_mjx.optimize.objective import FURTHEST, TRAJECTORY_ERROR
+from nermo_mjx.optimize.tuning import Generations, Tuned, Tuning
+from nermo_mjx.optimize.tuning_directory import VIDEO, Directory, load_tuning
+from nermo_mjx.plotting.files import Figures, write_figures
 from nermo_mjx.plotting.page import page
 from nermo_mjx.plotting.shown import ShownValues, shown
 from nermo_mjx.plotting.style import (
@@ -37,14 +43,14 @@ from nermo_mjx.plotting.style import (
     horizontal_grid,
     set_scales,
 )
+from nermo_mjx.robot.quantity import ParameterError
+from nermo_mjx.rollout import Run
 from nermo_mjx.runs import stamp
-from nermo_mjx.runs.files import content_of, parquet_table
+from nermo_mjx.runs.files import DirectoryError, content_of, parquet_bytes, parquet_table
 from nermo_mjx.sweep.simulating import SimulatorLike
-from nermo_mjx.sweep.table import Columns, columns_of, meta
-from nermo_mjx.tune.estimators import Estimator
-from nermo_mjx.tune.objective import FURTHEST, TRAJECTORY_ERROR, Term
-from nermo_mjx.tune.optimizer import Optimizer
-from nermo_mjx.tune.spec import Tuned, Tuning
+from nermo_mjx.sweep.table import Columns, meta
+from nermo_mjx.view import RecordingError, VideoError, check_video, recording_of
+from nermo_mjx.view.video import Pane, render_side_by_side
 
 # ---
 # A tuning's history as arrays over iterations and starts, for figures and summaries.
@@ -60,7 +66,7 @@ class Traces:
 
     Attributes:
         tuning: that was run.
-        table: its history, see `nermo_mjx.tune.history`.
+        table: its history, see `nermo_mjx.optimize.history`.
     """
 
     tuning: Tuning
@@ -84,11 +90,6 @@ class Traces:
     def iterations(self) -> np.ndarray:
         """Number of each evaluation (n,); 0 is that of the first points."""
         return np.arange(self.table.num_rows // self.starts)
-
-    @property
-    def metrics(self) -> list[str]:
-        """The metrics in the history."""
-        return columns_of(self.table, "metric")
 
     @cached_property
     def ok(self) -> np.ndarray:
@@ -123,10 +124,6 @@ class Traces:
         """Values of a parameter or metric as figures show them."""
         return shown(name, meta(self.table.schema.field(name))["unit"], np.asarray(value)).values
 
-    def target(self, term: Term) -> float | None:
-        """What a term holds its metric at, as figures show it; None if it does not hold it."""
-        return float(self.in_shown_unit(term.metric, term.at)) if term.aim == "hold" else None
-
     def gradient_norm(self) -> tuple[np.ndarray, np.ndarray | None]:
         """Norm of each gradient and its standard error (n, starts), None from exact gradients.
 
@@ -151,6 +148,24 @@ class Traces:
         return sorted({*some.tolist(), self.best[1]})
 
 
+def corner(ax: Axes, text: str, y: float = 1.01, va: Literal["bottom", "top"] = "bottom") -> None:
+    """A small note at the top right of a panel."""
+    ax.annotate(text, (1, y), xycoords="axes fraction", ha="right", va=va, fontsize=8, color=MUTED)
+
+
+def star(ax: Axes, x: Any, y: Any, size: float = 150, lw: float | None = None, zorder: float = 8) -> None:
+    """A star at the best point."""
+    ax.scatter(x, y, s=size, marker="*", fc=BEST, ec="white", lw=lw, zorder=zorder, clip_on=False)
+
+
+def legend(ax: Axes, handles: Any = None, labels: Any = None, **more: Any) -> None:
+    """The legend beside a panel, if there is something in it."""
+    if handles is None:
+        handles, labels = ax.get_legend_handles_labels()
+    if handles:
+        ax.legend(handles, labels, loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=8, **more)
+
+
 #: Colours of single starts; with more starts, only the best one has its own.
 START_COLOURS: Final = SERIES
 #: Panels of one figure.
@@ -158,6 +173,7 @@ MOST_PANELS: Final = 12
 _WIDTH, _PANEL, _MARGINS = 7.2, 1.75, 0.85
 #: A path shorter than this fraction of its bounds is shown enlarged.
 _ZOOM: Final = 0.2
+_AIMS: Final = {"maximize": "more is better", "minimize": "less is better", "hold": "dashed: to be held"}
 
 
 def objective_figure(traces: Traces) -> Figure:
@@ -177,15 +193,25 @@ def objective_figure(traces: Traces) -> Figure:
     axes[0].step(traces.iterations, lowest, where="post", color=INK, lw=1.1, ls=(0, (4, 2)))
     axes[0].set_ylabel("objective [1]")
     _cut(axes[0], value)
-    _mark_falls(axes[0], traces)
+    label: str | None = "fell"
+    for each, style in start_styles(traces).items():
+        fell = traces.iterations[~traces.ok[:, each]]
+        if len(fell):
+            cross: dict[str, Any] = {"color": style["color"], "ms": 5, "mew": 1.4, "clip_on": False, "zorder": 5}
+            top = np.full(len(fell), 0.97)
+            axes[0].plot(fell, top, "x", transform=axes[0].get_xaxis_transform(), label=label, **cross)
+            label = None
     for ax, (metric, term) in zip(axes[1:], terms.items(), strict=True):
         quantity = traces.quantity(metric)
         _draw_starts(ax, traces, quantity.values)
-        _draw_aim(ax, traces, term)
+        if term.aim == "hold":
+            target = float(traces.in_shown_unit(metric, np.asarray(term.at)))
+            ax.axhline(target, color=MUTED, lw=1.0, ls="--", zorder=1)
+        corner(ax, _AIMS[term.aim])
         ax.set_ylabel(quantity.label)
-    _star(axes[0], traces, value)
+    star(axes[0], iteration, best, lw=0.9, zorder=6)
     for ax, metric in zip(axes[1:], terms, strict=True):
-        _star(ax, traces, traces.quantity(metric).values)
+        star(ax, iteration, traces.quantity(metric).values[traces.best], lw=0.9, zorder=6)
     _finish(axes, traces)
     return figure
 
@@ -206,7 +232,7 @@ def parameters_figure(traces: Traces) -> Figure:
         values = traces.in_shown_unit(each.name, traces.unwrapped(each))
         _draw_starts(ax, traces, values)
         _draw_bounds(ax, traces, each, values)
-        _star(ax, traces, values)
+        star(ax, traces.best[0], values[traces.best], lw=0.9, zorder=6)
         ax.set_ylabel(traces.quantity(each.name).label.replace(" [", "\n["))  # long names are longer than a panel
     for ax in axes[max(0, len(tuned) - columns) : len(tuned)]:
         ax.tick_params(labelbottom=True)
@@ -221,7 +247,7 @@ def gradients_figure(traces: Traces) -> Figure:
     discarded = int(traces.column("discarded").sum())
     note = f"{_what(traces)}; estimator {estimator.name}"
     note += f" of {estimator.samples} samples" if estimator.samples else ""
-    note += ", each of length 1" if estimator.normalized else ""
+    note += ", each of length 1" if getattr(estimator, "normalized", False) else ""
     note += "; each component counts per whole range of its parameter"
     note += f"; {discarded:,} worlds were left out" if discarded else ""
     count = 1 + (error is not None) + (estimator.name == "mixture")
@@ -239,10 +265,14 @@ def gradients_figure(traces: Traces) -> Figure:
         axes[1].axhline(1.0, color=MUTED, lw=0.9, ls=(0, (4, 3)), zorder=1)
         highest = float(known.max()) if len(known) else 1.0
         axes[1].set(ylabel="standard error / norm [1]", ylim=(0, min(2.5, max(1.1, 1.05 * highest))))
-        axes[1].annotate("above 1: noise alone", (1, 1.01), xycoords="axes fraction", ha="right", va="bottom",
-                         fontsize=8, color=MUTED)  # fmt: skip
+        corner(axes[1], "above 1: noise alone")
     if estimator.name == "mixture":
-        _draw_shares(axes[-1], traces)
+        styles = [(colour, ls) for ls in ("-", "--") for colour in START_COLOURS]
+        for name, (colour, ls) in zip(traces.tuning.names, styles, strict=False):
+            share = traces.column(f"first_order.{name}").mean(axis=1)
+            axes[-1].plot(traces.iterations, share, label=name, lw=1.4, color=colour, ls=ls)
+        axes[-1].set(ylabel="share of the first order [1]", ylim=(-0.04, 1.04))
+        legend(axes[-1], title_fontsize=8, title="mean over the starts" if traces.starts > 1 else None)
     _finish(axes, traces)
     return figure
 
@@ -252,9 +282,10 @@ def start_styles(traces: Traces) -> Mapping[int, dict[str, Any]]:
     best, drawn = traces.best[1], traces.drawn()
     if len(drawn) <= len(START_COLOURS):
         names = {start: f"start {start}" + (" (given)" if start == 0 else "") for start in drawn}
-        return {start: {"color": colour, "lw": 1.6, "zorder": 4 if start == best else 3,
-                        "label": names[start] if len(drawn) > 1 else None}
-                for start, colour in zip(drawn, START_COLOURS, strict=False)}  # fmt: skip
+        few = zip(drawn, START_COLOURS, strict=False)
+        styles = {start: {"color": colour, "lw": 1.6, "zorder": 3, "label": names[start]} for start, colour in few}
+        styles[best]["zorder"] = 4
+        return styles if len(drawn) > 1 else {best: styles[best] | {"label": None}}
     styles = {start: {"color": BAND, "lw": 0.9, "alpha": 0.8, "zorder": 2, "label": None} for start in drawn}
     styles[drawn[-1]]["label"] = "other starts"
     styles[0] |= {"color": START_COLOURS[1], "lw": 1.4, "alpha": 1.0, "zorder": 3, "label": "start 0 (given)"}
@@ -268,7 +299,7 @@ def _column(figure: Figure, count: int) -> list[Axes]:
 
 
 def _what(traces: Traces) -> str:
-    if not traces.tuning.method.has_gradient:
+    if isinstance(traces.tuning.method, Generations):
         return f"{len(traces.iterations)} generations of {traces.tuning.method.population} points, the best of each"
     starts, drawn = traces.starts, len(traces.drawn())
     some = f" ({drawn} of them drawn)" if drawn < starts else ""
@@ -285,23 +316,6 @@ def _draw_starts(ax: Axes, traces: Traces, values: np.ndarray) -> None:
         ax.plot(traces.iterations, values[:, start], **style, **own)
 
 
-def _star(ax: Axes, traces: Traces, values: np.ndarray) -> None:
-    """A star at the best evaluation."""
-    ax.scatter(traces.best[0], values[traces.best], s=150, marker="*", fc=BEST, ec="white", lw=0.9, zorder=6,
-               clip_on=False)  # fmt: skip
-
-
-def _mark_falls(ax: Axes, traces: Traces) -> None:
-    """A cross at the top of the axes for each evaluation that did not walk to the end."""
-    label: str | None = "fell"
-    for start, style in start_styles(traces).items():
-        fell = traces.iterations[~traces.ok[:, start]]
-        if len(fell):
-            ax.plot(fell, np.full(len(fell), 0.97), "x", transform=ax.get_xaxis_transform(), color=style["color"],
-                    ms=5, mew=1.4, clip_on=False, zorder=5, label=label)  # fmt: skip
-            label = None
-
-
 def _cut(ax: Axes, values: np.ndarray) -> None:
     """Cut off values so far above the rest that nothing else would be visible."""
     good = values[np.isfinite(values)]
@@ -309,28 +323,7 @@ def _cut(ax: Axes, values: np.ndarray) -> None:
     top = max(high + 2.0 * (high - low), low + 1.05 * (np.nan_to_num(values[0, 0], nan=low) - low))
     if high > low and good.max() > top:
         ax.set_ylim(low - 0.05 * (top - low), top)
-        ax.annotate(f"{int((good > top).sum())} higher", (1, 1), xycoords="axes fraction", ha="right", va="top",
-                    fontsize=8, color=MUTED)  # fmt: skip
-
-
-def _draw_shares(ax: Axes, traces: Traces) -> None:
-    """Share of the first order in a mixture, a line a parameter."""
-    styles = [(colour, ls) for ls in ("-", "--") for colour in START_COLOURS]
-    for name, (colour, ls) in zip(traces.tuning.names, styles, strict=False):
-        share = traces.column(f"first_order.{name}").mean(axis=1)
-        ax.plot(traces.iterations, share, label=name, lw=1.4, color=colour, ls=ls)
-    ax.set(ylabel="share of the first order [1]", ylim=(-0.04, 1.04))
-    ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=8, title_fontsize=8,
-              title="mean over the starts" if traces.starts > 1 else None)  # fmt: skip
-
-
-def _draw_aim(ax: Axes, traces: Traces, term: Term) -> None:
-    """The target of the term's metric: a line to hold, or a word."""
-    target = traces.target(term)
-    if target is not None:
-        ax.axhline(target, color=MUTED, lw=1.0, ls="--", zorder=1)
-    word = {"maximize": "more is better", "minimize": "less is better", "hold": "dashed: to be held"}[term.aim]
-    ax.annotate(word, (1, 1.01), xycoords="axes fraction", ha="right", va="bottom", fontsize=8, color=MUTED)
+        corner(ax, f"{int((good > top).sum())} higher", 1, "top")
 
 
 def _draw_bounds(ax: Axes, traces: Traces, tuned: Tuned, values: np.ndarray) -> None:
@@ -338,7 +331,7 @@ def _draw_bounds(ax: Axes, traces: Traces, tuned: Tuned, values: np.ndarray) -> 
     low, high = (float(traces.in_shown_unit(tuned.name, bound)) for bound in (tuned.low, tuned.high))
     least, most, span = float(values.min()), float(values.max()), high - low
     text = f"{low:.4g} to {high:.4g}, {'periodic' if tuned.periodic else 'bounds'}"
-    ax.annotate(text, (1, 1.01), xycoords="axes fraction", ha="right", va="bottom", fontsize=8, color=MUTED)
+    corner(ax, text)
     if most - least < _ZOOM * span:
         room = max(0.6 * (most - least), 0.01 * span)
         ax.set_ylim(least - room, most + room)
@@ -370,9 +363,7 @@ def _finish(axes: Sequence[Axes], traces: Traces, columns: int = 1) -> None:
         ax.set_xlim(-0.5, len(traces.iterations) - 0.5)
     for ax in axes[len(axes) - columns :]:
         ax.set_xlabel("iteration [1]")
-    handles, labels = axes[0].get_legend_handles_labels()
-    if handles:
-        axes[columns - 1].legend(handles, labels, loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=8)
+    legend(axes[columns - 1], *axes[0].get_legend_handles_labels())
 
 
 # ---
@@ -403,8 +394,13 @@ class Background:
 
 def grid_axes(tuning: Tuning) -> dict[str, np.ndarray]:
     """The first one or two tuned parameters, and their values on the grid, both ends included."""
-    chosen = tuning.tuned[:2]
-    return {each.name: _nodes(each, POINTS[len(chosen)]) for each in chosen}
+    axes, chosen = {}, tuning.tuned[:2]
+    for each in chosen:
+        # Like the tuner's points, those of a bounded parameter stop short of the bounds.
+        share = np.linspace(0.0, 1.0, POINTS[len(chosen)])
+        share = share if each.periodic else FURTHEST + (1.0 - 2.0 * FURTHEST) * share
+        axes[each.name] = each.low + (each.high - each.low) * share
+    return axes
 
 
 def simulate(
@@ -463,6 +459,11 @@ def read(path: Path, tuning: Tuning, others: Mapping[str, float]) -> pa.Table | 
     return table if (table.schema.metadata or {}).get(_KEY) == key(tuning, others).encode() else None
 
 
+def off_grid(tuning: Tuning, best: Mapping[str, float]) -> dict[str, float]:
+    """The best point's values of the tuned parameters that are not on the grid."""
+    return {name: best[name] for name in tuning.names if name not in grid_axes(tuning)}
+
+
 def has_background(tuning: Tuning) -> bool:
     """Whether the metrics of a walk are all that the objective needs: a recording is compared with in MJX only."""
     return TRAJECTORY_ERROR not in tuning.objective.metrics
@@ -470,17 +471,9 @@ def has_background(tuning: Tuning) -> bool:
 
 def key(tuning: Tuning, others: Mapping[str, float]) -> str:
     """A hash of all that determines the grid: not the path over it, so not optimizer, estimator, starts and seed."""
-    walk = dataclasses.replace(tuning, optimizer=Optimizer("adam"), estimator=Estimator(), starts=1, seed=0)
+    walk = tuning.without_path()
     nodes: Sequence[list[float]] = [values.tolist() for values in grid_axes(tuning).values()]
     return hashlib.sha256(json.dumps([walk.digest(), nodes, dict(others)]).encode()).hexdigest()[:16]
-
-
-def _nodes(tuned: Tuned, count: int) -> np.ndarray:
-    """Evenly from bound to bound; like the tuner's points, those of a bounded parameter stop short of the bounds."""
-    share = np.linspace(0.0, 1.0, count)
-    if not tuned.periodic:
-        share = FURTHEST + (1.0 - 2.0 * FURTHEST) * share
-    return tuned.low + (tuned.high - tuned.low) * share
 
 
 # ---
@@ -492,7 +485,6 @@ _COLOURS: Final = f"{COLOURS}_r"
 _LEVELS: Final = 18
 #: Share of the landscape's points covered by the colours; including the highest would reduce the contrast.
 _COVERED: Final = 0.97
-_LABEL: Final = "objective, lower is better [1]"
 
 
 def path_figure(traces: Traces, background: Background | None = None) -> Figure:
@@ -515,14 +507,11 @@ def _plane(traces: Traces, background: Background | None) -> Figure:
     paths = [traces.in_shown_unit(each.name, traces.unwrapped(each)) for each in (x, y)]
     for start in traces.drawn():
         path, copies = [path[:, start] for path in paths], _copies(traces, paths, ends, start)
-        if background is None:
-            _draw_thin(ax, path, copies, spans)
-        else:
-            _draw_path(ax, path, copies, spans, leading=start == traces.best[1])
+        _draw_path(ax, path, copies, spans, "thin" if background is None else "best" if start == traces.best[1] else "")
     best = [float(traces.in_shown_unit(each.name, traces.column(each.name)[traces.best])) for each in (x, y)]
-    ax.scatter(best[0], best[1], s=230, marker="*", fc=BEST, ec="white", lw=1.2, zorder=8, clip_on=False)
-    quantities = [ShownValues(each.name, traces.quantity(each.name).unit, pair)
-                  for each, pair in zip((x, y), ends, strict=True)]  # fmt: skip
+    star(ax, best[0], best[1], 230, 1.2)
+    pairs = zip((x, y), ends, strict=True)
+    quantities = [ShownValues(each.name, traces.quantity(each.name).unit, pair) for each, pair in pairs]
     set_scales(ax, *quantities)
     ax.set(xlabel=quantities[0].label, ylabel=quantities[1].label, xlim=ends[0], ylim=ends[1])
     return figure
@@ -540,17 +529,16 @@ def _line(traces: Traces, background: Background | None) -> Figure:
         ax.plot(nodes, background.value, color=MUTED, lw=1.4, zorder=1)
     place, value = traces.in_shown_unit(each.name, traces.column(each.name)), traces.column("objective")
     for start, style in start_styles(traces).items():
-        ax.scatter(place[:, start], value[:, start], s=np.linspace(8, 40, len(place)), color=style["color"],
-                   ec="white", lw=0.4, zorder=style["zorder"], label=style["label"])  # fmt: skip
-    ax.scatter(place[traces.best], value[traces.best], s=150, marker="*", fc=BEST, ec="white", zorder=8)
-    quantity = ShownValues(each.name, traces.quantity(each.name).unit,
-                        traces.in_shown_unit(each.name, np.array([each.low, each.high])))  # fmt: skip
+        dots = {name: style[name] for name in ("color", "zorder", "label")}
+        sizes = np.linspace(8, 40, len(place))
+        ax.scatter(place[:, start], value[:, start], s=sizes, ec="white", lw=0.4, **dots)
+    star(ax, place[traces.best], value[traces.best])
+    ends = traces.in_shown_unit(each.name, np.array([each.low, each.high]))
+    quantity = ShownValues(each.name, traces.quantity(each.name).unit, ends)
     set_scales(ax, quantity)
     ax.set(xlabel=quantity.label, ylabel="objective [1]", xlim=quantity.values)
     horizontal_grid(ax)
-    handles, labels = ax.get_legend_handles_labels()
-    if handles:
-        ax.legend(handles, labels, loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=8)
+    legend(ax)
     return figure
 
 
@@ -574,21 +562,14 @@ def _draw_background(figure: Figure, ax: Axes, traces: Traces, background: Backg
     x, y = (traces.in_shown_unit(name, nodes) for name, nodes in background.axes.items())
     cut = "max" if good.max() > high else "neither"
     # The outermost points stand a little inside of the bounds, and their colours reach there.
-    x[[0, -1]], y[[0, -1]] = (_ends(traces, name) for name in background.axes)
+    x[[0, -1]], y[[0, -1]] = (traces.in_shown_unit(t.name, np.array(t.bounds)) for t in traces.tuning.tuned[:2])
     shown = np.ma.masked_invalid(background.value.T)
     # The lines are denser towards the best point, and evenly spaced if the objective is a parabola.
     levels = low + (high - low) * np.linspace(0.0, 1.0, _LEVELS + 1) ** 2
     scale = PowerNorm(0.5, low, high)
     ax.contourf(x, y, shown, levels, cmap=_COLOURS, norm=scale, extend=cut, zorder=1)
     ax.contour(x, y, shown, levels[::2], colors="white", linewidths=0.5, linestyles="solid", alpha=0.45, zorder=2)
-    bar = figure.colorbar(ScalarMappable(scale, _COLOURS), ax=ax, aspect=28, pad=0.02, extend=cut, extendfrac=0.03)
-    bar.set_label(_LABEL)
-    bar.outline.set_visible(False)
-
-
-def _ends(traces: Traces, name: str) -> np.ndarray:
-    tuned = next(each for each in traces.tuning.tuned if each.name == name)
-    return traces.in_shown_unit(name, np.array([tuned.low, tuned.high]))
+    _bar(figure, ax, ScalarMappable(scale, _COLOURS), extend=cut, extendfrac=0.03)
 
 
 def _draw_values(figure: Figure, ax: Axes, traces: Traces) -> None:
@@ -597,46 +578,226 @@ def _draw_values(figure: Figure, ax: Axes, traces: Traces) -> None:
     value = traces.column("objective")
     drawn, good = traces.drawn(), value[np.isfinite(value)]
     low, high = float(good.min()), float(np.quantile(good, _COVERED))
-    points = ax.scatter(x[:, drawn], y[:, drawn], c=value[:, drawn], s=22, cmap=_COLOURS, lw=0, zorder=5,
-                        norm=Normalize(low, high if high > low else low + 1e-9))  # fmt: skip
-    bar = figure.colorbar(points, ax=ax, aspect=28, pad=0.02)
-    bar.set_label(_LABEL)
-    bar.outline.set_visible(False)
+    scale = Normalize(low, high if high > low else low + 1e-9)
+    points = ax.scatter(x[:, drawn], y[:, drawn], c=value[:, drawn], s=22, cmap=_COLOURS, lw=0, zorder=5, norm=scale)
+    _bar(figure, ax, points)
     ax.grid(color=GRID, lw=0.8)
     ax.set_axisbelow(True)
+
+
+def _bar(figure: Figure, ax: Axes, colours: ScalarMappable, **more: Any) -> None:
+    bar = figure.colorbar(colours, ax=ax, aspect=28, pad=0.02, **more)
+    bar.set_label("objective, lower is better [1]")
+    bar.outline.set_visible(False)
 
 
 def _copies(traces: Traces, paths: list[np.ndarray], ends: list[np.ndarray], start: int) -> list[tuple[int, ...]]:
     """Whole turns by which a path is shifted so that all its pieces lie within the bounds."""
     turns = []
     for tuned, path, (low, high) in zip(traces.tuning.tuned, paths, ends, strict=False):
-        own = path[:, start]
-        first, last = ((math.floor((end - low) / (high - low)) for end in (own.min(), own.max()))
-                       if tuned.periodic else (0, 0))  # fmt: skip
+        reach = (path[:, start].min(), path[:, start].max())
+        first, last = (math.floor((end - low) / (high - low)) * tuned.periodic for end in reach)
         turns.append(range(first, last + 1))
     return list(itertools.product(*turns))
 
 
 def _draw_path(
-    ax: Axes, path: list[np.ndarray], copies: list[tuple[int, ...]], spans: list[float], *, leading: bool
+    ax: Axes,
+    path: list[np.ndarray],
+    copies: list[tuple[int, ...]],
+    spans: list[float],
+    look: Literal["best", "", "thin"],
 ) -> None:
-    """One start's path, from a ring to a dot; a path across a periodic bound continues at the other side."""
-    width, layer = (1.6, 5) if leading else (0.9, 4)
+    """One start's path, from a ring to a dot; a path across a periodic bound continues at the other side.
+
+    The best one is wider; without a landscape a path is a thin line, so that its points carry the colour.
+    """
+    width, layer, thin = 1.6 if look == "best" else 0.9, 5 if look == "best" else 4, look == "thin"
+    mark: dict[str, Any] = {"ls": "none", "marker": "o", "zorder": 6}
     halo: list[Any] = [withStroke(linewidth=width + 1.5, foreground=INK)]
     for turn in copies:
         x, y = (values - k * span for values, k, span in zip(path, turn, spans, strict=True))
-        ax.plot(x, y, color="white", lw=width, path_effects=halo, zorder=layer, solid_capstyle="round")
-        if leading:
-            ax.plot(x[1:-1], y[1:-1], ls="none", marker="o", ms=2.2, color=INK, zorder=layer)
-        ax.plot(x[:1], y[:1], ls="none", marker="o", ms=7, mfc="none", mec=INK, mew=3.2, zorder=6)
-        ax.plot(x[:1], y[:1], ls="none", marker="o", ms=7, mfc="none", mec="white", mew=1.5, zorder=6)
-        ax.plot(x[-1:], y[-1:], ls="none", marker="o", ms=6, mfc="white", mec=INK, mew=1.1, zorder=6)
+        if thin:
+            ax.plot(x, y, color=MUTED, lw=0.8, zorder=4)
+            ax.plot(x[:1], y[:1], ms=8, mfc="none", mec=INK, mew=1.2, **mark)
+        else:
+            ax.plot(x, y, color="white", lw=width, path_effects=halo, zorder=layer, solid_capstyle="round")
+            if look == "best":
+                ax.plot(x[1:-1], y[1:-1], ls="none", marker="o", ms=2.2, color=INK, zorder=layer)
+            ax.plot(x[:1], y[:1], ms=7, mfc="none", mec=INK, mew=3.2, **mark)
+            ax.plot(x[:1], y[:1], ms=7, mfc="none", mec="white", mew=1.5, **mark)
+        ax.plot(x[-1:], y[-1:], ms=5 if thin else 6, mfc="white", mec=INK, mew=1.1, **mark)
 
 
-def _draw_thin(ax: Axes, path: list[np.ndarray], copies: list[tuple[int, ...]], spans: list[float]) -> None:
-    """One start's path as a thin line, so that its points carry the colour."""
-    for turn in copies:
-        x, y = (values - k * span for values, k, span in zip(path, turn, spans, strict=True))
-        ax.plot(x, y, color=MUTED, lw=0.8, zorder=4)
-        ax.plot(x[:1], y[:1], ls="none", marker="o", ms=8, mfc="none", mec=INK, mew=1.2, zorder=6)
-        ax.plot(x[-1:], y[-1:], ls="none", marker="o", ms=5, mfc="white", mec=INK, mew=1.1, zorder=6)
+# ---
+# Which figures and video a tuning gives.
+
+
+def figures_of(tuning: Tuning, history: pa.Table, background: Background | None = None) -> Iterator[tuple[str, Figure]]:
+    """The figures of a tuning: `objective`, `parameters`, `gradients` where it has some, and `path`.
+
+    Args:
+        tuning: that was run.
+        history: its table, as `read_history` returns it; in some iteration the robot walked to the end.
+        background: the objective's landscape behind the paths.
+    """
+    traces = Traces.of(tuning, history)
+    yield "objective", objective_figure(traces)
+    yield "parameters", parameters_figure(traces)
+    if tuning.method.has_gradient:
+        yield "gradients", gradients_figure(traces)
+    yield "path", path_figure(traces, background)
+
+
+def figures(out: Path) -> Figures:
+    """The figures of a tuning's directory, as far as it is complete.
+
+    Raises:
+        SpecError: its tuning.yaml cannot be read.
+        DirectoryError: there is nothing to draw, or it cannot be read.
+    """
+    tuning, history = load_tuning(out), read_history(out)
+    if not pc.any(pc.is_finite(history.column("objective"))).as_py():
+        raise DirectoryError(
+            f"there is nothing to draw of {out}: the robot walked to the end at no point of this tuning."
+        )
+    traces = Traces.of(tuning, history)
+    best = {name: float(traces.column(name)[traces.best]) for name in tuning.names}
+    table = read(out / LANDSCAPE, tuning, off_grid(tuning, best)) if has_background(tuning) else None
+    return figures_of(tuning, history, None if table is None else background_of(tuning, table))
+
+
+@dataclasses.dataclass(frozen=True)
+class Pictures:
+    """Files made from a tuning's results.
+
+    Attributes:
+        plots: figures, as PNG and SVG.
+        video: of start and best; None if there is none.
+        notes: a sentence about each requested item that could not be made.
+    """
+
+    plots: tuple[Path, ...] = ()
+    video: Path | None = None
+    notes: tuple[str, ...] = ()
+
+
+def paint(
+    directory: Directory,
+    simulator: Callable[[], SimulatorLike] | None,
+    drawing: Callable[[str, float], None],
+    history: pa.Table,
+    start: Mapping[str, Any],
+    best: Mapping[str, Any],
+) -> Pictures:
+    """Make the requested figures and video; a failure of one does not affect the rest.
+
+    Args:
+        directory: where they go.
+        simulator: creates the simulator for them on first use; None: nothing is simulated.
+        drawing: called with what is being made, and the share of it.
+        history: the tuning's table.
+        start, best: the point it began with and the best one, see `nermo_mjx.optimize.tuning_directory`.
+    """
+    tuning, out, notes = directory.tuning, directory.out, list[str]()
+    plots: list[Path] = []
+    if tuning.plots:
+        background, others = None, off_grid(tuning, best["parameters"])
+        if simulator is not None and has_background(tuning):
+            table = read(out / LANDSCAPE, tuning, others)
+            if table is None:
+                drawing("landscape", 0.0)
+                try:
+                    table = simulate(tuning, others, simulator(), lambda share: drawing("landscape", share))
+                    directory.set_aside("of another best point, or damaged", LANDSCAPE)
+                    directory.write(LANDSCAPE, parquet_bytes(table))
+                except ParameterError as error:
+                    notes.append(
+                        f"There is no landscape behind the paths, because some of it cannot be walked: {error}"
+                    )
+            background = None if table is None else background_of(tuning, table)
+        drawing("plots", 0.0)
+        plots = write_figures(figures_of(tuning, history, background), out / "plots")
+    video = out / VIDEO if tuning.video and simulator is not None else None
+    if video is not None and simulator is not None and not video.exists():
+        try:
+            check(tuning, video)
+            drawing("video", 0.0)
+            shoot(tuning, start, best, simulator(), video, lambda share: drawing("video", share))
+        except (VideoError, RecordingError) as error:
+            video, notes = None, [*notes, f"There is no video. {error}"]
+    return Pictures(tuple(plots), video, tuple(notes))
+
+
+# ---
+# The video of a tuning: its first walk and its best one, side by side.
+
+
+#: Gait cycles to show, and their maximum duration [s].
+CYCLES, LONGEST = 2.0, 4.0
+#: Slowed down, so that the spine's timing is visible. A frame takes 0.1 s on one core without a graphics card.
+SPEED: Final = 0.5
+FPS, WIDTH, HEIGHT = 25, 480, 360
+#: From above, the bending of the spine is seen best, and the feet are still visible.
+CAMERA: Final = "high"
+
+
+def check(tuning: Tuning, path: Path) -> None:
+    """Raise `VideoError` if this machine cannot make the video, before anything walks for it."""
+    check_video(tuning.setup.load().model, path, camera=CAMERA)
+
+
+def shoot(
+    tuning: Tuning,
+    start: Mapping[str, Any],
+    best: Mapping[str, Any],
+    simulator: SimulatorLike,
+    path: Path,
+    progress: Callable[[float], None] | None = None,
+) -> Path:
+    """Simulate the given start and the best point again, and render both after their warm-up.
+
+    Args:
+        start, best: `parameters`, `objective` and `metrics` of each; `iteration` and `start` of the best.
+        simulator: that walks them, of the tuning's setup.
+
+    Raises:
+        VideoError: this machine cannot draw or encode.
+        RecordingError: neither of them has a state that can be shown.
+    """
+    values = {name: np.full(2, value) for name, value in tuning.constants.items()}
+    values |= {name: np.array([start["parameters"][name], best["parameters"][name]]) for name in tuning.names}
+    rate = tuning.setup.cycle_rate(values)
+    begin, end = (float(np.max(each)) for each in tuning.run.seconds(rate))
+    length = min(CYCLES / float(np.min(rate)), LONGEST)
+    # Some gait cycles after the longer warm-up; a run of a cycle or two is shown from its beginning on.
+    begin = max(0.0, min(begin, end - length))
+    end = begin + min(length, end)
+    trace = simulator.run(values, Run(duration=end), record=True).trace
+    where = f", start {best['start']}" if tuning.starts > 1 else ""
+    known = tuning.parameters | tuning.objective_metrics
+
+    def caption(point: Mapping[str, Any]) -> list[str]:
+        """What the objective reads, and below it the parameters, as figures show them."""
+        read = {name: point["metrics"][name] for name in tuning.objective.metrics}
+        texts = (
+            [_text(name, known[name].unit, value) for name, value in part.items()]
+            for part in (read, point["parameters"])
+        )
+        return [", ".join(part) for part in texts]
+
+    titles = ("Start", f"Best, iteration {best['iteration']}{where}")
+    model = tuning.setup.load().model
+    panes = [
+        Pane(recording_of(trace, model, world=i, metadata={}).between(begin, end), title, caption(point))
+        for i, (title, point) in enumerate(zip(titles, (start, best), strict=True))
+    ]
+    report = None if progress is None else lambda done, frames: progress(done / frames)
+    look: dict[str, Any] = {"width": WIDTH, "height": HEIGHT, "camera": CAMERA}
+    return render_side_by_side(panes, model, path, fps=FPS, speed=SPEED, progress=report, **look)
+
+
+def _text(name: str, unit: str, value: float) -> str:
+    quantity = shown(name, unit, np.asarray(value))
+    number = f"{float(quantity.values):.3g}" if np.isfinite(value) else "–"
+    return f"{name} {number} {quantity.unit}".rstrip()

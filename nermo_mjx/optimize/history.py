@@ -9,17 +9,18 @@ from __future__ import annotations
 
 import dataclasses
 import os
-from collections.abc import Iterator
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 import pyarrow as pa
 
+from nermo_mjx.optimize.estimators import Mixture, Smoothed
+from nermo_mjx.optimize.methods import Iterate
+from nermo_mjx.optimize.tuning import Tuning
 from nermo_mjx.runs.files import stored_table
 from nermo_mjx.sweep.table import Columns
-from nermo_mjx.tune.spec import Tuning
-from nermo_mjx.tune.tuner import Iterate
 
 #: The file in a tuning's directory.
 FILE: Final = "history.parquet"
@@ -27,8 +28,7 @@ FILE: Final = "history.parquet"
 WALL: Final = "wall_seconds"
 
 
-@dataclasses.dataclass(frozen=True)
-class HistoryColumn:
+class HistoryColumn(NamedTuple):
     """One column of the history."""
 
     name: str
@@ -54,6 +54,15 @@ class Log:
     def __len__(self) -> int:
         return len(self.rows)
 
+    def values(self, tuning: Tuning) -> np.ndarray:
+        """The objectives (iterations, starts)."""
+        return self.rows[:, :, [column.name for column in columns(tuning, self.metrics)].index("objective")]
+
+    def row(self, tuning: Tuning, iteration: int, start: int) -> dict[str, float]:
+        """The numbers of one start in one iteration, by column."""
+        names = (column.name for column in columns(tuning, self.metrics))
+        return dict(zip(names, self.rows[iteration, start].tolist(), strict=True))
+
     def code(self) -> np.ndarray:
         """Which code made each iteration (iterations,)."""
         begun = [first for first, _ in self.codes]
@@ -63,7 +72,7 @@ class Log:
         """The history with one more iteration, its duration and its code."""
         simulated, wall = found.simulated_seconds, wall_seconds
         if len(self):
-            last = dict(zip((c.name for c in columns(tuning, self.metrics)), self.rows[-1, 0].tolist(), strict=True))
+            last = self.row(tuning, -1, 0)
             simulated, wall = simulated + last["simulated_seconds"], wall + last[WALL]
         starts = len(found.value)
         numbers = {
@@ -93,33 +102,31 @@ def empty_log(tuning: Tuning, metrics: tuple[str, ...]) -> Log:
     return Log(tuple(known), np.empty((0, tuning.starts, len(columns(tuning, known)))))
 
 
-def columns(tuning: Tuning, metrics: tuple[str, ...] | list[str]) -> list[HistoryColumn]:
+def columns(tuning: Tuning, metrics: Sequence[str]) -> list[HistoryColumn]:
     """The columns of a tuning's history, but for the index."""
-    return list(_columns(tuning, metrics))
-
-
-def _columns(tuning: Tuning, metrics: tuple[str, ...] | list[str]) -> Iterator[HistoryColumn]:
     parameters, estimator = tuning.parameters, tuning.estimator
-    yield HistoryColumn(
-        "objective", "objective", "1", "value that is minimized; NaN where the robot did not walk to the end"
-    )
-    for name in tuning.names:
-        yield HistoryColumn(name, "parameter", parameters[name].unit, parameters[name].doc)
-    normalized = ", the mean over worlds whose gradients count with length 1" if estimator.normalized else ""
+    value = "value that is minimized; NaN where the robot did not walk to the end"
+    found = [HistoryColumn("objective", "objective", "1", value)]
+    found += [HistoryColumn(name, "parameter", parameters[name].unit, parameters[name].doc) for name in tuning.names]
+    normalized = isinstance(estimator, Smoothed) and estimator.normalized
+    mean = ", the mean over worlds whose gradients count with length 1" if normalized else ""
     for name in tuning.names if tuning.method.has_gradient else ():
         unit = "1" if parameters[name].unit == "1" else f"1/({parameters[name].unit})"
-        yield HistoryColumn(f"gradient.{name}", "gradient", unit, f"estimated d objective / d {name}{normalized}")
+        slope, error, share = f"gradient.{name}", f"gradient_error.{name}", f"first_order.{name}"
+        found.append(HistoryColumn(slope, "gradient", unit, f"estimated d objective / d {name}{mean}"))
         if estimator.samples:
-            yield HistoryColumn(f"gradient_error.{name}", "error", unit, f"standard error of gradient.{name}")
-        if estimator.name == "mixture":
-            yield HistoryColumn(f"first_order.{name}", "weight", "1", f"share of the first order in gradient.{name}")
-    for name in metrics:
-        about = (tuning.metrics | tuning.objective_metrics)[name]
-        yield HistoryColumn(name, "metric", about.unit, about.doc)
-    yield HistoryColumn("ok", "status", "1", "whether the robot walked to the end")
-    yield HistoryColumn("discarded", "status", "1", "worlds of the start that are not in the gradient")
-    yield HistoryColumn("simulated_seconds", "effort", "s", "simulated by all starts so far, gradients at their cost")
-    yield HistoryColumn(WALL, "effort", "s", "wall time so far, over all sessions; never twice the same")
+            found.append(HistoryColumn(error, "error", unit, f"standard error of gradient.{name}"))
+        if isinstance(estimator, Mixture):
+            found.append(HistoryColumn(share, "weight", "1", f"share of the first order in gradient.{name}"))
+    known = tuning.metrics | tuning.objective_metrics
+    found += [HistoryColumn(name, "metric", known[name].unit, known[name].doc) for name in metrics]
+    return [
+        *found,
+        HistoryColumn("ok", "status", "1", "whether the robot walked to the end"),
+        HistoryColumn("discarded", "status", "1", "worlds of the start that are not in the gradient"),
+        HistoryColumn("simulated_seconds", "effort", "s", "simulated by all starts so far, gradients at their cost"),
+        HistoryColumn(WALL, "effort", "s", "wall time so far, over all sessions; never twice the same"),
+    ]
 
 
 def history_table(tuning: Tuning, log: Log) -> pa.Table:
@@ -146,3 +153,47 @@ def read_history(out: str | os.PathLike[str]) -> pa.Table:
         DirectoryError: there is none, it is damaged, or cannot be read now.
     """
     return stored_table(Path(out) / FILE, "history of a tuning")
+
+
+# ---
+# When a tuning ends: its iterations are done, or the last of them gained almost nothing.
+
+
+#: Fraction of the total gain that counts as nothing.
+NOTHING: Final = 0.01
+
+
+def is_done(tuning: Tuning, log: Log | None) -> bool:
+    """Whether there is nothing left to do."""
+    return log is not None and (len(log) > tuning.iterations or stalled(tuning, log))
+
+
+def why_done(tuning: Tuning, log: Log) -> str | None:
+    """Why the tuning ended before its iterations were done, as a sentence; None if it did not."""
+    if len(log) > tuning.iterations or not stalled(tuning, log):
+        return None
+    return (
+        f"It stopped after {len(log) - 1} of {tuning.iterations} iterations: the last {tuning.patience} gained less "
+        f"than {NOTHING:.0%} of the total gain; a longer patience continues."
+    )
+
+
+def stalled(tuning: Tuning, log: Log) -> bool:
+    """Whether the last `patience` iterations gained almost nothing, at each start.
+
+    What counts is the lowest objective so far: of each start, or of all points together where they are a generation.
+    The total gain is from the first iteration with a completed walk to the best of all.
+    """
+    if len(log) <= tuning.patience:
+        return False
+    value = log.values(tuning)
+    value = np.where(np.isfinite(value), value, np.inf)
+    value = value if tuning.method.has_gradient else value.min(axis=1, keepdims=True)
+    lowest = np.minimum.accumulate(value)
+    walked = np.asarray(np.isfinite(lowest).any(axis=1))
+    if not walked[-1 - tuning.patience]:
+        return False
+    gained = lowest[int(walked.argmax())].min() - lowest[-1].min()
+    before, now = lowest[-1 - tuning.patience], lowest[-1]
+    lately = np.where(np.isfinite(now), before - np.where(np.isfinite(now), now, 0.0), 0.0)
+    return bool((lately <= NOTHING * gained).all())

@@ -197,9 +197,9 @@ def _unit(vector: Float[Array, " p"]) -> Float[Array, " p"]:
 
 #: The optimizer with an automatic learning rate, which uses the objective's value.
 CONTROLLED: Final = "controlled_adam"
-#: The one that tries points along the gradient (`nermo_mjx.tune.optimizer`).
+#: The one that tries points along the gradient (`nermo_mjx.optimize.optimizers`).
 LINE: Final = "line_search"
-#: The default learning rate of an optimizer, in coordinates u (`nermo_mjx.tune.objective`) per step.
+#: The default learning rate of an optimizer, in coordinates u (`nermo_mjx.optimize.objective`) per step.
 LEARNING_RATE: Final = 0.1
 _SCHEDULE_ENDINGS: Final = ("", "_schedule", "_decay_schedule")
 
@@ -209,8 +209,7 @@ class Optimizer:
     """An optimizer by name; hashable, so that it is static in compiled programs.
 
     Attributes:
-        name: `controlled_adam` (`nermo_mjx.tune.optimizer`), `line_search` (`nermo_mjx.tune.optimizer`), or of
-            a function of optax that has a learning rate: `adam`, `sgd`, `lion`, ...
+        name: `controlled_adam`, `line_search`, or of a function of optax that has a learning rate: `adam`, `sgd`, ...
         options: keyword arguments of that function. A schedule is written as
             {name: cosine_decay_schedule, option: value}, or as {cosine: {option: value}}.
         clip: a longer gradient (2-norm over the parameters of one start) is clipped to this norm; None: no clipping.
@@ -262,10 +261,9 @@ class Optimizer:
         """The pair of pure functions `init` and `update`, for the vector u of one start; `update` is given `value`."""
         make = optimizers().get(self.name)
         if make is None:
-            raise ParameterError(f"optimizer.name is {self.name!r}: allowed are {', '.join(NAMES)}"
-                                 f"{did_you_mean(self.name, NAMES)}")  # fmt: skip
-        values = {key: _schedule(key, value) if isinstance(value, Mapping) else value
-                  for key, value in self.options.items()}  # fmt: skip
+            allowed = f"{', '.join(NAMES)}{did_you_mean(self.name, NAMES)}"
+            raise ParameterError(f"optimizer.name is {self.name!r}: allowed are {allowed}")
+        values = {k: _schedule(k, value) if isinstance(value, Mapping) else value for k, value in self.options.items()}
         chosen = _call("optimizer", self.name, make, values)
         chosen = chosen if self.clip is None else optax.chain(optax.clip_by_global_norm(self.clip), chosen)
         return optax.with_extra_args_support(chosen)
@@ -302,8 +300,8 @@ def _schedule(key: str, written: Mapping[str, Any]) -> optax.Schedule:
     elif len(values) == 1 and isinstance(next(iter(values.values())), Mapping):
         name, values = next((str(name), dict(options)) for name, options in values.items())
     else:
-        raise ParameterError(f"{field} is {describe(written)}: expected a number, or a schedule such as "
-                             "{name: cosine_decay_schedule, init_value: 0.1, decay_steps: 40}.")  # fmt: skip
+        example = "{name: cosine_decay_schedule, init_value: 0.1, decay_steps: 40}"
+        raise ParameterError(f"{field} is {describe(written)}: expected a number, or a schedule such as {example}.")
     known = schedules()
     full = next((name + ending for ending in _SCHEDULE_ENDINGS if name + ending in known), None)
     if full is None:
@@ -311,8 +309,9 @@ def _schedule(key: str, written: Mapping[str, Any]) -> optax.Schedule:
             f"{field} is the schedule {name!r}: allowed are {', '.join(known)}{did_you_mean(name, known)}"
         )
     # {10: 0.5}: steps are whole numbers, though every key of a file is a text.
-    values = {option: {int(step): scale for step, scale in value.items()} if isinstance(value, Mapping) else value
-              for option, value in values.items()}  # fmt: skip
+    for option, value in values.items():
+        if isinstance(value, Mapping):
+            values[option] = {int(step): scale for step, scale in value.items()}
     schedule = _call(field, full, known[full], values)
     with jax.ensure_compile_time_eval():  # a program that is traced builds its optimizer, too
         first = np.asarray(schedule(jnp.zeros((), int)))
@@ -323,14 +322,14 @@ def _schedule(key: str, written: Mapping[str, Any]) -> optax.Schedule:
 
 def _call(field: str, name: str, make: Callable[..., Any], values: Mapping[str, Any]) -> Any:
     """`make(**values)`; what it does not know, lacks or cannot use is a sentence about `field`."""
-    options = [option for option, about in inspect.signature(make).parameters.items()
-               if about.kind in (about.POSITIONAL_OR_KEYWORD, about.KEYWORD_ONLY)]  # fmt: skip
+    parameters = inspect.signature(make).parameters.values()
+    options = {each.name: each for each in parameters if each.kind in (each.POSITIONAL_OR_KEYWORD, each.KEYWORD_ONLY)}
     for option in values:
         if option not in options:
-            raise ParameterError(f"{field}.{option} is not an option of {name}; allowed are {', '.join(options)}"
-                                 f"{did_you_mean(option, options)}")  # fmt: skip
-    for option, about in inspect.signature(make).parameters.items():
-        if about.default is about.empty and option in options and option not in values:
+            allowed = f"{', '.join(options)}{did_you_mean(option, options)}"
+            raise ParameterError(f"{field}.{option} is not an option of {name}; allowed are {allowed}")
+    for option, about in options.items():
+        if about.default is about.empty and option not in values:
             raise ParameterError(f"{field} is {name} without {option}: it has no default there.")
     try:
         return make(**values)
@@ -341,6 +340,7 @@ def _call(field: str, name: str, make: Callable[..., Any], values: Mapping[str, 
 @functools.lru_cache
 def _try_out(optimizer: Optimizer) -> None:
     """Two updates of two starts with two parameters: what fails here would fail after the first simulation."""
+    named = f"optimizer.name is {optimizer.name!r}"
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         chosen = optimizer.build()
@@ -355,14 +355,14 @@ def _try_out(optimizer: Optimizer) -> None:
             before = jax.eval_shape(jax.vmap(chosen.init), point)
             step, after = jax.jit(lambda: updated(updated(jax.vmap(chosen.init)(point))[1]))()
         except Exception as error:
-            raise ParameterError(f"optimizer.name is {optimizer.name!r}, which does not work from gradients alone: "
-                                 f"{_line(error)}.") from None  # fmt: skip
+            raise ParameterError(f"{named}, which does not work from gradients alone: {_line(error)}.") from None
     if any(jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key) for leaf in jax.tree.leaves(after)):
-        raise ParameterError(f"optimizer.name is {optimizer.name!r}, which draws random numbers of its own, and a "
-                             "checkpoint cannot hold them: let the estimator make the noise.")  # fmt: skip
+        raise ParameterError(
+            f"{named}, which draws random numbers of its own, and a checkpoint cannot hold them: let the estimator "
+            "make the noise."
+        )
     if not np.isfinite(step).all() or before != jax.eval_shape(lambda: after):
-        raise ParameterError(f"optimizer.name is {optimizer.name!r}, whose steps with these options are {step[0]}: "
-                             "expected finite numbers.")  # fmt: skip
+        raise ParameterError(f"{named}, whose steps with these options are {step[0]}: expected finite numbers.")
 
 
 def _line(error: Exception) -> str:

@@ -14,6 +14,8 @@ from pydantic_core import core_schema
 from pydantic_core.core_schema import CoreSchema
 from scipy.stats import qmc
 
+from nermo_mjx.optimize.objective import TRAJECTORY_ERROR, Objective, Term, objective_metrics, read_objective
+from nermo_mjx.optimize.tuning import is_turn
 from nermo_mjx.robot.quantity import did_you_mean
 from nermo_mjx.rollout import all_parameters
 from nermo_mjx.rollout.run import Run, too_many
@@ -21,17 +23,86 @@ from nermo_mjx.rollout.setup import Setup
 from nermo_mjx.specs.controllers import code_identity, known_names
 from nermo_mjx.specs.described import Described, digest_of
 from nermo_mjx.specs.fields import Fields, JsonSchema, OneOf, Refused, optional, read
+from nermo_mjx.specs.model import Spec, one_of, written
 from nermo_mjx.specs.reading import Document, FieldPath, describe
 from nermo_mjx.specs.values import MEASURED, ByParameter, Checked, Choice, Finite, Numbers, Positive, Whole
 from nermo_mjx.specs.walk import WalkFields, check_sources, check_workspace, read_walk, written_out
 from nermo_mjx.sweep.axes import Axis, AxisForm, read_axis, read_draw
 from nermo_mjx.sweep.spec import Randomized, Sweep, start_draws
 from nermo_mjx.sweep.structures import Structure
-from nermo_mjx.tune.objective import TRAJECTORY_ERROR, Objective, objective_metrics
-from nermo_mjx.tune.spec import TermFields, period_of, read_objective
 
 # ---
-# The sections of a search file that a sweep file does not have: what is wanted, by which method, and for how long.
+# How a search moves. The options of each method stand in its class; the method itself is in `methods`.
+
+
+class Method(Spec):
+    """A method of a search.
+
+    Attributes:
+        name: in a search file.
+        aims: what it is for: one `objective`, several (`pareto`), an `atlas`.
+        library: beside NumPy and SciPy.
+    """
+
+    name: ClassVar[str]
+    aims: ClassVar[tuple[str, ...]]
+    library: ClassVar[str] = "scipy"
+
+
+@dataclasses.dataclass(frozen=True)
+class Cma(Method):
+    """CMA-ES with restarts, for one objective."""
+
+    name, aims, library, what = "cma", ("objective",), "cma", "an option of 'cma'"
+    sigma: Positive = 0.2
+    """first standard deviation, as a share of the bounds"""
+    restarts: Annotated[str, Choice(("bipop", "ipop", "none"))] = "bipop"
+    """restarts after convergence: bipop, alternating large and small populations; ipop: increasing ones"""
+
+
+@dataclasses.dataclass(frozen=True)
+class Nsga2(Method):
+    """NSGA-II, for several objectives."""
+
+    name, aims, library, what = "nsga2", ("pareto",), "pymoo", "an option of 'nsga2'"
+
+
+@dataclasses.dataclass(frozen=True)
+class CmaMe(Method):
+    """CMA-ME, for an atlas."""
+
+    name, aims, library, what = "cma_me", ("atlas",), "ribs", "an option of 'cma_me'"
+    sigma: Positive = 0.15
+    """first standard deviation, as a share of the bounds"""
+    emitters: Annotated[int, Whole(1, 1000)] = 4
+    """number of parallel searches"""
+
+
+@dataclasses.dataclass(frozen=True)
+class CmaMega(Method):
+    """CMA-MEGA, for an atlas, along gradients from MJX."""
+
+    name, aims, library, what = "cma_mega", ("atlas",), "ribs", "an option of 'cma_mega'"
+    sigma: Positive = 0.2
+    """first standard deviation of the gradients' coefficients"""
+    learning_rate: Positive = 0.05
+    """of the step along the gradients"""
+    emitters: Annotated[int, Whole(1, 1000)] = 4
+    """number of parallel searches"""
+
+
+@dataclasses.dataclass(frozen=True)
+class Sobol(Method):
+    """Points of a Sobol sequence, for comparison."""
+
+    name, aims, what = "sobol", ("objective", "pareto", "atlas"), "an option of 'sobol'"
+
+
+#: Methods by their names in files; the first one for an aim is its default.
+METHODS: Final[Mapping[str, type[Method]]] = {each.name: each for each in (Cma, Nsga2, CmaMe, CmaMega, Sobol)}
+
+# ---
+# The other sections of a search file that a sweep file does not have: what is wanted, and for how long.
 
 
 MOST_EVALUATIONS: Final = 10_000_000
@@ -39,58 +110,39 @@ MOST_EVALUATIONS: Final = 10_000_000
 MOST_CELLS: Final = 1_000_000
 
 
-#: Metrics that an objective, a limit or a measure may name.
 def searched() -> tuple[str, ...]:
-    """What a search may name, custom metrics among them, while its file is read."""
+    """Metrics that a search may name, custom ones among them, while its file is read."""
     return tuple(name for name in objective_metrics(MEASURED.get()) if name != TRAJECTORY_ERROR)
 
 
-#: Methods of each aim, the default first.
-METHODS: Final = {"objective": ("cma", "sobol"), "pareto": ("nsga2", "sobol"), "atlas": ("cma_me", "cma_mega", "sobol")}
+@dataclasses.dataclass(frozen=True)
+class Limit(Spec):
+    """A constraint: a metric's mean over the repeats lies within the bounds."""
 
+    what = "a field of a constraint"
+    expected = "{max: x}, {min: x} or both"
+    elsewhere = ("metric",)
+    min: Finite = None  # type: ignore[assignment]  # none cannot be written in a file
+    """lowest value that is allowed, in the metric's unit"""
+    max: Finite = None  # type: ignore[assignment]
+    """highest value that is allowed, in the metric's unit"""
+    metric: str = ""
 
-class LimitFields(Fields):
-    """A constraint on a metric, as written in a file."""
+    def __post_init__(self) -> None:
+        if self.min is None and self.max is None:
+            raise Refused(f"is empty: expected {self.expected}.")
+        if self.low > self.high:
+            raise Refused(f"allows {self.low:g} to {self.high:g}: the lower one comes first.")
 
-    what: ClassVar = "a field of a constraint"
-    expected: ClassVar = "{max: x}, {min: x} or both"
-    max: Finite = optional("highest value that is allowed, in the metric's unit")
-    min: Finite = optional("lowest value that is allowed, in the metric's unit")
+    @property
+    def low(self) -> float:
+        """The lowest value, or minus infinity."""
+        return -math.inf if self.min is None else self.min
 
-
-class CmaFields(Fields):
-    what: ClassVar = "an option of 'cma'"
-    sigma: Positive = optional("first standard deviation, as a share of the bounds, by default 0.2")
-    restarts: Annotated[str, Choice(("bipop", "ipop", "none"))] = optional(
-        "restarts after convergence: by default bipop, alternating large and small populations; ipop: increasing ones"
-    )
-
-
-class CmaMeFields(Fields):
-    what: ClassVar = "an option of 'cma_me'"
-    sigma: Positive = optional("first standard deviation, as a share of the bounds, by default 0.15")
-    emitters: Annotated[int, Whole(1, 1000)] = optional("number of parallel searches, by default 4")
-
-
-class CmaMegaFields(Fields):
-    what: ClassVar = "an option of 'cma_mega'"
-    sigma: Positive = optional("first standard deviation of the gradients' coefficients, by default 0.2")
-    learning_rate: Positive = optional("of the step along the gradients, by default 0.05")
-    emitters: Annotated[int, Whole(1, 1000)] = optional("number of parallel searches, by default 4")
-
-
-class MethodFields(OneOf):
-    """The method of a search, as written in a file."""
-
-    alone: ClassVar = ("cma", "nsga2", "cma_me", "cma_mega", "sobol")
-    expected: ClassVar = "cma, nsga2, cma_me, cma_mega or sobol as a name, or {name: {option: value}}"
-    other: ClassVar = "is not a method"
-    other_name: ClassVar = "is {name!r}"
-    cma: CmaFields | None = optional("CMA-ES with restarts, for one objective")
-    nsga2: None = optional("NSGA-II, for several objectives")
-    cma_me: CmaMeFields | None = optional("CMA-ME, for an atlas")
-    cma_mega: CmaMegaFields | None = optional("CMA-MEGA, for an atlas, along gradients from MJX")
-    sobol: None = optional("points of a Sobol sequence, for comparison")
+    @property
+    def high(self) -> float:
+        """The highest value, or infinity."""
+        return math.inf if self.max is None else self.max
 
 
 class BudgetFields(OneOf):
@@ -105,7 +157,7 @@ class BudgetFields(OneOf):
     @classmethod
     def written_out(cls, given: Any) -> Any:
         number = isinstance(given, int | float) and not isinstance(given, bool)
-        return {"evaluations": float(given)} if number else super().written_out(given)
+        return {"evaluations": given} if number else super().written_out(given)
 
 
 class KeepFields(Fields):
@@ -115,36 +167,14 @@ class KeepFields(Fields):
     elites: Annotated[int, Whole(0, 10_000)] = optional("number of an atlas's elites to record, evenly chosen")
 
 
-#: low, high and the number of cells of each measure.
-MeasureForm = Annotated[list[float], Numbers("[low, high, cells]", 3, 3)]
-
-
-@dataclasses.dataclass(frozen=True)
-class Limit:
-    """A constraint: a metric's mean over the repeats lies within the bounds."""
-
-    metric: str
-    low: float = -math.inf
-    high: float = math.inf
-
-    def written(self) -> dict[str, float]:
-        """As written in a search file."""
-        bounds = {"min": self.low, "max": self.high}
-        return {name: value for name, value in bounds.items() if math.isfinite(value)}
-
-
 @dataclasses.dataclass(frozen=True)
 class Measure:
-    """One axis of an atlas: a metric, its range, and in how many cells it is divided."""
+    """One axis of an atlas, written as [low, high, cells]: a metric, its range, and in how many cells it is divided."""
 
     metric: str
     low: float
     high: float
     cells: int
-
-    def written(self) -> list[float | int]:
-        """As written in a search file."""
-        return [self.low, self.high, self.cells]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -165,7 +195,7 @@ class Aim:
 
     @property
     def kind(self) -> str:
-        """A key of `METHODS`."""
+        """One of `Method.aims`."""
         return "atlas" if self.measures else "pareto" if self.pareto else "objective"
 
     @property
@@ -176,111 +206,62 @@ class Aim:
 
     def written(self) -> dict[str, Any]:
         """As written in a search file."""
-        terms = [term.written() for term in self.objective.terms]
+        terms = [written(term) for term in self.objective.terms]
         data: dict[str, Any] = {"pareto" if self.pareto else "objective": terms}
         if self.measures:
-            data["atlas"] = {each.metric: each.written() for each in self.measures}
+            data["atlas"] = {each.metric: [each.low, each.high, each.cells] for each in self.measures}
         if self.limits:
-            data["subject_to"] = {each.metric: each.written() for each in self.limits}
+            data["subject_to"] = {each.metric: written(each) for each in self.limits}
         return data
 
 
-def read_aim(
-    doc: Document,
-    objective: list[TermFields] | None,
-    pareto: list[TermFields] | None,
-    measures: Mapping[str, list[float]],
-    limits: Mapping[str, LimitFields],
-) -> Aim:
+def _read_aim(doc: Document, file: SearchFile) -> Aim:
     """What the file wants: `objective` or `pareto`, `atlas` and `subject_to`."""
-    if objective is not None and pareto is not None:
-        doc.fail(("pareto",), "stands beside 'objective': give the terms of one objective there, or several objectives "
-                              "here, not both.")  # fmt: skip
-    if pareto is not None and measures:
+    pareto = file.pareto is not None
+    terms = file.pareto if pareto else file.objective
+    if pareto and file.objective is not None:
+        doc.fail(
+            ("pareto",),
+            "stands beside 'objective': give the terms of one objective there, or several objectives here, not both.",
+        )
+    if pareto and file.atlas:
         doc.fail(("pareto",), "stands beside 'atlas', which takes one objective: put it under 'objective'.")
-    if pareto is not None and len(pareto) < 2:
-        doc.fail(("pareto",), f"has {len(pareto)} entries: expected two or more; one alone stands under 'objective'.")
-    _check_terms(doc, "objective" if pareto is None else "pareto", pareto or objective or [])
+    if pareto and len(terms) < 2:
+        doc.fail(("pareto",), f"has {len(terms)} entries: expected two or more; one alone stands under 'objective'.")
+    for i, term in enumerate(terms or ()):
+        if term.metric == TRAJECTORY_ERROR:
+            path = ("pareto" if pareto else "objective", i, term.aim)
+            doc.fail(path, f"is {TRAJECTORY_ERROR}, which needs a recording: only a tuning has one.")
+    for section in ("atlas", "subject_to"):
+        for name in getattr(file, section):
+            if name not in searched():
+                allowed = f"{', '.join(searched())}{did_you_mean(name, searched())}"
+                doc.fail((section, name), f"is not a metric that can be aimed at; allowed are {allowed}")
+    for name, (low, high, cells) in file.atlas.items():
+        if not (math.isfinite(low) and math.isfinite(high)) or low >= high:
+            doc.fail(
+                ("atlas", name),
+                f"has the range {low:g} to {high:g}: expected finite numbers, the lower one first.",
+            )
+        if cells != int(cells) or not 1 <= cells <= MOST_CELLS:
+            doc.fail(("atlas", name), f"has {cells:g} cells: expected a whole number from 1 to {MOST_CELLS:,}.")
     return Aim(
-        read_objective(doc, pareto or objective),
-        pareto is not None,
-        tuple(_read_measure(doc, name, numbers) for name, numbers in _known(doc, "atlas", measures).items()),
-        tuple(_read_limit(doc, name, each) for name, each in _known(doc, "subject_to", limits).items()),
+        read_objective(doc, terms),
+        pareto,
+        tuple(Measure(name, low, high, int(cells)) for name, (low, high, cells) in file.atlas.items()),
+        tuple(dataclasses.replace(limit, metric=name) for name, limit in file.subject_to.items()),
     )
-
-
-def _check_terms(doc: Document, section: str, terms: list[TermFields]) -> None:
-    for i, term in enumerate(terms):
-        for aim in ("maximize", "minimize", "hold"):
-            if getattr(term, aim) == TRAJECTORY_ERROR:
-                doc.fail((section, i, aim), f"is {TRAJECTORY_ERROR}, which needs a recording: only a tuning has one.")
-
-
-def _known(doc: Document, section: str, given: Mapping[str, Any]) -> Mapping[str, Any]:
-    for name in given:
-        if name not in searched():
-            doc.fail((section, name), f"is not a metric that can be aimed at; allowed are {', '.join(searched())}"
-                                      f"{did_you_mean(name, searched())}")  # fmt: skip
-    return given
-
-
-def _read_measure(doc: Document, name: str, numbers: list[float]) -> Measure:
-    path: FieldPath = ("atlas", name)
-    low, high, cells = numbers
-    if not (math.isfinite(low) and math.isfinite(high)) or low >= high:
-        doc.fail(path, f"has the range {low:g} to {high:g}: expected finite numbers, the lower one first.")
-    if cells != int(cells) or not 1 <= cells <= MOST_CELLS:
-        doc.fail(path, f"has {cells:g} cells: expected a whole number from 1 to {MOST_CELLS:,}.")
-    return Measure(name, low, high, int(cells))
-
-
-def _read_limit(doc: Document, name: str, given: LimitFields) -> Limit:
-    path: FieldPath = ("subject_to", name)
-    low = -math.inf if given.min is None else given.min
-    high = math.inf if given.max is None else given.max
-    if low == -math.inf and high == math.inf:
-        doc.fail(path, "is empty: expected {max: x}, {min: x} or both.")
-    if low > high:
-        doc.fail(path, f"allows {low:g} to {high:g}: the lower one comes first.")
-    return Limit(name, low, high)
-
-
-def read_method(doc: Document, given: MethodFields | None, aim: Aim) -> tuple[str, dict[str, Any]]:
-    """The method's name and the options that are given."""
-    allowed = METHODS[aim.kind]
-    if given is None:
-        return allowed[0], {}
-    name, options = given.chosen
-    if name not in allowed:
-        asked = {"objective": "one objective", "pareto": "several objectives", "atlas": "an atlas"}[aim.kind]
-        doc.fail(("method",), f"is {name}, which is not for {asked}: allowed are {', '.join(allowed)}.")
-    return name, {} if options is None else options.model_dump(exclude_unset=True)
-
-
-def read_bounds(doc: Document, axes: list[Axis]) -> None:
-    """Refuse what is varied otherwise than between bounds."""
-    if not axes:
-        doc.fail(("vary",), "is missing or empty: expected bounds such as {spine.phase: {uniform: [-3.14, 3.14]}}.")
-    for axis in axes:
-        if axis.form == "values":
-            doc.fail(("vary", axis.name), f"is {describe(list(axis.numbers))}: a search moves between bounds; give "
-                     "{uniform: [low, high]} or {loguniform: [low, high]}.", axis.name)  # fmt: skip
-        if axis.name in MEASURED.get():
-            doc.fail(("vary", axis.name), "cannot be searched: in the table its name is a metric's.", axis.name)
-
-
-def refuse_foreign(key: str) -> None:
-    """Point from fields of sweeps and tunings to their counterparts here."""
-    foreign = {"sample": "how points are chosen is the method's: put sobol under 'method' for a sample",
-               "tune": "what is to change stands under 'vary'" , "iterations": "how long it runs is its 'budget'",
-               "chunk": "how many points are evaluated together is its 'batch'"}  # fmt: skip
-    if key in foreign:
-        raise Refused(f"is not a field of a search: {foreign[key]}.", key)
 
 
 #: Fields that do not change which points are evaluated: a search may be resumed with others.
 FREE: Final = ("budget", "keep", "plots")
-_BUDGET: Final = 1000.0
+#: Fields of other files, and what stands in their place here.
+_FOREIGN: Final = {
+    "sample": "how points are chosen is the method's: put sobol under 'method' for a sample",
+    "tune": "what is to change stands under 'vary'",
+    "iterations": "how long it runs is its 'budget'",
+    "chunk": "how many points are evaluated together is its 'batch'",
+}
 
 
 class OneOrMore(Checked):
@@ -299,27 +280,36 @@ class OneOrMore(Checked):
 class SearchFile(WalkFields):
     """A file for `nermo-mjx search`."""
 
-    model_config = ConfigDict(json_schema_extra={"required": ["vary"]})
+    model_config = ConfigDict(json_schema_extra={"required": ["vary"]}, use_attribute_docstrings=True)
     what: ClassVar = "a field of a search"
     sources: ClassVar = "'vary', 'set' or 'randomize'"
-    vary: Annotated[dict[str, AxisForm], ByParameter()] = Field({}, description="searched parameters with their bounds")
-    objective: Annotated[list[TermFields], OneOrMore()] = optional("a term, or several whose sum is minimized")
-    pareto: list[TermFields] = optional("several objectives, each a term")
-    atlas: dict[str, MeasureForm] = Field({}, description="measures by metric: [low, high, cells] of each")
-    subject_to: dict[str, LimitFields] = Field({}, description="constraints by metric: {max: x}, {min: x}")
-    method: MethodFields = optional("search method; the default depends on the objectives")
-    budget: BudgetFields = Field(
-        BudgetFields.model_validate(_BUDGET), description="how long it runs, 1000 evaluations by default"
+    vary: Annotated[dict[str, AxisForm], ByParameter()] = Field({})
+    """searched parameters with their bounds"""
+    objective: Annotated[list[Term], OneOrMore()] = optional("a term, or several whose sum is minimized")
+    pareto: list[Term] = optional("several objectives, each a term")
+    atlas: dict[str, Annotated[list[float], Numbers("[low, high, cells]", 3, 3)]] = Field({})
+    """measures by metric: [low, high, cells] of each"""
+    subject_to: dict[str, Limit] = Field({})
+    """constraints by metric: {max: x}, {min: x}"""
+    method: Annotated[Method, one_of("SearchMethod", "is not a method", METHODS)] = optional(
+        "search method; the default depends on the objectives"
     )
+    budget: BudgetFields = Field(BudgetFields.model_validate(1000.0))
+    """how long it runs, 1000 evaluations by default; the batch that reaches it is the last"""
     batch: Annotated[int, Whole(4, 100_000)] = optional("points that are evaluated together, a generation")
-    randomize: Randomized = Field(Randomized.model_validate({}), description="what is drawn at random in each run")
-    seed: Annotated[int, Whole(0, 2**32 - 1)] = Field(0, description="the same seed makes the same search")
-    keep: KeepFields = Field(KeepFields(), description="recordings that are kept")
-    plots: bool = Field(True, description="whether figures are drawn in the end")
+    randomize: Randomized = Field(Randomized.model_validate({}))
+    """what is drawn at random in each run"""
+    seed: Annotated[int, Whole(0, 2**32 - 1)] = 0
+    """the same seed makes the same search"""
+    keep: KeepFields = Field(KeepFields())
+    """recordings that are kept"""
+    plots: bool = True
+    """whether figures are drawn in the end"""
 
     @classmethod
     def refuse(cls, key: str) -> None:
-        refuse_foreign(key)
+        if key in _FOREIGN:
+            raise Refused(f"is not a field of a search: {_FOREIGN[key]}.", key)
         super().refuse(key)
 
 
@@ -330,18 +320,16 @@ class Search(Described):
     Attributes:
         sweep: what is run: the walk, the bounds (`axes`), what is drawn, and the repeats of each point.
         aim: what is wanted.
-        method, options: how it is searched.
-        evaluations, simulated_seconds: the budget; the batch that reaches it is the last.
+        evaluations, simulated_seconds: the budget, one of the two.
         batch: points that are evaluated together; None lets the runner choose.
-        keep: recordings that are kept.
-        plots: whether figures are drawn in the end.
+        keep: number of recordings that are kept.
+        method, plots: see `SearchFile`.
     """
 
     kind: ClassVar = "search"
     sweep: Sweep
     aim: Aim
-    method: str
-    options: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    method: Method
     evaluations: int | None = None
     simulated_seconds: float | None = None
     batch: int | None = None
@@ -372,6 +360,16 @@ class Search(Described):
         """Runs of each point."""
         return self.sweep.repeats
 
+    def seconds(self, values: Mapping[str, np.ndarray], runs: int) -> np.ndarray:
+        """How long each of some runs is simulated (runs,) [s].
+
+        Args:
+            values: parameters that differ between runs, name -> (runs,).
+        """
+        known = self.sweep.constants | dict(values)
+        rate = self.setup.cycle_rate({name: known[name] for name in self.setup.timing if name in known})
+        return np.broadcast_to(np.asarray(self.run.seconds(rate)[1], float), runs)
+
     def reached(self, evaluations: int, simulated_seconds: float) -> float:
         """The share of the budget that is used up; 1 or more where it is."""
         if self.evaluations is not None:
@@ -381,7 +379,8 @@ class Search(Described):
 
     def resolved(self, folder: Path | None = None) -> dict[str, Any]:
         data = {key: value for key, value in self.sweep.resolved(folder).items() if key not in ("sample", "plots")}
-        data |= self.aim.written() | {"method": {self.method: dict(self.options)} if self.options else self.method}
+        options = {k: v for k, v in written(self.method).items() if v != getattr(type(self.method), k)}
+        data |= self.aim.written() | {"method": {self.method.name: options} if options else self.method.name}
         data["budget"] = (
             self.evaluations if self.evaluations is not None else {"simulated_seconds": self.simulated_seconds}
         )
@@ -405,11 +404,19 @@ def _read(doc: Document) -> Search:
     with known_names(doc):
         doc = written_out(doc)
         file = read(doc, SearchFile)
-        aim = read_aim(doc, file.objective, file.pareto, file.atlas, file.subject_to)
+        aim = _read_aim(doc, file)
     walk = read_walk(doc, file)
     parameters = all_parameters(walk["setup"])
     axes = [read_axis(doc, name, form, parameters[name], grid=False) for name, form in file.vary.items()]
-    read_bounds(doc, axes)
+    if not axes:
+        doc.fail(("vary",), "is missing or empty: expected bounds such as {spine.phase: {uniform: [-3.14, 3.14]}}.")
+    for axis in axes:
+        path: FieldPath = ("vary", axis.name)
+        if axis.form == "values":
+            wanted = "a search moves between bounds; give {uniform: [low, high]} or {loguniform: [low, high]}."
+            doc.fail(path, f"is {describe(list(axis.numbers))}: {wanted}", axis.name)
+        if axis.name in MEASURED.get():
+            doc.fail(path, "cannot be searched: in the table its name is a metric's.", axis.name)
     drawn = file.randomize.model_extra or {}
     sweep = Sweep(
         **walk,
@@ -424,28 +431,41 @@ def _read(doc: Document) -> Search:
     )
     varied, draws = [axis.name for axis in axes], [draw.name for draw in sweep.draws]
     check_sources(doc, sweep, {"vary": varied, "randomize": draws}, bodies=sweep.body_parameters)
-    tried = {"vary": {axis.name: axis.tried(grid=False) for axis in axes},
-             "randomize": {draw.name: draw.tried() for draw in sweep.draws}}  # fmt: skip
+    tried = {
+        "vary": {axis.name: axis.tried(grid=False) for axis in axes},
+        "randomize": {draw.name: draw.tried() for draw in sweep.draws},
+    }
     check_workspace(doc, sweep.setup, sweep.fixed, tried)
     if sweep.repeats > 1:
         sweep = dataclasses.replace(sweep, draws=(*sweep.draws, *start_draws(sweep)))
     if math.prod(each.cells for each in aim.measures) > MOST_CELLS:
         doc.fail(("atlas",), f"has more than {MOST_CELLS:,} cells: take fewer of each measure.")
-    method, options = read_method(doc, file.method, aim)
-    if method == "cma_mega" and walk["run"].distance is not None:
-        doc.fail(("pilot", "straight", "distance"), "ends each run at a distance, which has no derivative: method "
-                                                    "cma_mega needs run: {cycles: 8}.")  # fmt: skip
+    allowed = [each for each in METHODS.values() if aim.kind in each.aims]
+    method = allowed[0]() if file.method is None else file.method
+    if type(method) not in allowed:
+        asked = {"objective": "one objective", "pareto": "several objectives", "atlas": "an atlas"}[aim.kind]
+        names = ", ".join(each.name for each in allowed)
+        doc.fail(("method",), f"is {method.name}, which is not for {asked}: allowed are {names}.")
+    if isinstance(method, CmaMega) and walk["run"].distance is not None:
+        doc.fail(
+            ("pilot", "straight", "distance"),
+            "ends each run at a distance, which has no derivative: method cma_mega needs run: {cycles: 8}.",
+        )
     if file.keep.elites is not None and not aim.measures:
         doc.fail(("keep", "elites"), "is for an atlas: take {best: N}.")
     if wrong := too_many((file.batch or 0) * sweep.repeats):
         doc.fail(("batch",), f"is {file.batch:,}: {wrong}")
     budget, amount = file.budget.chosen
     return Search(
-        sweep, aim, method, options,
+        sweep,
+        aim,
+        method,
         evaluations=amount if budget == "evaluations" else None,
         simulated_seconds=amount if budget == "simulated_seconds" else None,
-        batch=file.batch, keep=(file.keep.elites if aim.measures else None) or file.keep.best or 0, plots=file.plots,
-    )  # fmt: skip
+        batch=file.batch,
+        keep=(file.keep.elites if aim.measures else None) or file.keep.best or 0,
+        plots=file.plots,
+    )
 
 
 # ---
@@ -453,10 +473,6 @@ def _read(doc: Document) -> Search:
 #
 # A bounded parameter is reflected at its bounds: a coordinate of 1.1 is the share 0.9. A periodic one, whose bounds are
 # a whole turn apart, comes back at the other side: 1.1 is 0.1.
-
-
-#: Share of a period by which written bounds may miss it: 3.14 is meant as pi.
-_ROUNDING = 1e-3
 
 
 class Space:
@@ -470,7 +486,7 @@ class Space:
     def __init__(self, search: Search) -> None:
         axes, defaults = search.sweep.axes, search.sweep.parameters
         self.dimensions = len(axes)
-        self.periodic = np.array([_is_turn(axis) for axis in axes])
+        self.periodic = np.array([is_turn(axis.name, *axis.numbers[:2]) for axis in axes])
         self.first = np.array([_share(axis, float(np.asarray(defaults[axis.name].default))) for axis in axes])
         self._seed = search.sweep.seed
 
@@ -488,13 +504,6 @@ class Space:
         """Shares to begin with (count, p): the published gait, then points of a scrambled Sobol sequence."""
         points = qmc.Sobol(self.dimensions, rng=np.random.default_rng(self._seed))
         return np.concatenate([self.first[None], points.random_base2(max(count - 1, 1).bit_length())])[:count]
-
-
-def _is_turn(axis: Axis) -> bool:
-    """Whether the bounds of an angle or of a phase are one whole period apart."""
-    period = period_of(axis.name)
-    low, high = axis.numbers[:2]
-    return period is not None and abs(high - low - period) <= _ROUNDING * period
 
 
 def _share(axis: Axis, value: float) -> float:
@@ -541,12 +550,6 @@ class Scores:
     def quality(self) -> np.ndarray:
         """Of one objective, more is better (n,)."""
         return -self.cost[:, 0]
-
-    def joined(self, other: Scores) -> Scores:
-        """These points, then the others; without gradients."""
-        both = {name: np.concatenate([getattr(self, name), getattr(other, name)])
-                for name in ("cost", "measures", "violation", "ok")}  # fmt: skip
-        return Scores(**both)
 
 
 def scores_of(aim: Aim, repeats: int, metrics: Mapping[str, np.ndarray], well: np.ndarray) -> Scores:

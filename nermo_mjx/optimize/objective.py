@@ -1,16 +1,21 @@
-"""What a tuning minimizes: a weighted sum of terms over named metrics, pure JAX."""
+"""What is minimized: a weighted sum of terms over named metrics, pure JAX; and in which coordinates a tuning moves."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
-from typing import Any, Final, Protocol
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Any, Final, Protocol
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
+from pydantic import ConfigDict
 
 from nermo_mjx.rollout import METRICS, Metric
+from nermo_mjx.specs.fields import JsonSchema, Refused
+from nermo_mjx.specs.model import Spec
+from nermo_mjx.specs.reading import Document
+from nermo_mjx.specs.values import MEASURED, Choice, Finite, Positive
 
 #: The term that compares with a recording; the tuning's file names it under `recording`.
 TRAJECTORY_ERROR: Final = "trajectory_error"
@@ -19,6 +24,7 @@ _NO_AIM: Final = ("distance", "duration", "fell", "diverged", "failure_time")
 TRAJECTORY_METRIC: Final = Metric("1", "mean squared difference from the recording, over its variance", "low")
 #: Aims of a term for its metric.
 AIMS: Final = ("maximize", "minimize", "hold")
+TERMS: Final = "a list such as [{maximize: speed}, {minimize: roll_std, weight: 0.5, scale: 0.05}]"
 
 
 def objective_metrics(metrics: Mapping[str, Metric] = METRICS) -> dict[str, Metric]:
@@ -35,34 +41,69 @@ def objective_metrics(metrics: Mapping[str, Metric] = METRICS) -> dict[str, Metr
 OBJECTIVE_METRICS: Final = objective_metrics()
 
 
+class _Metrics(Choice):
+    """A metric that a term may name: a built-in or a custom one."""
+
+    def check(self, value: Any) -> str:
+        return Choice(tuple(objective_metrics(MEASURED.get()))).check(value)
+
+    def schema(self, own: JsonSchema) -> JsonSchema:
+        return {"anyOf": [super().schema(own), {"type": "string"}]}
+
+
+_Metric = Annotated[str, _Metrics(tuple(OBJECTIVE_METRICS))]
+
+
 @dataclasses.dataclass(frozen=True)
-class Term:
-    """One term of the objective.
+class Term(Spec):
+    """A term of the objective, for a metric m: exactly one of `maximize`, `minimize` and `hold` names it."""
 
-    Attributes:
-        aim: `maximize`: -weight m / scale; `minimize`: weight m / scale; `hold`: weight ((m - at) / scale)^2.
-        metric: m, a key of `objective_metrics`.
-        weight: how much the term counts.
-        scale: what counts as one, in the metric's unit; makes terms of different units comparable.
-        at: value that is held, in the metric's unit.
-    """
+    __pydantic_config__ = ConfigDict(
+        **Spec.__pydantic_config__,
+        json_schema_extra={
+            "oneOf": [{"required": [aim]} for aim in AIMS],
+            "dependencies": {"hold": ["at"], "at": ["hold"]},
+        },
+    )
+    what = "a field of a term"
+    expected = TERMS
+    maximize: _Metric = None  # type: ignore[assignment]  # none cannot be written in a file
+    """- weight m / scale"""
+    minimize: _Metric = None  # type: ignore[assignment]
+    """weight m / scale"""
+    hold: _Metric = None  # type: ignore[assignment]
+    """weight ((m - at) / scale)^2"""
+    at: Finite = None  # type: ignore[assignment]
+    """the value that is held, in the metric's unit"""
+    weight: Positive = 1.0
+    """how much the term counts"""
+    scale: Positive = 1.0
+    """what counts as one, in the metric's unit; makes terms of different units comparable"""
 
-    aim: str
-    metric: str
-    weight: float = 1.0
-    scale: float = 1.0
-    at: float = 0.0
+    def __post_init__(self) -> None:
+        named = [aim for aim in AIMS if getattr(self, aim) is not None]
+        if len(named) != 1:
+            raise Refused(f"names {len(named)} metrics: expected one, under {', '.join(AIMS[:-1])} or {AIMS[-1]}.")
+        if self.at is not None and self.hold is None:
+            raise Refused("is not a field of a term that holds nothing; allowed are weight, scale.", "at")
+        if self.at is None and self.hold is not None:
+            raise Refused(f"holds {self.hold} without 'at': give the value to hold it at.")
+
+    @property
+    def aim(self) -> str:
+        """One of `AIMS`."""
+        return next(aim for aim in AIMS if getattr(self, aim) is not None)
+
+    @property
+    def metric(self) -> str:
+        """The name of m."""
+        return str(getattr(self, self.aim))
 
     def value(self, m: Float[Array, "*n"]) -> Float[Array, "*n"]:
         """The term at a value of its metric."""
         if self.aim == "hold":
             return self.weight * ((m - self.at) / self.scale) ** 2
         return (-self.weight if self.aim == "maximize" else self.weight) * (m / self.scale)
-
-    def written(self) -> dict[str, Any]:
-        """As written in a tuning file."""
-        held = {"at": self.at} if self.aim == "hold" else {}
-        return {self.aim: self.metric, **held, "weight": self.weight, "scale": self.scale}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -86,6 +127,17 @@ class Objective:
         for term in self.terms[1:]:
             total = total + term.value(jnp.asarray(metrics[term.metric]))
         return total
+
+
+def read_objective(doc: Document, given: Sequence[Term] | None) -> Objective:
+    """The weighted terms of a file; raises `SpecError`."""
+    if not given:
+        doc.fail(("objective",), f"is missing or empty: expected {TERMS}.")
+    known = [(term.aim, term.metric) for term in given]
+    for i, (aim, metric) in enumerate(known):
+        if (aim, metric) in known[:i]:
+            doc.fail(("objective", i), f"is '{aim}: {metric}' again: give it once, with a weight.")
+    return Objective(tuple(given))
 
 
 # ---

@@ -1,5 +1,6 @@
-"""The simulation behind a tuning: a batch of walks in MJX, their objective and its gradients, and a recorded walk that
-they may be compared with.
+"""The simulations behind a tuning: walks in MJX with gradients, or in MuJoCo C, and a recorded walk to compare with.
+
+And the gradients of a search.
 """
 
 from __future__ import annotations
@@ -17,6 +18,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from nermo_mjx.optimize.objective import TRAJECTORY_ERROR, Evaluation, Problem
+from nermo_mjx.optimize.search import Search
+from nermo_mjx.optimize.tuning import Differences, Tuning
 from nermo_mjx.programs import Program
 from nermo_mjx.recording import Recording, RecordingError
 from nermo_mjx.robot.quantity import ParameterError
@@ -24,17 +28,18 @@ from nermo_mjx.rollout import Simulator
 from nermo_mjx.rollout.differentiable import Rollout, choose_mode, cost, value_and_gradient
 from nermo_mjx.runs.code import CodeStamp, stamp
 from nermo_mjx.runs.workers import TaskFailed, Workers
-from nermo_mjx.runtime import cpu_batch_limit
+from nermo_mjx.runtime import compiler_options, cpu_batch_limit
 from nermo_mjx.sweep.simulating import SimulatorLike
-from nermo_mjx.tune.objective import TRAJECTORY_ERROR, Evaluation, Problem
-from nermo_mjx.tune.spec import Tuning
 
 #: Spread of a coordinate below which it counts as this large: a millimetre, and a hundredth of a radian.
 _LEAST_SPREAD: Final = (1e-3, 1e-2)
 
 
 class WalkProblem:
-    """Implements `evaluation.Problem` for a tuning file; one world per point."""
+    """Implements `objective.Problem` in MJX; one world per point.
+
+    Points that a line search tries need no gradient, and walk on the engine `c`: that costs a tenth of MJX on a CPU.
+    """
 
     def __init__(self, tuning: Tuning, reference: Reference | None = None) -> None:
         """
@@ -58,23 +63,28 @@ class WalkProblem:
         self._value = Program(jax.vmap(self._walk), identity and f"value {identity}")
         gradient = jax.vmap(value_and_gradient(self._walk, self.mode))
         self._gradient = Program(gradient, identity and f"{self.mode} {identity}")
+        self._walks: SimulatedProblem | None = None
+        if tuning.optimizer.searches and tuning.method.has_gradient:
+            self._walks = SimulatedProblem(tuning, self.reference, Simulator(tuning.setup, "c"))
 
     def __reduce__(self) -> tuple[type[WalkProblem], tuple[Any, ...]]:
         """For another machine, which lacks the recording and rebuilds everything else."""
         return WalkProblem, (self.tuning, self.reference)
 
     def evaluate(self, points: Float[Array, "n p"], gradient: bool) -> Evaluation:
-        """See `evaluation.Problem.evaluate`."""
+        """See `objective.Problem.evaluate`."""
+        if self._walks is not None and not gradient:
+            return self._walks.evaluate(points, gradient)
         limit = cpu_batch_limit() or len(points)
         parts = [self._part(points[first : first + limit], gradient) for first in range(0, len(points), limit)]
         return parts[0] if len(parts) == 1 else jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts)
 
     def _part(self, points: Float[Array, "n p"], gradient: bool) -> Evaluation:
+        value, *slope, metrics = (self._gradient if gradient else self._value)(points)
+        ok = (metrics["fell"] == 0.0) & (metrics["diverged"] == 0.0) & jnp.isfinite(value)
         if not gradient:
-            value, metrics = self._value(points)
-            return Evaluation(value, None, metrics, _walked(value, metrics))
-        value, slope, metrics = self._gradient(points)
-        return Evaluation(value, slope, metrics, _walked(value, metrics) & jnp.isfinite(slope).all(axis=-1))
+            return Evaluation(value, None, metrics, ok)
+        return Evaluation(value, slope[0], metrics, ok & jnp.isfinite(slope[0]).all(axis=-1))
 
     def _identity(self) -> str | None:
         """All that decides a walk, see `Rollout.identity`, its objective and what it is compared with."""
@@ -92,11 +102,6 @@ class WalkProblem:
         if self.reference is not None:
             metrics = metrics | {TRAJECTORY_ERROR: self.reference.error(path.qpos)}
         return self.tuning.objective.value(metrics), metrics
-
-
-def _walked(value: Array, metrics: dict[str, Array]) -> Array:
-    """Whether each world walked to its end, with a finite objective."""
-    return (metrics["fell"] == 0.0) & (metrics["diverged"] == 0.0) & jnp.isfinite(value)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -151,7 +156,7 @@ def load_reference(path: Path, rollout: Rollout, seconds: float) -> Reference:
 
 
 class SimulatedProblem:
-    """Implements `evaluation.Problem` on the engine `c`; a gradient costs the runs of a point's neighbours."""
+    """Implements `objective.Problem` on the engine `c`; a gradient costs the runs of a point's neighbours."""
 
     def __init__(
         self, tuning: Tuning, reference: Reference | None = None, simulator: SimulatorLike | None = None
@@ -166,11 +171,11 @@ class SimulatedProblem:
             ParameterError: the tuning's recording cannot be compared with its walk.
         """
         self.tuning, self.names, self.reference = tuning, tuning.names, reference
-        self.simulator: Any = simulator or Simulator(tuning.setup, tuning.method.engine)
-        self.gradient_cost = 1.0 + tuning.method.neighbours(len(self.names))
+        self.simulator: Any = simulator or Simulator(tuning.setup, "c")
+        method = tuning.method
+        self.gradient_cost = 1.0 + (method.neighbours(len(self.names)) if isinstance(method, Differences) else 0)
         slowest = {each.name: each.low for each in tuning.tuned}
-        timing = {name: value for name, value in (tuning.constants | slowest).items() if name in tuning.setup.timing}
-        self.simulated_seconds = float(tuning.run.seconds(tuning.setup.cycle_rate(timing))[1])
+        self.simulated_seconds = tuning.seconds(slowest)
         if reference is None and tuning.recording is not None:
             rollout = Rollout(tuning.setup, tuning.run, slowest=slowest.get("frequency"))
             self.reference = load_reference(tuning.recording, rollout, self.simulated_seconds)
@@ -180,42 +185,35 @@ class SimulatedProblem:
         return SimulatedProblem, (self.tuning, self.reference)
 
     def evaluate(self, points: Float[Array, "n p"], gradient: bool) -> Evaluation:
-        """See `evaluation.Problem.evaluate`."""
+        """See `objective.Problem.evaluate`; in NumPy: differences of float64 become slopes unrounded.
+
+        A neighbour beyond a bound stands on it; a forward one turns to the other side where nothing would be left.
+        """
         at = np.asarray(points, float)
         if not gradient:
             value, metrics, ok = self.walk(at)
             return _evaluation(value, None, metrics, ok)
-        n, p = at.shape
-        apart = self._apart(p)
-        worlds, reach = self._within(at[:, None] + apart)
+        method = self.tuning.method
+        assert isinstance(method, Differences)
+        (n, p), central = at.shape, method.scheme == "central"
+        low, high = (np.array([getattr(each, end) for each in self.tuning.tuned]) for end in ("low", "high"))
+        periodic = np.array([each.periodic for each in self.tuning.tuned])
+        # Each point and its neighbours (n, worlds, p), and where they are along each parameter, unwrapped.
+        steps = np.diag(method.step * (high - low))
+        worlds = at[:, None] + np.concatenate([np.zeros((1, p)), steps, *([-steps] if central else [])])
+        if not central:
+            worlds = np.where(~periodic & (worlds > high), 2.0 * worlds[:, :1] - worlds, worlds)
+        reach = np.where(periodic, worlds, np.clip(worlds, low, high))
+        worlds = np.where(periodic, low + np.mod(worlds - low, high - low), reach)
         value, metrics, ok = self.walk(worlds.reshape(-1, p))
         value, ok = value.reshape(n, -1), ok.reshape(n, -1)
         # Of each parameter two worlds with different values of it: either neighbour, or one and the point itself.
-        high = 1 + np.arange(p)
-        low = high + p if self.tuning.method.scheme == "central" else np.zeros(p, int)
-        rise = value[:, high] - value[:, low]
-        run = reach[:, high, np.arange(p)] - reach[:, low, np.arange(p)]
+        above = 1 + np.arange(p)
+        below = above + p if central else np.zeros(p, int)
+        rise = value[:, above] - value[:, below]
+        run = reach[:, above, np.arange(p)] - reach[:, below, np.arange(p)]
         metrics = {name: column.reshape(n, -1)[:, 0] for name, column in metrics.items()}
         return _evaluation(value[:, 0], rise / run, metrics, np.logical_and.reduce(ok, axis=1))
-
-    def _apart(self, p: int) -> np.ndarray:
-        """From a point to itself and its neighbours (worlds, p)."""
-        ranges = np.array([each.high - each.low for each in self.tuning.tuned])
-        steps = np.diag(self.tuning.method.step * ranges)
-        return np.concatenate([np.zeros((1, p)), steps, *([-steps] if self.tuning.method.scheme == "central" else [])])
-
-    def _within(self, worlds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The worlds (n, worlds, p) within the bounds, and where they are along each parameter, unwrapped.
-
-        A neighbour beyond a bound stands on it; a forward one turns to the other side where nothing would be left.
-        """
-        low, high = (np.array([getattr(each, end) for each in self.tuning.tuned]) for end in ("low", "high"))
-        periodic = np.array([each.periodic for each in self.tuning.tuned])
-        centre = worlds[:, :1]
-        if self.tuning.method.scheme == "forward":
-            worlds = np.where(~periodic & (worlds > high), 2.0 * centre - worlds, worlds)
-        reach = np.where(periodic, worlds, np.clip(worlds, low, high))
-        return np.where(periodic, low + np.mod(worlds - low, high - low), reach), reach
 
     def walk(
         self, points: np.ndarray, others: Mapping[str, np.ndarray] | None = None
@@ -238,31 +236,8 @@ class SimulatedProblem:
 
 
 def _evaluation(value: Any, slope: Any, metrics: dict[str, Any], ok: Any) -> Evaluation:
-    """What was found, as NumPy arrays: differences of float64 are not rounded before they are slopes."""
+    """Of NumPy arrays, which annotations of JAX's do not mean."""
     return Evaluation(value, slope, metrics, ok)
-
-
-# ---
-# The simulation behind a tuning by line search: derivatives by MJX, walks without derivatives in MuJoCo C.
-
-
-class GuidedProblem:
-    """Implements `evaluation.Problem` on both engines; a walk on `c` costs a tenth of one in MJX on a CPU."""
-
-    def __init__(self, tuning: Tuning, reference: Reference | None = None) -> None:
-        """See `problem.WalkProblem`."""
-        self._tuning, self._derived = tuning, WalkProblem(tuning, reference)
-        self._walked = SimulatedProblem(tuning, self._derived.reference, Simulator(tuning.setup, "c"))
-        self.names, self.gradient_cost = self._derived.names, self._derived.gradient_cost
-        self.simulated_seconds = self._derived.simulated_seconds
-
-    def __reduce__(self) -> tuple[type[GuidedProblem], tuple[Any, ...]]:
-        """For another machine, which lacks the recording and rebuilds everything else."""
-        return GuidedProblem, (self._tuning, self._derived.reference)
-
-    def evaluate(self, points: Float[Array, "n p"], gradient: bool) -> Evaluation:
-        """See `evaluation.Problem.evaluate`."""
-        return (self._derived if gradient else self._walked).evaluate(points, gradient)
 
 
 # ---
@@ -297,7 +272,7 @@ class Evaluator:
 
 
 class SharedProblem:
-    """A problem whose worlds are shared among workers; an `evaluation.Problem` itself.
+    """A problem whose worlds are shared among workers; an `objective.Problem` itself.
 
     Shares are whole starts, as many in each, which stays while the tuning runs: a worker compiles once, and numbers do
     not depend on who computes them. One share is the whole batch, and its numbers are the problem's own. With several,
@@ -315,19 +290,64 @@ class SharedProblem:
         workers.begin(Evaluator(tuning, problem))
 
     def evaluate(self, points: Float[Array, "n p"], gradient: bool) -> Evaluation:
-        """See `evaluation.Problem.evaluate`; raises what the problem raises, or `WorkersLost`."""
+        """See `objective.Problem.evaluate`; raises what the problem raises, or `WorkersLost`."""
         given = np.asarray(points)
         size = math.ceil(self._starts / self._parts) * (len(given) // self._starts)
         shares = math.ceil(len(given) / size)
         # The last share is filled up with points from the beginning.
         filled = np.resize(given, (shares * size, given.shape[1])).reshape(shares, size, -1)
         try:
-            found = dict(self._workers.results(((k, (share, gradient)) for k, share in enumerate(filled)), _untold))
+            tasks = ((k, (share, gradient)) for k, share in enumerate(filled))
+            found = dict(self._workers.results(tasks, lambda key, share: None))
         except TaskFailed as failed:
             raise failed.error from None
         parts = [found[k] for k in range(shares)]
         return jax.tree.map(lambda *leaves: np.concatenate(leaves)[: len(given)], *parts)
 
 
-def _untold(key: int, share: float) -> None:
-    """How far a fraction of the worlds is does not matter: an iteration ends with the last of them."""
+# ---
+# Gradients of a search's quality and measures, through MJX: what CMA-MEGA steps along.
+
+
+#: From every parameter that the search names, name -> (runs,), and the shares of the points (points, p), which may have
+#: several runs each: d (quality, *measures) / d fraction of the bounds, (runs, 1 + m, p).
+Gradients = Callable[[Mapping[str, np.ndarray], np.ndarray], np.ndarray]
+
+
+class WalkGradients:
+    """`Gradients` by tangents, one a searched parameter: there are more outputs than cotangents pay for."""
+
+    def __init__(self, search: Search) -> None:
+        """Nothing is compiled before the first call."""
+        self._search = search
+        lowest = {each.name: float(each.tried(grid=False).min()) for each in search.sweep.axes}
+        lowest |= {each.name: float(each.at(np.zeros(1))[0]) for each in search.sweep.draws}
+        self._rollout = Rollout(search.setup, search.run, slowest=lowest.get("frequency"))
+        self._function = jax.jit(jax.vmap(self._jacobian), compiler_options=compiler_options())
+
+    def __call__(self, values: Mapping[str, np.ndarray], shares: np.ndarray) -> np.ndarray:
+        """See `Gradients`."""
+        runs = len(next(iter(values.values())))
+        # What is the same in all runs is no argument: the length of a run in cycles has to be known.
+        known = {*self._search.names, *self._search.sweep.constants}
+        given = {name: np.asarray(column, float) for name, column in values.items() if name not in known}
+        points = np.repeat(shares, runs // len(shares), axis=0)
+        limit = cpu_batch_limit() or runs
+        parts = []
+        for first in range(0, runs, limit):
+            part = slice(first, first + limit)
+            parts.append(np.asarray(self._function(jnp.asarray(points[part]), {k: v[part] for k, v in given.items()})))
+        return np.concatenate(parts).astype(float)
+
+    def _jacobian(self, shares: Float[Array, " p"], others: Mapping[str, Array]) -> Float[Array, "k p"]:
+        return jax.jacfwd(lambda at: self._outputs(at, others))(shares)
+
+    def _outputs(self, shares: Float[Array, " p"], others: Mapping[str, Array]) -> Float[Array, " k"]:
+        aim, axes = self._search.aim, self._search.sweep.axes
+        values: dict[str, Any] = dict(self._search.sweep.constants) | dict(others)
+        for axis, share in zip(axes, shares, strict=True):
+            low, high = axis.numbers[:2]
+            exponential = axis.form.startswith("log")
+            values[axis.name] = low * (high / low) ** share if exponential else low + (high - low) * share
+        metrics = self._rollout(values)
+        return jnp.stack([-aim.objective.value(metrics), *(metrics[each.metric] for each in aim.measures)])

@@ -1,0 +1,40 @@
+"""Better parameters: a tuning steps from given points, a search looks for the best point, a front, or an atlas.
+
+from nermo_mjx.optimize import run_search, run_tuning
+result = run_search("sweeps/search_speed.yaml", "runs/fast")
+result.best["parameters"], result.best["metrics"]["speed"]
+
+A landscape shows whether the gradients of a tuning can be trusted.
+"""
+
+from nermo_mjx.optimize.history import read_history
+from nermo_mjx.optimize.landscape import LandscapeResult, run_landscape
+from nermo_mjx.optimize.objective import Evaluation, Objective, Problem, Term
+from nermo_mjx.optimize.search import Search
+from nermo_mjx.optimize.search_run import SearchFailed, SearchInterrupted, SearchProgress, SearchResult, run_search
+from nermo_mjx.optimize.tuning import Tuning
+from nermo_mjx.optimize.tuning_directory import load_tuning
+from nermo_mjx.optimize.tuning_run import TuningFailed, TuningInterrupted, TuningProgress, TuningResult, run_tuning
+
+__all__ = [
+    "Evaluation",
+    "LandscapeResult",
+    "Objective",
+    "Problem",
+    "Search",
+    "SearchFailed",
+    "SearchInterrupted",
+    "SearchProgress",
+    "SearchResult",
+    "Term",
+    "Tuning",
+    "TuningFailed",
+    "TuningInterrupted",
+    "TuningProgress",
+    "TuningResult",
+    "load_tuning",
+    "read_history",
+    "run_landscape",
+    "run_search",
+    "run_tuning",
+]

@@ -1,0 +1,689 @@
+"""How points are chosen: each method is asked for points (`ask`), and told what came of them (`tell`).
+
+A method of a tuning (gradient, line search, CMA-ES by generations) steps a `TuneState` from several starts; one of a
+search (CMA-ES with restarts, NSGA-II, CMA-ME, CMA-MEGA, a Sobol sequence) has the results as its only input, so that a
+search is repeated, or resumed, by telling it the contents of its table again.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import functools
+import importlib.metadata
+import importlib.util
+import math
+import warnings
+from collections.abc import Iterator
+from typing import Any, Final, Protocol
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int, UInt
+from scipy.stats import qmc
+
+from nermo_mjx.optimize.estimators import Estimate, Estimator, estimate, offsets, perturbations
+from nermo_mjx.optimize.objective import (
+    Bounds,
+    Evaluation,
+    Problem,
+    confine,
+    from_unconstrained,
+    slope,
+    to_unconstrained,
+)
+from nermo_mjx.optimize.optimizers import LineSearch, LineState, Optimizer
+from nermo_mjx.optimize.search import Cma, CmaMe, CmaMega, Nsga2, Scores, Search, Sobol, Space, cells_of, ranked_cost
+from nermo_mjx.optimize.search import Method as SearchMethod
+from nermo_mjx.optimize.tuning import Generations, Tuning
+from nermo_mjx.robot.quantity import ParameterError
+
+
+@dataclasses.dataclass(frozen=True)
+class Asked:
+    """Points to evaluate.
+
+    Attributes:
+        points: (n, p): of a tuning parameters in their own units, of a search shares of the bounds in [0, 1].
+        gradients: of this number, from the first on, gradients are wanted, too.
+    """
+
+    points: Any
+    gradients: int = 0
+
+
+# ---
+# State of a tuning: everything that its next iteration depends on, as one pytree of arrays.
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class TuneState:
+    """A tuning of p parameters from several starts, before an iteration.
+
+    Attributes:
+        u: points in unbounded coordinates (starts, p), see `nermo_mjx.optimize.objective`.
+        optimizer: state of the optimizer, every leaf with a leading axis of starts.
+        iteration: iterations done.
+        key: data of the random key (2,); an iteration's perturbations follow from it and the iteration's number.
+        best_u: the best point of each start so far (starts, p); its beginning, where none walked to the end yet.
+        best_value: objective there (starts,); infinite, where none walked to the end yet.
+        best_iteration: iteration that evaluated it (starts,); -1, where none walked to the end yet.
+    """
+
+    u: Float[Array, "starts p"]
+    optimizer: Any
+    iteration: Int[Array, ""]
+    key: UInt[Array, " 2"]
+    best_u: Float[Array, "starts p"]
+    best_value: Float[Array, " starts"]
+    best_iteration: Int[Array, " starts"]
+
+
+def initial_state(tuning: Tuning) -> TuneState:
+    """The state before the first iteration."""
+    u = to_unconstrained(tuning.bounds, jnp.asarray(tuning.start_points(), float))
+    return TuneState(
+        u=u,
+        optimizer=jax.vmap(tuning.optimizer.init)(u),
+        iteration=jnp.zeros((), int),
+        key=jax.random.key_data(jax.random.key(tuning.seed)),
+        best_u=u,
+        best_value=jnp.full(len(u), jnp.inf, u.dtype),
+        best_iteration=jnp.full(len(u), -1),
+    )
+
+
+@dataclasses.dataclass(frozen=True)
+class Iterate:
+    """What an iteration found at the points it began with; numpy arrays, one entry per start.
+
+    Attributes:
+        points: parameters in their own units (starts, p).
+        value: objective (starts,); NaN where the robot did not walk to the end.
+        ok: whether it did (starts,).
+        gradient: estimated d value / d parameters (starts, p); NaN without one.
+        error: its standard error (starts, p).
+        first_order: share of the first order in it (starts, p).
+        discarded: worlds that were left out (starts,); lost: whether no world was left to estimate from (starts,).
+        metrics: name -> (starts,).
+        simulated_seconds: simulated time that the iteration took, gradients at their cost in forward runs [s].
+    """
+
+    points: np.ndarray
+    value: np.ndarray
+    ok: np.ndarray
+    gradient: np.ndarray
+    error: np.ndarray
+    first_order: np.ndarray
+    discarded: np.ndarray
+    lost: np.ndarray
+    metrics: dict[str, np.ndarray]
+    simulated_seconds: float
+
+
+class Tuner:
+    """Steps a tuning on a problem along gradients; two small programs run before and after the problem's large one."""
+
+    def __init__(self, tuning: Tuning, problem: Problem) -> None:
+        assert tuple(problem.names) == tuning.names, "a problem takes the tuned parameters in the order of the file"
+        self.tuning, self.problem, self.bounds = tuning, problem, tuning.bounds
+        self.seconds = problem.simulated_seconds
+        self.cost = problem.gradient_cost if tuning.estimator.needs_gradient else 1.0
+
+    def step(self, state: TuneState) -> tuple[TuneState, Iterate]:
+        """Evaluate the points of a state and take one step from them."""
+        found = None
+        while found is None:
+            asked = self.ask(state)
+            state, found = self.tell(state, self.problem.evaluate(asked.points, asked.gradients > 0))
+        return state, found
+
+    def ask(self, state: TuneState) -> Asked:
+        """The worlds of an iteration, start by start; the first of each start is its point."""
+        self._points = placed(self.tuning.estimator, self.bounds, state)
+        return Asked(self._points, len(self._points) * self.tuning.estimator.needs_gradient)
+
+    def tell(self, state: TuneState, found: Evaluation) -> tuple[TuneState, Iterate | None]:
+        """The state after the step, and what the iteration found; None if more points are to be asked for."""
+        estimator = self.tuning.estimator
+        after, est, ok, dx = _advanced(
+            estimator, self.tuning.optimizer, self.bounds, state, found.value, found.gradient, found.ok
+        )
+        seconds = len(found.value) * self.seconds * self.cost
+        points = np.asarray(self._points)[:: estimator.worlds]
+        return after, _iterate(points, found, ok, seconds, est, dx, est.discarded)
+
+
+def _iterate(
+    points: Any,
+    found: Evaluation,
+    ok: Any,
+    seconds: float,
+    est: Estimate | None = None,
+    dx: Any = None,
+    discarded: Any = None,
+) -> Iterate:
+    """What an iteration found, from the evaluation of as many worlds for each of the points (starts, p)."""
+    points, ok, every = np.asarray(points, float), np.asarray(ok), len(found.value) // len(points)
+    unknown = np.full(points.shape, np.nan)
+    return Iterate(
+        points=points,
+        value=np.where(ok, np.asarray(found.value, float)[::every], np.nan),
+        ok=ok,
+        gradient=unknown if est is None else np.asarray(est.gradient, float) / np.asarray(dx),
+        error=unknown if est is None else np.asarray(est.error, float) / np.asarray(dx),
+        first_order=unknown if est is None else np.asarray(est.first_order, float),
+        discarded=(~ok).astype(int) if est is None else np.asarray(discarded),
+        lost=~ok if est is None else np.asarray(est.lost),
+        metrics={name: np.asarray(column, float)[::every] for name, column in found.metrics.items()},
+        simulated_seconds=seconds,
+    )
+
+
+def noise(estimator: Estimator, state: TuneState) -> Float[Array, "starts k p"]:
+    """The perturbations e of an iteration."""
+    return perturbations(estimator, state.key, state.iteration, *state.u.shape)
+
+
+def coordinates(estimator: Estimator, state: TuneState) -> Float[Array, "starts worlds p"]:
+    """All worlds of an iteration in coordinates u; the first of each start is its point."""
+    return state.u[:, None] + offsets(estimator, noise(estimator, state))
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def placed(estimator: Estimator, bounds: Bounds, state: TuneState) -> Float[Array, "n p"]:
+    """Parameters of all worlds, start by start; the first of each start is its point."""
+    return from_unconstrained(bounds, coordinates(estimator, state)).reshape(-1, state.u.shape[1])
+
+
+@functools.partial(jax.jit, static_argnums=(0, 1))
+def _advanced(
+    estimator: Estimator,
+    optimizer: Optimizer,
+    bounds: Bounds,
+    state: TuneState,
+    value: Float[Array, " n"],
+    gradient: Float[Array, "n p"] | None,
+    ok: Bool[Array, " n"],
+) -> tuple[TuneState, Estimate, Bool[Array, " starts"], Float[Array, "starts p"]]:
+    """The state after the iteration, the gradient it stepped along (to u), whether each point is ok, and its dx/du.
+
+    A start without a completed walk has no gradient: it moves halfway back to its best point, and
+    its optimizer is not updated; an optimizer that uses values reacts by itself.
+    """
+    update, at = optimizer.build().update, coordinates(estimator, state)
+    value, ok = value.reshape(at.shape[:2]), (ok & jnp.isfinite(value)).reshape(at.shape[:2])
+    if gradient is not None:
+        gradient = gradient.reshape(at.shape) * slope(bounds, at)
+        ok = ok & jnp.isfinite(gradient).all(axis=-1)
+    found = estimate(estimator, noise(estimator, state), value, gradient, ok)
+    better = ok[:, 0] & (value[:, 0] < state.best_value)
+    best_u = jnp.where(better[:, None], state.u, state.best_u)
+    lost = found.lost
+    # What a smoothed gradient is the gradient of: the mean over the worlds; of an exact one, the point itself.
+    level = jnp.where(lost, jnp.inf, jnp.where(ok, value, 0.0).sum(axis=1) / jnp.maximum(ok.sum(axis=1), 1))
+    step, updated = jax.vmap(lambda gradient, past, u, value: update(gradient, past, u, value=value))(
+        found.gradient, state.optimizer, state.u, level
+    )
+    forward = confine(bounds, state.u + step)
+    waits = lost & (not optimizer.reads_values)
+    after = TuneState(
+        u=jnp.where(waits[:, None], 0.5 * (state.u + best_u), forward),
+        optimizer=jax.tree.map(
+            lambda new, old: jnp.where(waits.reshape(-1, *[1] * (new.ndim - 1)), old, new), updated, state.optimizer
+        ),
+        iteration=state.iteration + 1,
+        key=state.key,
+        best_u=best_u,
+        best_value=jnp.where(better, value[:, 0], state.best_value),
+        best_iteration=jnp.where(better, state.iteration, state.best_iteration),
+    )
+    return after, found, ok[:, 0], slope(bounds, state.u)
+
+
+# ---
+# One iteration by line search: a gradient from a few worlds, then walks along it without gradients.
+
+
+class LineTuner(Tuner):
+    """Steps a tuning to the best of the points that its line search tries along each gradient.
+
+    What counts is the objective without gradients: the engine `c` walks the point itself and those along the lines. A
+    sampled estimator therefore needs no gradient at the point, which is left out of the batch of gradients.
+    """
+
+    def __init__(self, tuning: Tuning, problem: Problem) -> None:
+        super().__init__(tuning, problem)
+        self.search = tuning.optimizer.line_search()
+        self._direction: Any = None
+
+    def ask(self, state: TuneState) -> Asked:
+        """First the worlds of the gradients, then the points to be walked without."""
+        estimator, (starts, p) = self.tuning.estimator, state.u.shape
+        if self._direction is not None:
+            return Asked(self._direction[3].reshape(-1, p))
+        around = placed(estimator, self.bounds, state).reshape(starts, -1, p)[:, min(estimator.samples, 1) :]
+        around = around.reshape(-1, p)
+        return Asked(around, len(around) * estimator.needs_gradient)
+
+    def tell(self, state: TuneState, found: Evaluation) -> tuple[TuneState, Iterate | None]:
+        if self._direction is None:
+            directed = _directed(
+                self.tuning.estimator, self.search, self.bounds, state, found.value, found.gradient, found.ok
+            )
+            self._direction = (found.ok, *directed)
+            return state, None
+        (used, est, tried, points, line, dx), self._direction = self._direction, None
+        after, ok, left_out = _moved(self.search, state, line, tried, found.value, found.ok, used)
+        seconds = (len(used) * self.cost + len(found.value)) * self.seconds
+        return after, _iterate(np.asarray(points)[:, 0], found, ok, seconds, est, dx, left_out)
+
+
+@functools.partial(jax.jit, static_argnums=(0, 1))
+def _directed(
+    estimator: Estimator,
+    search: LineSearch,
+    bounds: Bounds,
+    state: TuneState,
+    value: Float[Array, " n"],
+    gradient: Float[Array, "n p"] | None,
+    ok: Bool[Array, " n"],
+) -> tuple[
+    Estimate, Float[Array, "starts tried p"], Float[Array, "starts tried p"], LineState, Float[Array, "starts p"]
+]:
+    """The gradients (to u), the points to be walked in u and in their own units, first the present one, the state of
+    the search, and dx/du."""
+    at = coordinates(estimator, state)
+    missing = min(estimator.samples, 1)
+    value, ok = (each.reshape(len(at), -1) for each in (value, ok & jnp.isfinite(value)))
+    if gradient is not None:
+        gradient = gradient.reshape(len(at), -1, at.shape[-1]) * slope(bounds, at[:, missing:])
+        ok = ok & jnp.isfinite(gradient).all(axis=-1)
+        gradient = jnp.pad(gradient, ((0, 0), (missing, 0), (0, 0)))
+    if missing:  # the point itself is known from the search that led to it, but for the first one
+        value = jnp.concatenate([state.best_value[:, None], value], axis=1)
+        ok = jnp.concatenate([jnp.isfinite(state.best_value)[:, None], ok], axis=1)
+    est = estimate(estimator, noise(estimator, state), value, gradient, ok)
+    line, tried = jax.vmap(search.along)(state.optimizer, state.u, est.gradient)
+    tried = jnp.concatenate([state.u[:, None], confine(bounds, tried)], axis=1)
+    return est, tried, from_unconstrained(bounds, tried), line, slope(bounds, state.u)
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def _moved(
+    search: LineSearch,
+    state: TuneState,
+    line: LineState,
+    tried: Float[Array, "starts tried p"],
+    value: Float[Array, " n"],
+    ok: Bool[Array, " n"],
+    used: Bool[Array, " m"],
+) -> tuple[TuneState, Bool[Array, " starts"], Array]:
+    """The state at the best of the points, whether the present one is ok, and the worlds left out of its gradient."""
+    value = jnp.where(ok & jnp.isfinite(value), value, jnp.inf).reshape(tried.shape[:2])
+    chosen = value.argmin(axis=1)
+    lowest = jnp.take_along_axis(value, chosen[:, None], axis=1)[:, 0]
+    u = jnp.take_along_axis(tried, chosen[:, None, None], axis=1)[:, 0]
+    better = lowest < state.best_value
+    after = TuneState(
+        u=u,
+        optimizer=jax.vmap(search.taken)(line, chosen > 0, jnp.linalg.norm(u - state.u, axis=1)),
+        iteration=state.iteration + 1,
+        key=state.key,
+        best_u=jnp.where(better[:, None], u, state.best_u),
+        best_value=jnp.where(better, lowest, state.best_value).astype(state.best_value.dtype),
+        best_iteration=jnp.where(better, state.iteration, state.best_iteration),
+    )
+    return after, jnp.isfinite(value[:, 0]), (~used).reshape(len(u), -1).sum(axis=1)
+
+
+# ---
+# CMA-ES: as the steps of a tuning, whose iteration is a generation; and with restarts, for one objective of a search.
+
+
+def strategy(start: np.ndarray, sigma: float, population: int, rng: np.random.Generator, **options: Any) -> Any:
+    """Hansen's CMA-ES with its own random generator, since NumPy's global one is shared.
+
+    Args:
+        start: where it begins (p,).
+        options: of `cma.CMAEvolutionStrategy`.
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        import cma
+
+    own = np.random.default_rng(rng.integers(2**63))
+    common = {
+        "popsize": max(population, 4),
+        "randn": lambda *shape: own.standard_normal(shape),
+        "seed": math.nan,
+        "verbose": -9,
+        "maxiter": math.inf,
+    }
+    return cma.CMAEvolutionStrategy(start, sigma, common | options)
+
+
+class GenerationTuner(Tuner):
+    """Steps a tuning by generations.
+
+    The points of the population replace the starts: the first point of the first generation is the given one.
+    A point whose walk is not completed counts as worse than all others. Coordinates are those of
+    `nermo_mjx.optimize.objective`.
+    """
+
+    def __init__(self, tuning: Tuning, problem: Problem, values: np.ndarray) -> None:
+        """
+        Args:
+            values: objectives of the generations so far (iterations, starts), which are replayed.
+        """
+        super().__init__(tuning, problem)
+        assert isinstance(tuning.method, Generations)
+        given = jnp.array([each.start for each in tuning.tuned], float)
+        self._given = np.asarray(to_unconstrained(tuning.bounds, given), float)
+        rng = np.random.default_rng(tuning.seed)
+        self._strategy = strategy(self._given, tuning.method.sigma, tuning.starts, rng)
+        self._points, self._first = np.empty((0, len(tuning.names))), True
+        for value in values:
+            self._next()
+            self._rank(value)
+
+    def ask(self, state: TuneState) -> Asked:
+        """A generation."""
+        self._next()
+        return Asked(from_unconstrained(self.bounds, jnp.asarray(self._points, state.u.dtype)))
+
+    def tell(self, state: TuneState, found: Evaluation) -> tuple[TuneState, Iterate | None]:
+        u = jnp.asarray(self._points, state.u.dtype)
+        ok = np.asarray(found.ok) & np.isfinite(np.asarray(found.value))
+        value = np.where(ok, np.asarray(found.value, float), np.nan)
+        self._rank(value)
+        better = jnp.asarray(np.where(ok, value, np.inf) < np.asarray(state.best_value))
+        after = dataclasses.replace(
+            state,
+            u=u,
+            iteration=state.iteration + 1,
+            best_u=jnp.where(better[:, None], u, state.best_u),
+            best_value=jnp.where(better, jnp.asarray(value, state.best_value.dtype), state.best_value),
+            best_iteration=jnp.where(better, state.iteration, state.best_iteration),
+        )
+        return after, _iterate(from_unconstrained(self.bounds, u), found, ok, len(value) * self.seconds)
+
+    def _next(self) -> None:
+        self._points = np.array(self._strategy.ask())
+        if self._first:
+            self._points[0] = self._given
+        self._first = False
+
+    def _rank(self, value: np.ndarray) -> None:
+        known = value[np.isfinite(value)]
+        worst = known.max() + max(np.ptp(known), 1.0) if len(known) else 0.0
+        self._strategy.tell(self._points.tolist(), np.where(np.isfinite(value), value, worst).tolist())
+
+
+class Searcher(Protocol):
+    """Chooses the points of a search; `ask` and `tell` alternate, and the same results lead to the same requests."""
+
+    def ask(self) -> Asked:
+        """The next batch."""
+        ...
+
+    def tell(self, found: Scores) -> None:
+        """The results of the batch, in its order."""
+        ...
+
+
+#: Size of the initial sample, in batches: with two, the better half of the bounds is known before the first step.
+SPREAD: Final = 2
+#: Standard deviation, as a fraction of the bounds, at which a search has converged: no robot is built more precisely.
+CONVERGED: Final = 1e-3
+#: Populations grow by this, at most so often.
+GROWTH: Final = 2.0
+MOST_GROWTH: Final = 9
+
+
+class RestartedCma(Searcher):
+    """CMA-ES with restarts. The first batch is a sample; the first CMA-ES starts from its best point.
+
+    When one has converged, the next begins at a random point: with twice the population (IPOP), or either with that
+    or with a small one and a small step, depending on which has had fewer evaluations (BIPOP, Hansen 2009).
+    """
+
+    def __init__(self, space: Space, search: Search, batch: int) -> None:
+        assert isinstance(search.method, Cma)
+        self._space, self._batch, self._method = space, batch, search.method
+        self._rng = np.random.default_rng([search.sweep.seed, 1])
+        self._strategy: Any = None
+        self._points = np.empty((0, space.dimensions))
+        self._worst, self._grown = 0.0, 0
+        self._used = {"large": 0, "small": 0}
+        self._regime = "large"
+
+    def ask(self) -> Asked:
+        if self._strategy is None:
+            return Asked(self._space.spread(SPREAD * self._batch))
+        self._points = np.array(self._strategy.ask())
+        return Asked(self._space.shares(self._points))
+
+    def tell(self, found: Scores) -> None:
+        if found.allowed.any():
+            self._worst = max(self._worst, float(found.cost[found.allowed, 0].max()))
+        cost = ranked_cost(found, self._worst)
+        if self._strategy is None:
+            first = self._space.spread(SPREAD * self._batch)[int(np.argmin(cost))]
+            self._begin(first, self._method.sigma, self._batch)
+            return
+        self._used[self._regime] += len(cost)
+        self._strategy.tell(self._points.tolist(), cost.tolist())
+        if self._method.restarts == "none" or not self._strategy.stop():
+            return
+        start = self._rng.random(self._space.dimensions)
+        small = self._method.restarts == "bipop" and self._grown > 0 and self._used["small"] < self._used["large"]
+        self._regime = "small" if small else "large"
+        if small:
+            grown = GROWTH**self._grown
+            share = self._rng.random(2)
+            population = self._batch * (0.5 * grown) ** (share[0] ** 2)
+            self._begin(start, self._method.sigma * 10.0 ** (-2.0 * share[1]), int(population))
+        else:
+            self._grown = min(self._grown + 1, MOST_GROWTH)
+            self._begin(start, self._method.sigma, int(self._batch * GROWTH**self._grown))
+
+    def _begin(self, start: np.ndarray, sigma: float, population: int) -> None:
+        self._strategy = strategy(start, sigma, population, self._rng, tolx=CONVERGED)
+
+
+# ---
+# NSGA-II with constraints, for several objectives: pymoo's, driven by ask and tell.
+
+
+#: Violation of a point that fell: more than any other, so that every walk to the end is better.
+_FALLEN = 1e9
+
+
+class Genetic(Searcher):
+    """NSGA-II. Generations are as large as a batch; the first is a spread of points."""
+
+    def __init__(self, space: Space, search: Search, batch: int) -> None:
+        from pymoo.algorithms.moo.nsga2 import NSGA2
+        from pymoo.config import Config
+        from pymoo.core.problem import Problem
+        from pymoo.core.termination import NoTermination
+
+        Config.warnings["not_compiled"] = False
+        objectives = len(search.aim.objective.terms)
+        problem = Problem(n_var=space.dimensions, n_obj=objectives, n_ieq_constr=1, xl=0.0, xu=1.0)
+        self._algorithm = NSGA2(pop_size=batch, sampling=space.spread(batch))
+        # Without an end of its own: the budget is the search's.
+        self._algorithm.setup(problem, termination=NoTermination(), seed=search.sweep.seed, verbose=False)
+
+    def ask(self) -> Asked:
+        self._population = self._algorithm.ask()
+        return Asked(np.clip(self._population.get("X").astype(float), 0.0, 1.0))
+
+    def tell(self, found: Scores) -> None:
+        self._population.set("F", np.where(found.ok[:, None], found.cost, 0.0))
+        self._population.set("G", np.where(found.ok, found.violation, _FALLEN)[:, None])
+        for individual in self._population:
+            individual.evaluated.update(["F", "G"])
+        self._algorithm.tell(infills=self._population)
+
+
+# ---
+# CMA-ME and CMA-MEGA, for an atlas: pyribs's emitters, which search for cells that are empty or can be improved.
+
+
+#: Value reported to an emitter for a point outside the atlas.
+_WORTHLESS: Final = -1e9
+
+
+class AtlasEmitters(Searcher):
+    """CMA-ME and CMA-MEGA. The first batch is a spread of points; then the batch is divided among emitters.
+
+    A batch of CMA-MEGA begins with one point of each emitter, of which it wants gradients, and the next batch is what
+    it makes of them. A point outside of the measures' ranges, one that fell, or that breaks a constraint, is not in
+    the atlas.
+    """
+
+    def __init__(self, space: Space, search: Search, batch: int) -> None:
+        with _interpreted():
+            from ribs.archives import GridArchive
+
+        assert isinstance(search.method, CmaMe | CmaMega)
+        self._space, self._aim, self._seed, self._batch = space, search.aim, search.sweep.seed, batch
+        self._method, self._along = search.method, isinstance(search.method, CmaMega)
+        self._count = max(1, min(search.method.emitters, batch // (3 if self._along else 2)))
+        self._archive = GridArchive(
+            solution_dim=space.dimensions,
+            dims=[each.cells for each in search.aim.measures],
+            ranges=[(each.low, each.high) for each in search.aim.measures],
+            seed=search.sweep.seed,
+        )
+        self._emitters: list[Any] = []
+        self._centres, self._spreads = False, 0
+        self._shares = np.empty((0, space.dimensions))
+
+    def ask(self) -> Asked:
+        if not self._emitters:
+            first = self._spreads * self._batch
+            self._spreads += 1
+            self._shares = self._space.spread(first + self._batch)[first:]
+            return Asked(self._shares)
+        points = [emitter.ask_dqd() if self._centres else emitter.ask() for emitter in self._emitters]
+        self._ends = np.cumsum([len(each) for each in points])
+        self._slope = self._space.slope(np.concatenate(points))
+        self._shares = self._space.shares(np.concatenate(points))
+        return Asked(self._shares, len(self._shares) if self._centres else 0)
+
+    def tell(self, found: Scores) -> None:
+        inside = found.allowed & (cells_of(self._aim, found.measures) >= 0)
+        status, value = np.zeros(len(inside), np.int32), np.full(len(inside), _WORTHLESS)
+        objective = np.where(inside, found.quality, _WORTHLESS)
+        measures = np.where(np.isfinite(found.measures), found.measures, 0.0)
+        if inside.any():
+            info = self._archive.add(self._shares[inside], objective[inside], measures[inside])
+            status[inside], value[inside] = info["status"], info["value"]
+        if not self._emitters:
+            if len(self._archive):
+                self._begin()
+            return
+        parts = np.split(np.arange(len(inside)), self._ends[:-1])
+        for emitter, part in zip(self._emitters, parts, strict=True):
+            told = (self._shares[part], objective[part], measures[part])
+            info = {"status": status[part], "value": value[part]}
+            if not self._centres:
+                emitter.tell(*told, info)
+            else:
+                assert found.jacobian is not None
+                # A non-finite gradient is useless.
+                jacobian = np.nan_to_num(found.jacobian[part], nan=0.0, posinf=0.0, neginf=0.0)
+                emitter.tell_dqd(*told, jacobian * self._slope[part, None, :], info)
+        self._centres = self._along and not self._centres
+
+    def _begin(self) -> None:
+        """Emitters from elites that are evenly spread over the filled cells."""
+        with _interpreted():
+            from ribs.emitters import EvolutionStrategyEmitter, GradientArborescenceEmitter
+
+        elites = self._archive.data(["solution", "index"], return_type="dict")
+        order = np.argsort(elites["index"])
+        chosen = order[np.linspace(0, len(order) - 1, self._count).round().astype(int)]
+        sizes = [len(part) for part in np.array_split(np.arange(self._batch - self._count * self._along), self._count)]
+        for i, (start, size) in enumerate(zip(elites["solution"][chosen], sizes, strict=True)):
+            common: dict[str, Any] = {"x0": start, "sigma0": self._method.sigma, "batch_size": size, "ranker": "2imp"}
+            common["seed"] = self._seed + i + 1
+            if isinstance(self._method, CmaMega):
+                along: dict[str, Any] = {"grad_opt": "gradient_ascent", "lr": self._method.learning_rate}
+                self._emitters.append(GradientArborescenceEmitter(self._archive, **along, **common))
+            else:
+                self._emitters.append(EvolutionStrategyEmitter(self._archive, **common))
+        self._centres = self._along
+
+
+@contextlib.contextmanager
+def _interpreted() -> Iterator[None]:
+    """Import pyribs without compiled functions: they save microseconds per batch but take ten seconds to compile."""
+    import numba
+
+    config: Any = numba.config
+    before, config.DISABLE_JIT = config.DISABLE_JIT, True
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        config.DISABLE_JIT = before
+
+
+class SobolSample(Searcher):
+    """Points of one Sobol sequence, starting with the published gait: the baseline for all methods."""
+
+    def __init__(self, space: Space, search: Search, batch: int) -> None:
+        self._batch, self._first = batch, space.first
+        self._points, self._begun = qmc.Sobol(space.dimensions, rng=np.random.default_rng(search.sweep.seed)), False
+
+    def ask(self) -> Asked:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # one point less than a power of two: the published gait stands for it
+            if self._begun:
+                return Asked(self._points.random(self._batch))
+            self._begun = True
+            return Asked(np.concatenate([self._first[None], self._points.random(self._batch - 1)]))
+
+    def tell(self, found: Scores) -> None:
+        """The points do not depend on it."""
+
+
+def searcher(search: Search, batch: int) -> Searcher:
+    """The method of a search, at its beginning.
+
+    Args:
+        batch: points of a batch; some methods change it during the search.
+
+    Raises:
+        ParameterError: its library is not installed.
+    """
+    check_library(search.method)
+    kinds: dict[type[SearchMethod], Any] = {
+        Cma: RestartedCma,
+        Nsga2: Genetic,
+        CmaMe: AtlasEmitters,
+        CmaMega: AtlasEmitters,
+        Sobol: SobolSample,
+    }
+    made: Searcher = kinds[type(search.method)](Space(search), search, batch)
+    return made
+
+
+def check_library(method: SearchMethod) -> None:
+    """Raises `ParameterError` unless what a method needs is installed."""
+    if importlib.util.find_spec(method.library) is None:
+        raise ParameterError(
+            f"method is {method.name}, which needs {method.library}: install the package with its extra search."
+        )
+
+
+def made_by(method: SearchMethod) -> str:
+    """Name and version of what chooses the points, for the table's metadata."""
+    return f"{method.library} {importlib.metadata.version(method.library)}"

@@ -1,0 +1,388 @@
+"""Run a search: ask for a batch, simulate what the directory lacks, tell the results, until the budget is
+used up.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import os
+import time
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pyarrow as pa
+
+from nermo_mjx.optimize.methods import check_library, searcher
+from nermo_mjx.optimize.problems import Gradients, WalkGradients
+from nermo_mjx.optimize.search import CmaMega, Scores, Search, Space, cells_of, scores_of
+from nermo_mjx.optimize.search_directory import SEARCH, Batches, keep_recordings, publish
+from nermo_mjx.optimize.search_figures import figures_of
+from nermo_mjx.physics import resolve_engine
+from nermo_mjx.plotting.files import write_figures
+from nermo_mjx.robot.quantity import ParameterError
+from nermo_mjx.rollout import Simulator
+from nermo_mjx.rollout.differentiable import cost
+from nermo_mjx.runs import session
+from nermo_mjx.runs.code import CodeStamp
+from nermo_mjx.runs.directory import engine_of
+from nermo_mjx.runs.interruption import resumable
+from nermo_mjx.runs.workers import LocalWorkers, TaskFailed, Workers
+from nermo_mjx.runtime import cpu_count
+from nermo_mjx.specs.reading import SpecError
+from nermo_mjx.sweep.results import Results, chunk_files, read_table
+from nermo_mjx.sweep.sampling import Rows, Sample
+from nermo_mjx.sweep.simulating import Simulated, SimulatorLike, SweepSimulator, chunk_rows_here, engine_name, pace
+from nermo_mjx.sweep.store import batch_values
+
+# ---
+# The default number of points per batch: enough to fill the machine, few enough for many generations.
+
+
+#: Worlds for each core with MuJoCo C. Half as many as in a sweep: two cores are busy with 16 worlds, and a method that
+#: is told of each of 16 has gone further after 64.
+CORE_WORLDS: Final = 8
+#: An atlas has several emitters in a batch.
+ATLAS_WORLDS: Final = 32
+#: Generations that a budget is to last for.
+GENERATIONS: Final = 10
+
+
+def batch_points(search: Search, engine: str) -> int:
+    """Points of a batch on this machine.
+
+    Args:
+        engine: name of the engine, or "auto".
+    """
+    expected = search.evaluations or 1000
+    least = 4 + int(3 * math.log(len(search.names)))
+    if resolve_engine(engine) == "c":
+        full = cpu_count() * (ATLAS_WORLDS if search.aim.measures else CORE_WORLDS) // search.repeats
+    else:
+        full = chunk_rows_here(engine, expected * search.repeats) // search.repeats
+    return max(least, 4, min(full, expected // GENERATIONS))
+
+
+#: Seconds between two updates of best.json and the atlas while the search runs.
+PUBLISHED_EVERY: Final = 60.0
+
+
+class SearchInterrupted(KeyboardInterrupt):
+    """Ctrl-C or SIGTERM; the message says how to resume."""
+
+
+class SearchFailed(RuntimeError):
+    """A search that cannot continue; the message is one sentence that says why, and what to do."""
+
+
+@dataclasses.dataclass(frozen=True)
+class SearchProgress:
+    """Progress of a search.
+
+    Attributes:
+        fraction: share of the budget that is used up, 0 to 1.
+        evaluations: evaluated points.
+        resumed: of these, how many an earlier session evaluated.
+        best: objective of the best point so far, less is better; None without one, and of a front.
+        filled: filled cells of an atlas, or points of the front.
+    """
+
+    fraction: float
+    evaluations: int
+    resumed: int
+    best: float | None = None
+    filled: int | None = None
+
+
+@dataclasses.dataclass(frozen=True)
+class SearchResult:
+    """A search's outcome.
+
+    Attributes:
+        out: its directory.
+        search: what was searched, with the size of its batches.
+        best: content of best.json (`nermo_mjx.optimize.search_directory`).
+        evaluations_run: points that this call evaluated.
+        recordings, plots: files that were made.
+    """
+
+    out: Path
+    search: Search
+    best: dict[str, Any]
+    evaluations_run: int
+    recordings: list[Path]
+    plots: list[Path]
+
+    @property
+    def table(self) -> pa.Table:
+        """The table of all runs, read from the directory at each use; see `nermo_mjx.sweep.read_table`."""
+        return read_table(self.out)
+
+
+def run_search(
+    spec: Search | Mapping[str, Any] | str | os.PathLike[str],
+    out: str | os.PathLike[str],
+    *,
+    engine: str = "auto",
+    progress: Callable[[SearchProgress], None] | None = None,
+    notify: Callable[[str], None] | None = None,
+    warn: Callable[[str], None] | None = None,
+    accept_new_code: bool = False,
+    workers: Workers | None = None,
+    simulator: SimulatorLike | None = None,
+    gradients: Gradients | None = None,
+) -> SearchResult:
+    """Search into a directory, or resume what it contains.
+
+    >>> import tempfile
+    >>> spec = {"vary": {"frequency": {"uniform": [0.6, 0.8]}}, "run": {"duration": 0.2}, "budget": 8, "batch": 4,
+    ...         "objective": {"maximize": "speed"}, "plots": False}
+    >>> result = run_search(spec, tempfile.mkdtemp(), engine="c")
+    >>> sorted(result.best["parameters"]), result.best["evaluations"]
+    (['frequency'], 8)
+
+    Each batch is stored before the next one is asked for. Resuming replays what is stored,
+    so that killing the process loses only the batch in flight, and the same numbers come out: bit for bit on the
+    engine `c`.
+
+    Args:
+        spec: a `Search`, a dict with the fields of a search file, or the path of one.
+        out: the directory; see `nermo_mjx.optimize.search_directory`.
+        engine: engine of the simulator; "auto" is the one that the directory was started with, if it was.
+        progress: called from time to time with a `SearchProgress`.
+        notify: called with a message if something takes long (compilation).
+        warn: called with a message about what is damaged, and is run again.
+        accept_new_code: resume a directory that other code or another engine started.
+        workers: what simulates; by default this process, else `nermo_mjx.runs.ray_workers.RayWorkers`.
+        simulator: replaces `Simulator(search.setup, engine)`.
+        gradients: replaces those of MJX, which `cma_mega` asks for.
+
+    Raises:
+        SpecError: the search is wrong; nothing has been written.
+        DirectoryError: the directory holds something else, is in use, or cannot be written; `OtherCode` if other code
+            made what it holds.
+        SearchFailed: a simulation failed, all workers are lost, or nothing walked; what is finished is kept.
+        SearchInterrupted: Ctrl-C or SIGTERM; the same call resumes.
+    """
+    search = Search.of(spec)
+    check_library(search.method)
+    workers = LocalWorkers() if workers is None else workers
+    with (
+        Batches(out, search) as batches,
+        resumable("search", batches.out / SEARCH, SearchInterrupted, SearchFailed) as interruption,
+    ):
+        begun = batches.begun()
+        batch = search.batch or (begun and begun.batch) or batch_points(search, engine)
+        batches.claim(dataclasses.replace(search, batch=batch))
+        ran = engine_name(engine, simulator, engine_of(batches.out))
+        computer = SweepSimulator(search.sweep.structures, ran, simulator, notify)
+        loop = SearchLoop(batches, workers, computer, progress or (lambda _: None), interruption.check)
+        loop.run(warn or (lambda _: None), gradients, accept_new_code)
+        search = batches.search
+        best = publish(batches, complete=True)
+        if not best:
+            raise SearchFailed(
+                f"{batches.out}: no point of this search walked to its end within its constraints: choose other "
+                "bounds, or looser constraints."
+            )
+        recordings = keep_recordings(batches, best, computer)
+        results = Results([*chunk_files(batches.out).values()])
+        plots = write_figures(figures_of(search, results), batches.out / "plots") if search.plots else []
+        return SearchResult(batches.out, search, best, loop.evaluated, recordings, plots)
+
+
+class SearchLoop:
+    """The batches of a search, one after the other.
+
+    Attributes:
+        evaluated: points that were evaluated here, and not read.
+        evaluations, seconds: points so far, and the simulated time of their runs [s].
+        best: the best objective so far; filled: filled cells of an atlas.
+    """
+
+    def __init__(
+        self,
+        batches: Batches,
+        workers: Workers,
+        computer: SweepSimulator,
+        progress: Callable[[SearchProgress], None],
+        check: Callable[[], None],
+    ) -> None:
+        self._batches, self._workers, self._computer = batches, workers, computer
+        self._progress, self._check = progress, check
+        self._search, self._size = batches.search, batches.search.batch or 1
+        self.evaluated = self.evaluations = self._resumed = 0
+        self.seconds = 0.0
+        self.best: float | None = None
+        self._cells = set[int]()
+        self._measured = False
+
+    def run(self, warn: Callable[[str], None], gradients: Gradients | None, accept: bool) -> None:
+        """Ask for batches until the budget is used up; simulate what the directory lacks, and tell the results."""
+        search, repeats, stamp, published = self._search, self._search.repeats, None, time.monotonic()
+        method, shares, batch = searcher(search, self._size), np.empty((0, len(search.names))), 0
+        while search.reached(self.evaluations, self.seconds) < 1.0:
+            asked = method.ask()
+            shares = np.concatenate([shares, asked.points])
+            # Repeats stand side by side; draws follow from a point and the repeat.
+            first = self.evaluations * repeats
+            rows = Sample(search.sweep, shares).take(np.arange(first, len(shares) * repeats))
+            table, flaw = self._batches.read(batch, rows)
+            if flaw:
+                warn(f"batch {batch} of {self._batches.out} {flaw}; it is kept in results.aside, and run again.")
+            if table is None:
+                if stamp is None:
+                    stamp = self._begin(accept)
+                found, slopes = self._simulate(batch, rows), None
+                if asked.gradients:
+                    gradients = gradients or WalkGradients(search)
+                    runs = np.arange(asked.gradients * repeats)
+                    slopes = gradients(batch_values(search.sweep, rows.take(runs), len(runs)), asked.points)
+                    slopes = slopes.reshape(asked.gradients, repeats, *slopes.shape[1:]).mean(axis=1)
+                table = self._batches.write(batch, rows, first, found, stamp, slopes)
+                self.evaluated += len(asked.points)
+            self.evaluations, batch = len(shares), batch + 1
+            seconds = search.seconds(rows.values, len(rows))
+            self.seconds += float(np.sum(seconds))
+            self.seconds += gradient_cost(search) * float(np.sum(seconds[: asked.gradients * repeats]))
+            method.tell(self._scores(table, asked.gradients))
+            self._report()
+            if stamp is not None and time.monotonic() - published > PUBLISHED_EVERY:
+                publish(self._batches, complete=False)
+                published = time.monotonic()
+
+    def _begin(self, accept: bool) -> CodeStamp:
+        """Make ready what simulates, before the first batch that is missing."""
+        self._resumed = self.evaluations
+        self._report()
+        stamp, held = self._workers.begin(self._computer), self._batches.directory
+        held.take_code(stamp, holds_rows=bool(chunk_files(self._batches.out)), accept=accept)
+        held.note_session(session(engine=self._computer.engine, code=stamp.id, begun_at=self.evaluations))
+        return stamp
+
+    def _report(self, share: float = 0.0) -> None:
+        """Report how far all is; `share` of the next batch is done."""
+        self._check()
+        search = self._search
+        part = share * (search.reached(self._size, 0.0) if search.evaluations is not None else 0.0)
+        fraction = min(1.0, search.reached(self.evaluations, self.seconds) + part)
+        filled = len(self._cells) if search.aim.measures else None
+        self._progress(SearchProgress(fraction, self.evaluations, self._resumed, self.best, filled))
+
+    def _simulate(self, batch: int, rows: Rows) -> Simulated:
+        """All runs of a batch, in tasks of one size: nothing compiles twice, also where a population grows."""
+        size = math.ceil(self._size * self._search.repeats / self._workers.parts)
+        parts = [np.arange(len(rows))[begin : begin + size] for begin in range(0, len(rows), size)]
+
+        def tasks() -> Iterator[tuple[int, tuple[int, Mapping[str, np.ndarray]]]]:
+            for k, part in enumerate(parts):  # the engine c has lanes of its own; there nothing need be filled up
+                filled = len(part) if self._computer.engine == "c" else size
+                yield k, (0, batch_values(self._search.sweep, rows.take(part), filled))
+
+        began = time.perf_counter()
+        try:
+            done = dict(self._workers.results(tasks(), lambda k, share: self._report((k + share) / len(parts))))
+        except TaskFailed as failed:
+            named = f"batch {batch} of {self._batches.out}"
+            if isinstance(failed.error, ParameterError):
+                raise SpecError(f"{named} is refused: {failed.error}") from failed.error
+            reason = (str(failed.error).strip().splitlines() or [""])[0].rstrip(".")[:300]
+            raise SearchFailed(
+                f"{named} failed: {type(failed.error).__name__}: {reason}. What is finished is kept: run the same "
+                "command again when it is fixed."
+            ) from failed.error
+        found = [(done[k], slice(len(part))) for k, part in enumerate(parts)]
+        names = found[0][0].metrics
+        metrics = {name: np.concatenate([each.metrics[name][own] for each, own in found]) for name in names}
+        status = np.concatenate([each.status[own] for each, own in found])
+        return Simulated(metrics, status, sum(each.steps for each, _ in found), time.perf_counter() - began)
+
+    def _scores(self, table: pa.Table, gradients: int) -> Scores:
+        """What a batch's rows say of its points."""
+        aim = self._search.aim
+        metrics = {name: table.column(name).to_numpy() for name in aim.metrics}
+        well = np.array(table.column("status").to_pylist()) == "ok"
+        for name in aim.metrics if well.any() and not self._measured else ():
+            if not np.isfinite(metrics[name][well]).any():
+                about = self._search.sweep.metrics[name].doc
+                raise SearchFailed(
+                    f"{name} is NaN in all {well.sum()} walks of the first batch ({about}): ask for another metric, or "
+                    "change the walk."
+                )
+        self._measured = self._measured or bool(well.any())
+        scores = scores_of(aim, self._search.repeats, metrics, well)
+        if aim.measures:
+            self._cells |= {int(cell) for cell in cells_of(aim, scores.measures)[scores.allowed] if cell >= 0}
+        if not aim.pareto and scores.allowed.any():
+            least = float(scores.cost[scores.allowed, 0].min())
+            self.best = least if self.best is None else min(self.best, least)
+        jacobian = self._batches.gradients(table, gradients) if gradients else None
+        return dataclasses.replace(scores, jacobian=jacobian)
+
+
+def gradient_cost(search: Search) -> float:
+    """Cost of a run's gradients for CMA-MEGA, in forward runs."""
+    return cost(len(search.names), "forward")
+
+
+#: Points whose mean length of a run stands for all.
+_TRIED = 256
+#: Bytes of a row of the table.
+_ROW_BYTES = 700
+
+
+@dataclasses.dataclass(frozen=True)
+class Cost:
+    """The cost of a search.
+
+    Attributes:
+        engine: that it will run on.
+        batch: points of a batch.
+        batches, evaluations, runs: whole batches, and what is in them.
+        simulated_seconds: of all runs [s], by the mean over the bounds.
+        wall_seconds: at this machine's current speed, measured now [s].
+        disk_bytes: of the table.
+        gradient_runs: what gradients cost, in forward runs; their time is not in the others.
+    """
+
+    engine: str
+    batch: int
+    batches: int
+    evaluations: int
+    runs: int
+    simulated_seconds: float
+    wall_seconds: float
+    disk_bytes: int
+    gradient_runs: int = 0
+
+
+def cost_of(search: Search, engine: str = "auto", simulator: SimulatorLike | None = None) -> Cost:
+    """The cost of a search from the start.
+
+    Args:
+        engine: of the simulator.
+        simulator: replaces `Simulator(search.setup, engine)`.
+
+    Raises:
+        ParameterError: an unknown engine, or a library that is missing.
+    """
+    check_library(search.method)
+    engine = resolve_engine(engine)
+    batch = search.batch or batch_points(search, engine)
+    shares = Space(search).spread(_TRIED)
+    rows = Sample(search.sweep, shares).take(np.arange(0, len(shares) * search.repeats, search.repeats))
+    point = search.repeats * float(np.mean(search.seconds(rows.values, len(rows))))
+    wanted = search.evaluations if search.evaluations is not None else (search.simulated_seconds or 0.0) / point
+    batches = math.ceil(wanted / batch)
+    evaluations = batches * batch
+    simulator = simulator or Simulator(search.setup, engine)
+    simulated = evaluations * point
+    wall = simulated / pace(simulator, search.setup, batch * search.repeats)
+    gradients = 0
+    if isinstance(search.method, CmaMega):
+        centres = search.method.emitters * (batches // 2)
+        gradients = round(centres * search.repeats * gradient_cost(search))
+    runs = evaluations * search.repeats
+    return Cost(engine, batch, batches, evaluations, runs, simulated, wall, runs * _ROW_BYTES, gradients)
