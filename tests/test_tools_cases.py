@@ -221,6 +221,7 @@ MERGED = (
          "^x:1: aliases stand for more than 100,000 values"),
         (MERGED, "aliases stand for more than"),
         ("run: {duration: 1}\nset: " + "[" * 900, "^x:2: .*too deep in one another"),
+        ("set: " + "[" * 30_000, "^x:1: .*too deep"),
         ("set: " + "{a: " * 900, "^x:1: .*too deep"),
         ("\n".join(" " * i + "a:" for i in range(900)), "^x:900: .*too deep"),
         ("run: {duration: 1e30, warmup: 0.5}\nvary: {frequency: [0.6]}",
@@ -353,10 +354,11 @@ def test_no_password_is_repeated(scheme: str, address: str) -> None:
     pytest.importorskip("websockets.sync.client")
     from nermo_mjx.hardware import connected
 
-    with pytest.raises(ParameterError) as error:
-        connected(f"{scheme}://{address}").__enter__()
-    assert "s3" not in str(error.value)
-    assert "cret" not in str(error.value)
+    for url in (f"{scheme}://{address}", f"{scheme}s://{address}", address):
+        with pytest.raises(ParameterError) as error:
+            connected(url).__enter__()
+        assert "s3" not in str(error.value)
+        assert "cret" not in str(error.value)
 
 
 # --- disks and names

@@ -143,7 +143,7 @@ def connected(url: str, topic: str = TOPIC) -> Iterator[Sender]:
         right = False
     if not right:
         # Up to the last @, as a # or / that was not quoted may stand in the password.
-        masked = re.sub("//.*@", "//...@", url, flags=re.DOTALL)
+        masked = re.sub("^([^/]*//)?.*@", r"\1...@", url, flags=re.DOTALL)
         raise ParameterError(
             f"send is {masked!r}: allowed is mqtt://HOST[:PORT] or ws://HOST[:PORT], with a port from 1 to 65535, and "
             "USER:PASSWORD@ before HOST, special characters as %XX."
