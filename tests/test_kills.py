@@ -40,9 +40,6 @@ def test_forty_kills_leave_the_tables_as_they_were(tmp_path: Path) -> None:
 def jobs() -> dict[str, Callable[[Path], pa.Table]]:
     """By kind: runs a job into a directory, and reads its table."""
     from experiment_fake import Fake
-    from nermo_mjx.search import run_search
-    from nermo_mjx.tune import Tuning, read_history, run_tuning
-    from nermo_mjx.tune.landscape import run_landscape
     from search_fake import SPEED
     from search_fake import FakeSimulator as Searched
     from sweep_fake import SPEC, FakeSimulator
@@ -51,6 +48,7 @@ def jobs() -> dict[str, Callable[[Path], pa.Table]]:
 
     from nermo_mjx.experiments import identification, plots
     from nermo_mjx.experiments.run import EXPERIMENTS, run_experiments
+    from nermo_mjx.optimize import Tuning, read_history, run_landscape, run_search, run_tuning
     from nermo_mjx.sweep import merge_sweeps, read_table, run_sweep
 
     name = next(iter(EXPERIMENTS))

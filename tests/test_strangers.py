@@ -22,8 +22,6 @@ import pyarrow.parquet as pq
 import pytest
 from command import call
 from experiment_fake import ABOUT
-from nermo_mjx.search import Search, run_search
-from nermo_mjx.tune import Tuning
 from search_fake import SPEED as SEARCH
 from search_fake import FakeSimulator as FakeSearched
 from sweep_fake import SPEC as SWEEP
@@ -41,6 +39,7 @@ from nermo_mjx.files import FileError
 from nermo_mjx.hardware.channels import read_channels
 from nermo_mjx.learn.policy import load_policy
 from nermo_mjx.learn.spec import Training
+from nermo_mjx.optimize import Search, Tuning, run_search
 from nermo_mjx.recording import Recording
 from nermo_mjx.robot import ParameterError
 from nermo_mjx.robot.scene import resolve_scene

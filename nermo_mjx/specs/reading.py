@@ -102,9 +102,9 @@ def read_text(text: str, source: str, what: str = "sweep") -> Document:
         data = None if root is None else reader.value(root, ())
     except RecursionError:
         depths = [len(line) - len(line.lstrip()) + line.count("[") + line.count("{") for line in text.splitlines()]
-        line = depths.index(max(depths)) + 1
+        deepest = depths.index(max(depths)) + 1
         raise SpecError(
-            f"{source}:{line}: lists or mappings stand too deep in one another: close the brackets."
+            f"{source}:{deepest}: lists or mappings stand too deep in one another: close the brackets."
         ) from None
     except MarkedYAMLError as error:
         wrong = " ".join(part for part in (error.context, error.problem) if part)

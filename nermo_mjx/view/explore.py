@@ -371,7 +371,7 @@ def with_gain(path: Path, runs: Runs) -> Runs:
     the base have none.
     """
     sweep = SweepRecord.of_directory(path) if runs.kind == "sweep" else None
-    asked = dict(sweep.comparison or {}) if sweep is not None else {}
+    asked: dict[str, Any] = dict(sweep.comparison or {}) if sweep is not None else {}
     names = {each.name for each in runs.of("varied")}
     if not asked and {"spine.amplitude", "spine.phase"} <= names and runs.grid:
         asked = {"by": "spine.amplitude", "base": 0.0, "for": ["spine.amplitude", "spine.phase"]}
