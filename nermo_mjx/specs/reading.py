@@ -89,8 +89,8 @@ def read_text(text: str, source: str, what: str = "sweep") -> Document:
     yaml = YAML(typ="safe", pure=True)
     try:
         opened = 0
-        for line in text.splitlines():  # the parser takes minutes to find out
-            opened += sum(map(line.count, "[{")) - sum(map(line.count, "]}"))
+        for each in text.splitlines():  # the parser takes minutes to find out
+            opened += sum(map(each.count, "[{")) - sum(map(each.count, "]}"))
             if opened > _DEEPEST:
                 raise RecursionError
         if len(text) > _MOST_VALUES and len(list(itertools.islice(yaml.parse(text), _MOST_VALUES))) == _MOST_VALUES:
