@@ -173,8 +173,7 @@ def test_what_is_no_recording_or_an_old_one_is_refused_with_the_remedy(command: 
     (tmp_path / "text.npz").write_text("no recording")
     np.savez(tmp_path / "other.npz", speed=np.zeros(3))
     cases = {
-        tmp_path
-        / "text.npz": "not a recording of nermo_mjx, or a damaged one; nermo-mjx walk --record FILE.npz writes",
+        tmp_path / "text.npz": "so it is not a recording of nermo_mjx; nermo-mjx walk --record FILE.npz writes",
         tmp_path / "other.npz": "not a recording of nermo_mjx; nermo-mjx walk --record FILE.npz writes one.",
         old.save(tmp_path / "old.npz"): "made with another version of the robot's model; record the run again.",
     }
@@ -503,7 +502,9 @@ def test_identify_writes_its_result_and_a_report(identified: dict[str, Any], tmp
     text = (out / "identification.md").read_text()
     for link in re.findall(r"\]\(([^)]*)\)", text):
         assert (out / link).stat().st_size > 0
-    assert "holds an identification with another seed" in refused("identify", "--out", out)
+    assert json_of("identify", "--out", out, "--samples", "3", "--seed", "4", "--engine", "c") == result, "again"
+    said = refused("identify", "--out", out)
+    assert "holds an identification with another samples (3 there, 64 here), seed (4 there, 0 here)" in said
 
 
 @pytest.mark.compiles

@@ -36,6 +36,17 @@ FAKE = Path(__file__).with_name("ray_fake.py")
 WALKS = {"vary": {"frequency": {"linspace": [0.7, 1.2, 7]}}, "run": {"cycles": 2, "warmup_cycles": 1}, "plots": False}
 
 
+def listening():
+    """Addresses on which this machine listens for TCP, as in /proc/net: by socket."""
+    found = {}
+    for name in ("tcp", "tcp6"):
+        for line in Path("/proc/net", name).read_text().splitlines()[1:]:
+            fields = line.split()
+            if fields[3] == "0A":
+                found[fields[9]] = fields[1].partition(":")[0]
+    return found
+
+
 @pytest.fixture(scope="module", autouse=True)
 def ray():
     """Skips where Ray is not installed."""
@@ -235,3 +246,12 @@ def test_this_process_asks_for_a_task_when_it_is_free():
     assert next(results) == (0, 0)
     assert (asked, told_of) == ([0], [(0, 0.5)])
     assert list(results) == [(1, 20), (2, 40)]
+
+
+@pytest.mark.skipif(not Path("/proc/net/tcp").exists(), reason="Linux lists its sockets there")
+def test_a_cluster_of_this_machine_listens_to_this_machine_only():
+    before = listening()
+    with RayWorkers():
+        new = {address for socket, address in listening().items() if socket not in before}
+    assert new
+    assert new <= {"0100007F", "0000000000000000FFFF00000100007F", "00000000000000000000000001000000"}, new

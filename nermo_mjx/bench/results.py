@@ -150,11 +150,13 @@ class _Run(BaseModel, extra="allow"):
 class _Line(BaseModel):
     """A measurement in it: figures, of a start also those of its stages."""
 
-    __pydantic_extra__: dict[str, str | float | bool | dict[str, float | None] | None]
+    __pydantic_extra__: dict[str, str | float | bool | None]
     model_config = ConfigDict(extra="allow")
     case: str
     engine: str = ""
     error: str = ""
+    cold: dict[str, float | None] | None = None
+    warm: dict[str, float | None] | None = None
 
 
 @dataclasses.dataclass(frozen=True)

@@ -305,7 +305,7 @@ class _About(BaseModel, extra="forbid"):
 
 @functools.lru_cache(maxsize=8)
 def _policy(content: bytes) -> Policy:
-    arrays = arrays_of(content, "it")
+    arrays = arrays_of(content, "the file")
     if arrays.get("about", np.zeros(1)).dtype != np.uint8:
         raise FileError("it has no 'about'")
     about: _About = read_as(arrays.pop("about").tobytes(), _About, "about")
@@ -320,7 +320,7 @@ def _policy(content: bytes) -> Policy:
         shapes |= {f"weights.{i}": ("f", (below, above)), f"bias.{i}": ("f", (above,))}
     shapes |= {"log_std": ("f", (len(about.action.names),))}
     shapes |= {name: ("f", (len(about.observation),)) for name in ("mean", "variance")}
-    check_arrays(arrays, shapes, "it")
+    check_arrays(arrays, shapes, "the file")
     for name in shapes:
         if not np.isfinite(arrays[name]).all() or (name == "variance" and not (arrays[name] >= 0).all()):
             raise FileError(f"{name!r} has numbers that are not finite, or a variance below 0")

@@ -172,7 +172,7 @@ def _table(path: Path) -> tuple[Results | _Read, Mapping[bytes, bytes]]:
     if atlas.exists():
         table = parquet_table(atlas)
         if table is None:
-            raise DirectoryError(f"{atlas} is damaged: run the same search again.")
+            raise DirectoryError(f"{atlas} cannot be read: run the same search again.")
         if not len(table):
             raise DirectoryError(f"{atlas} has no filled cell yet.")
         return _Read(table), table.schema.metadata or {}
