@@ -94,6 +94,6 @@ def many(out: Path, rows: int) -> Path:
         "status": (np.where(random.random(rows) < 0.05, "fell", "ok"), {"role": "status", "unit": "1"}),
     }  # fmt: skip
     (out / "results").mkdir(parents=True)
-    pq.write_table(table(columns, sampler="sobol"), out / "results" / "chunk-00000.parquet")
+    pq.write_table(table(columns, sampler="sobol"), out / "results" / "part-0-0123456789abcdef.parquet")
     (out / "run.json").write_text(json.dumps({"kind": "sweep"}))
     return out

@@ -27,8 +27,9 @@ FRONT = WALK | {"pareto": [{"maximize": "speed"}, {"minimize": "cost_of_transpor
 ATLAS = WALK | {
     "objective": {"minimize": "cost_of_transport"},
     "atlas": {"speed": [0.0, 0.16, 8], "roll_std": [0.0, 0.1, 6]},
-    "budget": 160, "batch": 16,
-}  # fmt: skip
+    "budget": 160,
+    "batch": 16,
+}
 
 
 def walk(frequency, amplitude, phase):

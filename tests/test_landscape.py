@@ -13,8 +13,9 @@ from nermo_mjx.optimize import Evaluation, Tuning, landscape, run_landscape
 from nermo_mjx.optimize.landscape import CENTRES, WIDTHS, figures, line_figure, lines_of, plan
 from nermo_mjx.optimize.tuning_directory import landscape_status
 from nermo_mjx.robot.quantity import ParameterError
-from nermo_mjx.runs import DirectoryError, OtherCode, RunDirectory, codes_of, kind_of
+from nermo_mjx.runs import RunDirectory
 from nermo_mjx.runs.files import WrongDirectory
+from nermo_mjx.runs.rows import Runs, part_files
 from nermo_mjx.sweep import SpecError
 
 pytestmark = pytest.mark.draws
@@ -127,23 +128,17 @@ def test_the_table_holds_every_point_with_units_and_roles(smooth):
 
 
 def test_an_interrupted_landscape_is_gone_on_with(tmp_path, smooth):
-    """Stopped in its fourth batch of five, it evaluates the last two again, and has the same table."""
+    """Stopped in its fourth batch of five, and one of three damaged, it evaluates three, and has the same table."""
     with pytest.raises(KeyboardInterrupt, match=r"stopped; 159 of 262 walks are kept in .*run the same command again"):
         measure(tmp_path, stop_at=3)
-    assert len(list((tmp_path / "batches").iterdir())) == 3
-    (tmp_path / "batches" / "other-53-000000.npz").write_text("another one's")
-    damaged = sorted((tmp_path / "batches").glob("*-000053.npz"))[0]
+    damaged = part_files(tmp_path)[1]
     damaged.write_text("damaged")
     said = []
     result, problem = measure(tmp_path, warn=said.append)
     assert [size for size, _ in problem.batches] == [53, 53, 53]
     assert result.evaluated == 262 - 106
     assert result.table.equals(smooth[0].table)
-    aside = damaged.with_name(f"{damaged.name}.aside-1")
-    assert said == [f"{damaged} is damaged; it is kept as {aside.name}."]
-    assert aside.read_text() == "damaged"
-    assert sorted(path.name for path in (tmp_path / "batches").iterdir()) == [aside.name, "other-53-000000.npz"]
-    assert not (smooth[0].out / "batches").exists()
+    assert said == [f"{damaged} is damaged; it is kept in results.aside, and its runs are made again."]
 
 
 def test_points_once_found_are_kept(tmp_path, monkeypatch):
@@ -158,31 +153,6 @@ def test_points_once_found_are_kept(tmp_path, monkeypatch):
     assert len(result.plots) == 4
     other, problem = measure(tmp_path, change={"optimizer": "sgd", "seed": 5, "starts": 7})
     assert other.evaluated == 0, "how a tuner would go does not matter"
-
-
-@pytest.fixture
-def other_code(monkeypatch):
-    """From here on, another version runs."""
-
-    def upgrade():
-        real = landscape.stamp
-        monkeypatch.setattr(landscape, "stamp", lambda *known: dataclasses.replace(real(*known), package="9.9.9"))
-
-    return upgrade
-
-
-def test_points_of_other_code_are_refused_until_they_are_accepted(tmp_path, other_code):
-    """The sentence names the difference; accepted, the column `code` tells the points apart."""
-    with pytest.raises(KeyboardInterrupt):
-        measure(tmp_path, stop_at=3)
-    other_code()
-    with pytest.raises(OtherCode, match=r"nermo-mjx .*, not 9\.9\.9; .*--accept-new-code"):
-        measure(tmp_path)
-    assert kind_of(tmp_path) == "landscape"
-    result, problem = measure(tmp_path, accept=True)
-    assert len(problem.batches) == 2
-    before, now = codes_of(tmp_path)
-    assert result.table["code"].to_pylist() == [before] * 159 + [now] * 103
 
 
 def test_a_landscape_of_a_recording_can_be_moved(tmp_path):
@@ -206,18 +176,20 @@ def test_a_landscape_of_a_recording_can_be_moved(tmp_path):
     ],
 )
 def test_a_directory_belongs_to_one_landscape(tmp_path, more, named):
-    """Other lines or another walk need another directory, and so do damaged points."""
+    """Other lines or another walk need another directory; a damaged table is made again."""
     few = {"points": 5}
-    measure(tmp_path, **few)
+    table = measure(tmp_path, **few)[0].table
     with pytest.raises(WrongDirectory, match=f"holds another landscape, with another {named}; choose another"):
         measure(tmp_path, **(few | more))
     (tmp_path / "landscape.parquet").write_text("damaged")
-    with pytest.raises(DirectoryError, match="is damaged: remove it"):
-        measure(tmp_path, **few)
+    again = measure(tmp_path, **few)[0]
+    assert again.evaluated == 0
+    assert again.table.equals(table)
 
 
-@pytest.mark.parametrize(("points", "span", "sentence"), [(4, 1.0, "points is 4"), (9, 0.0, "span is 0"),
-                                                          (9, 1.5, "span is 1.5")])  # fmt: skip
+@pytest.mark.parametrize(
+    ("points", "span", "sentence"), [(4, 1.0, "points is 4"), (9, 0.0, "span is 0"), (9, 1.5, "span is 1.5")]
+)
 def test_what_is_not_allowed_is_said_before_anything_is_written(tmp_path, points, span, sentence):
     with pytest.raises(ParameterError, match=sentence):
         measure(tmp_path / "out", points=points, span=span)
@@ -372,9 +344,9 @@ def test_batches_are_as_even_as_they_can_be(tmp_path, monkeypatch):
     monkeypatch.setattr(landscape, "CPU_BATCH", 7)
     problem, wanted = FakeProblem(TUNING), plan(TUNING, 5, 1.0)
     with RunDirectory(tmp_path, "landscape") as held:
-        about = {landscape.KEY: "a"}
-        found, count = landscape.evaluate(held, TUNING, problem, wanted, lambda *_: None, about, "code")
+        runs = Runs(tmp_path, "a", held=held)
+        count = landscape.evaluate(runs, TUNING, problem, wanted, lambda *_: None, {}, "code")
     sizes = {size for size, _ in problem.batches}
     assert len(sizes) == 1
     assert len(wanted) <= sum(size for size, _ in problem.batches) < len(wanted) + len(problem.batches)
-    assert found.num_rows == count == len(wanted)
+    assert len(runs.numbers) == count == len(wanted)

@@ -132,8 +132,9 @@ def test_one_wild_gradient_does_not_decide():
     """One world of eight has a derivative 10,000 times as long, and opposite: the mean of directions stays right."""
     true, wild = jnp.array([3.0, 4.0]), jnp.zeros((1, 9, 2)).at[0, :].set([3.0, 4.0]).at[0, 5].set([-3e4, -4e4])
     noise, value, ok = jnp.ones((1, 4, 2)), jnp.zeros((1, 9)), jnp.ones((1, 9), bool)
-    found = {each: estimate(Smoothed(8, 0.1, normalized=each), noise, value, wild, ok).gradient[0]
-             for each in (True, False)}  # fmt: skip
+    found = {
+        each: estimate(Smoothed(8, 0.1, normalized=each), noise, value, wild, ok).gradient[0] for each in (True, False)
+    }
     np.testing.assert_allclose(found[True], true / 5 * 6 / 8, rtol=1e-6)
     assert float(found[False] @ true) < 0
 
@@ -208,7 +209,8 @@ def test_it_reads_back_as_itself():
     tuning = Tuning.from_dict(SEARCH | {"optimizer": {"name": "line_search", "points": 8}})
     assert Tuning.from_text(tuning.to_yaml()) == tuning
     assert tuning.resolved()["optimizer"] == {"name": "line_search", "points": 8}
-    assert tuning.resolved()["estimator"] == {"smoothed": {"samples": 4, "sigma": 0.1, "common": "none",
-                                                           "normalized": True}}  # fmt: skip
+    assert tuning.resolved()["estimator"] == {
+        "smoothed": {"samples": 4, "sigma": 0.1, "common": "none", "normalized": True}
+    }
     with pytest.raises(ParameterError, match="points is 5"):
         Optimizer("line_search", {"points": 5})

@@ -145,7 +145,7 @@ def test_what_has_no_figures_says_why(sweep: Path, tmp_path: Path) -> None:
     assert "holds no results of its sweep yet: run nermo-mjx sweep" in result.stderr
     for chunk in ("", "no parquet"):
         (sweep / "results").mkdir(exist_ok=True)
-        (sweep / "results" / "chunk-00000.parquet").write_text(chunk)
+        (sweep / "results" / "part-0-0123456789abcdef.parquet").write_text(chunk)
         result = plot(sweep)
         assert result.exit_code == 1
         assert "cannot be read" in result.stderr

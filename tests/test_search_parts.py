@@ -104,10 +104,14 @@ def test_an_atlas_along_gradients_fills_more_than_its_first_batch(tmp_path):
 def test_gradients_are_those_of_the_walk():
     """By MJX, against central differences of MJX's own walk over shares of the bounds."""
     spec = {
-        "spine": "stride_extension", "run": {"duration": 0.3, "warmup": 0.1}, "set": {"frequency": 0.8},
+        "spine": "stride_extension",
+        "run": {"duration": 0.3, "warmup": 0.1},
+        "set": {"frequency": 0.8},
         "vary": {"spine.amplitude": {"uniform": [0.0, 0.4]}, "spine.phase": {"uniform": [-1.0, 1.0]}},
-        "objective": {"maximize": "speed"}, "atlas": {"roll_std": [0.0, 0.2, 4]}, "method": "cma_mega",
-    }  # fmt: skip
+        "objective": {"maximize": "speed"},
+        "atlas": {"roll_std": [0.0, 0.2, 4]},
+        "method": "cma_mega",
+    }
     walk = WalkGradients(Search.from_dict(spec))
     share, h = np.array([0.5, 0.5]), 2e-3
     slope = walk({"frequency": np.array([0.8])}, share[None])[0]
@@ -159,8 +163,11 @@ def test_a_metric_of_ones_own_is_aimed_at_measured_and_limited(tmp_path):
         '@metric(unit="rad/s", better="low", reduce="rms")\n'
         "def yaw_shake(sensors):\n    return sensors.gyro[2]\n"
     )
-    own = {"objective": {"minimize": "yaw_shake"}, "subject_to": {"yaw_shake": {"max": 1.0}},
-           "atlas": {"yaw_shake": [0.0, 1.0, 10]}}  # fmt: skip
+    own = {
+        "objective": {"minimize": "yaw_shake"},
+        "subject_to": {"yaw_shake": {"max": 1.0}},
+        "atlas": {"yaw_shake": [0.0, 1.0, 10]},
+    }
     spec = {key: value for key, value in ATLAS.items() if key not in ("objective", "atlas")} | own
     search = Search.from_dict(spec | {"metrics": str(tmp_path / "own.py")})
     assert search.aim.metrics == ("yaw_shake",)
@@ -182,9 +189,13 @@ def test_the_command_searches_keeps_and_draws(tmp_path):
     """A search of two runs of a fifth of a second each, on MuJoCo C, as a user gives it; status and plot know it."""
     path, out = tmp_path / "search.yaml", tmp_path / "out"
     spec = {
-        "run": {"duration": 0.2}, "vary": {"frequency": {"uniform": [0.6, 0.9]}, "stride": {"uniform": [0.5, 1.0]}},
-        "objective": {"maximize": "speed"}, "budget": 8, "batch": 4, "keep": {"best": 1},
-    }  # fmt: skip
+        "run": {"duration": 0.2},
+        "vary": {"frequency": {"uniform": [0.6, 0.9]}, "stride": {"uniform": [0.5, 1.0]}},
+        "objective": {"maximize": "speed"},
+        "budget": 8,
+        "batch": 4,
+        "keep": {"best": 1},
+    }
     path.write_text(Search.from_dict(spec).to_yaml())
 
     def call(*arguments):

@@ -198,8 +198,9 @@ def test_a_tuning_counts_its_evaluations_and_names_the_best(
     assert lines[0] == "tune: 0%, 0 of 7 evaluations"
     assert re.fullmatch(
         r"tune: 29%, 2 of 7 evaluations, [\d.]+ evaluations/s, \d+ s left, "
-        r"best -0\.\d+, speed [\d.]+ mm/s, roll_std [\d.]+ deg", lines[2]
-    )  # fmt: skip
+        r"best -0\.\d+, speed [\d.]+ mm/s, roll_std [\d.]+ deg",
+        lines[2],
+    )
     stream.truncate(0)
     fakes["options"] = {"stop_at": 0}
     longer = Tuning.from_dict(SPEC | {"iterations": 12})

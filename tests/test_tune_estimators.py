@@ -163,8 +163,10 @@ def test_the_same_key_gives_the_same_noise():
         now, later = noise(common, 4), noise(common, 5)
         assert (now[0] == now[1]).all() == (common in ("starts", "both"))
         assert (now == later).all() == (common in ("iterations", "both"))
-    assert not (noise("none", 4) == np.asarray(perturbations(Smoothed(6, 0.1),
-                jax.random.key_data(jax.random.key(1)), jnp.asarray(4), 3, 2))).any()  # fmt: skip
+    assert not (
+        noise("none", 4)
+        == np.asarray(perturbations(Smoothed(6, 0.1), jax.random.key_data(jax.random.key(1)), jnp.asarray(4), 3, 2))
+    ).any()
 
 
 @pytest.mark.parametrize("name", ["exact", "smoothed", "evolution", "mixture"])

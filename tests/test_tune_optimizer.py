@@ -78,12 +78,15 @@ def test_each_start_is_clipped_by_itself():
         ({"name": "lbfgs"}, ["'lbfgs'", "does not work from gradients alone", "value_fn"]),
         ({"name": "noisy_sgd"}, ["random numbers of its own"]),
         ({"options": {"beta1": 0.9}}, ["optimizer.beta1 is not an option of adam", "b1, b2"]),
-        ({"options": {"learning_rate": {"cosin": {"init_value": 1, "decay_steps": 4}}}},
-         ["optimizer.learning_rate is the schedule 'cosin'", "cosine_decay_schedule"]),
-        ({"options": {"learning_rate": {"cosine": {"init_value": 1}}}},
-         ["cosine_decay_schedule without decay_steps"]),
-        ({"options": {"learning_rate": {"cosine": {"init_value": 1, "decay_step": 4}}}},
-         ["optimizer.learning_rate.decay_step", "did you mean 'decay_steps'?"]),
+        (
+            {"options": {"learning_rate": {"cosin": {"init_value": 1, "decay_steps": 4}}}},
+            ["optimizer.learning_rate is the schedule 'cosin'", "cosine_decay_schedule"],
+        ),
+        ({"options": {"learning_rate": {"cosine": {"init_value": 1}}}}, ["cosine_decay_schedule without decay_steps"]),
+        (
+            {"options": {"learning_rate": {"cosine": {"init_value": 1, "decay_step": 4}}}},
+            ["optimizer.learning_rate.decay_step", "did you mean 'decay_steps'?"],
+        ),
         ({"options": {"learning_rate": {"cosine": {"init_value": 1, "decay_steps": -4}}}}, ["refuses its options"]),
         ({"options": {"learning_rate": {"constant": {"value": float("nan")}}}}, ["starts at nan"]),
         ({"options": {"learning_rate": {"a": 1, "b": 2}}}, ["a mapping of a, b", "expected a number, or a schedule"]),
@@ -92,7 +95,7 @@ def test_each_start_is_clipped_by_itself():
         ({"options": {"b2": float("inf")}}, ["expected finite numbers"]),
         ({"clip": 0.0}, ["optimizer.clip is 0"]),
     ],
-)  # fmt: skip
+)
 def test_what_cannot_work_is_refused_in_a_sentence(given, parts):
     """Before anything simulates: unknown names with the nearest, wrong options, optimizers that need more."""
     with pytest.raises(ParameterError) as caught:

@@ -108,8 +108,12 @@ def lines(ax, length):
 def stars(figure):
     """Places of the stars, one an axes that has one."""
     long = len(matplotlib.markers.MarkerStyle("*").get_path().vertices)
-    return [tuple(c.get_offsets()[0]) for ax in figure.axes for c in ax.collections
-            if isinstance(c, PathCollection) and len(c.get_paths()[0].vertices) == long]  # fmt: skip
+    return [
+        tuple(c.get_offsets()[0])
+        for ax in figure.axes
+        for c in ax.collections
+        if isinstance(c, PathCollection) and len(c.get_paths()[0].vertices) == long
+    ]
 
 
 # --- figures over the iterations
@@ -172,8 +176,10 @@ def test_a_held_metric_has_its_line():
 def test_falls_are_marked_and_never_drawn_as_values():
     """Where a robot fell there is a gap in its lines, and a cross."""
     change = {"tune": SPEC["tune"] | {"spine.amplitude": {"bounds": [0.0, 0.4], "start": 0.05}}, "iterations": 4}
-    traces = traces_of(change | {"starts": 1, "optimizer": {"name": "sgd", "learning_rate": 3.0}},
-                       falls=lambda points: points[:, 0] > 0.06)  # fmt: skip
+    traces = traces_of(
+        change | {"starts": 1, "optimizer": {"name": "sgd", "learning_rate": 3.0}},
+        falls=lambda points: points[:, 0] > 0.06,
+    )
     assert not traces.ok.all()
     figure = tuning_figures.objective_figure(traces)
     assert np.array_equal(np.isfinite(lines(figure.axes[0], 5)[0]), traces.ok[:, 0])
@@ -194,8 +200,12 @@ def test_one_wild_value_does_not_flatten_the_rest():
 
 def test_parameters_are_in_shown_units_with_their_bounds():
     """Degrees, dashed bounds, and a periodic parameter that goes on beyond them."""
-    change = {"tune": SPEC["tune"] | {"spine.phase": {"bounds": [-3.14159, 3.14159], "start": 3.0, "periodic": True}},
-              "starts": 1, "iterations": 20, "optimizer": {"name": "sgd", "learning_rate": 1.0}}  # fmt: skip
+    change = {
+        "tune": SPEC["tune"] | {"spine.phase": {"bounds": [-3.14159, 3.14159], "start": 3.0, "periodic": True}},
+        "starts": 1,
+        "iterations": 20,
+        "optimizer": {"name": "sgd", "learning_rate": 1.0},
+    }
     traces = traces_of(change)
     figure = tuning_figures.parameters_figure(traces)
     amplitude, phase = figure.axes
@@ -217,8 +227,14 @@ def test_gradients_are_per_range_and_tell_signal_from_noise():
     parts = [traces.column("gradient.spine.amplitude") * 0.4, traces.column("gradient.spine.phase") * 2 * np.pi]
     np.testing.assert_allclose(norm, np.hypot(*parts), rtol=1e-6)
     assert (error > 0).all()
-    assert (error <= np.hypot(traces.column("gradient_error.spine.amplitude") * 0.4,
-                              traces.column("gradient_error.spine.phase") * 2 * np.pi) * (1 + 1e-9)).all()  # fmt: skip
+    assert (
+        error
+        <= np.hypot(
+            traces.column("gradient_error.spine.amplitude") * 0.4,
+            traces.column("gradient_error.spine.phase") * 2 * np.pi,
+        )
+        * (1 + 1e-9)
+    ).all()
     figure = tuning_figures.gradients_figure(traces)
     assert len(figure.axes) == 3
     assert figure.axes[0].get_yscale() == "log"
@@ -350,8 +366,12 @@ def test_a_recording_has_no_landscape():
 
 def test_paths_lie_on_the_landscape_and_go_on_at_the_other_side():
     """Contours of the grid's values; a start that walks over the bound of the circle is drawn on both sides of it."""
-    change = {"tune": SPEC["tune"] | {"spine.phase": {"bounds": [-3.14159, 3.14159], "start": 3.0, "periodic": True}},
-              "starts": 1, "iterations": 20, "optimizer": {"name": "sgd", "learning_rate": 1.0}}  # fmt: skip
+    change = {
+        "tune": SPEC["tune"] | {"spine.phase": {"bounds": [-3.14159, 3.14159], "start": 3.0, "periodic": True}},
+        "starts": 1,
+        "iterations": 20,
+        "optimizer": {"name": "sgd", "learning_rate": 1.0},
+    }
     traces = traces_of(change)
     assert np.ptp(traces.column("spine.phase")) > 5.0, "it comes back at the other bound"
     axes = tuning_figures.grid_axes(traces.tuning)
@@ -416,7 +436,7 @@ def test_the_video_shows_the_walk_after_its_warm_up(finished, monkeypatch, tmp_p
 
     monkeypatch.setattr(tuning_figures, "render_side_by_side", take)
     best = finished.best
-    tuning_figures.shoot(finished.tuning, finished.start, best, FakeWalker(), tmp_path / "v.mp4")
+    tuning_figures.render_video(finished.tuning, finished.start, best, FakeWalker(), tmp_path / "v.mp4")
     start, shown = asked["panes"]
     assert (start.title, shown.title) == ("Start", f"Best, iteration {best['iteration']}, start {best['start']}")
     assert start.recording.time[[0, -1]] == pytest.approx([1.25, 3.75]), "one cycle of warm-up and two more, at 0.8 Hz"
@@ -426,7 +446,7 @@ def test_the_video_shows_the_walk_after_its_warm_up(finished, monkeypatch, tmp_p
     assert f"speed {1e3 * best['metrics']['speed']:.3g} mm/s" in shown.caption[0]
     assert asked["options"]["speed"] == 0.5
     fallen = finished.start | {"metrics": {"speed": np.nan, "roll_std": np.nan}}
-    tuning_figures.shoot(finished.tuning, fallen, best, FakeWalker(), tmp_path / "v.mp4")
+    tuning_figures.render_video(finished.tuning, fallen, best, FakeWalker(), tmp_path / "v.mp4")
     assert asked["panes"][0].caption[0] == "speed – mm/s, roll_std – deg"
 
 

@@ -366,29 +366,40 @@ def test_the_directory_holds_what_other_programs_rely_on(reference):
     assert Tuning.from_file(reference.out / "tuning.yaml") == reference.tuning
 
 
-def test_every_column_says_its_unit_meaning_and_role(noisy):
+def test_every_column_says_its_unit_meaning_and_role(reference, noisy):
     """Units of parameters, gradients and metrics stand in the Parquet file itself; pandas needs nothing else."""
     about = {field.name: field.metadata for field in pq.read_schema(noisy.out / "history.parquet")}
     assert list(about) == [
-        "iteration", "start", "objective", "spine.amplitude", "spine.phase",
-        "gradient.spine.amplitude", "gradient_error.spine.amplitude", "first_order.spine.amplitude",
-        "gradient.spine.phase", "gradient_error.spine.phase", "first_order.spine.phase",
-        "speed", "roll_std", "ok", "discarded", "simulated_seconds", "wall_seconds", "code",
-    ]  # fmt: skip
+        "iteration",
+        "start",
+        "objective",
+        "spine.amplitude",
+        "spine.phase",
+        "gradient.spine.amplitude",
+        "gradient_error.spine.amplitude",
+        "first_order.spine.amplitude",
+        "gradient.spine.phase",
+        "gradient_error.spine.phase",
+        "first_order.spine.phase",
+        "speed",
+        "roll_std",
+        "ok",
+        "discarded",
+        "simulated_seconds",
+        "wall_seconds",
+        "code",
+    ]
     assert about["spine.phase"][b"unit"] == b"rad"
     assert about["gradient.spine.phase"][b"unit"] == b"1/(rad)"
     assert about["speed"][b"unit"] == b"m/s"
     assert about["speed"][b"role"] == b"metric"
     assert about["simulated_seconds"][b"role"] == b"effort"
     assert all(metadata[b"description"] for metadata in about.values())
+    # What is not sampled has no standard error, and no share of the first order.
+    assert not [name for name in reference.history.column_names if "error" in name or "first_order" in name]
     frame = read_history(noisy.out).to_pandas()
     assert frame["gradient_error.spine.amplitude"].notna().all()
     assert frame["wall_seconds"].is_monotonic_increasing
-
-
-def test_exact_gradients_have_no_error_column(reference):
-    """What is not sampled has no standard error, and no share of the first order."""
-    assert not [name for name in reference.history.column_names if "error" in name or "first_order" in name]
 
 
 def test_a_directory_without_history_is_said_so(tmp_path):

@@ -147,8 +147,9 @@ def test_all_sections_arrive():
 
 def test_everything_but_parameters_and_objective_has_a_default():
     """Bounds are the declared range, the start is the published value, and no rate is to be chosen."""
-    tuning = Tuning.from_dict({"tune": {"duty": None, "frequency": {"bounds": [0.4, 1.2]}},
-                               "objective": [{"maximize": "speed"}]})  # fmt: skip
+    tuning = Tuning.from_dict(
+        {"tune": {"duty": None, "frequency": {"bounds": [0.4, 1.2]}}, "objective": [{"maximize": "speed"}]}
+    )
     assert [(each.low, each.high, each.start) for each in tuning.tuned] == [(0.01, 1, 0.5), (0.4, 1.2, 0.67)]
     assert tuning.optimizer.written() == {"name": "controlled_adam"}
     assert (tuning.estimator.name, tuning.starts, tuning.iterations, tuning.mode) == ("exact", 1, 40, "auto")

@@ -63,8 +63,12 @@ class FakeProblem:
         self._made_of = tuning, falls, stop_at, delay, log
         self.hold_at = hold_at
         self.names, self.objective, self.stop_at, self.delay, self.log = (
-            tuning.names, tuning.objective, stop_at, delay, log,
-        )  # fmt: skip
+            tuning.names,
+            tuning.objective,
+            stop_at,
+            delay,
+            log,
+        )
         self.batches, self.compiled = [], 0
 
         def metrics(point):

@@ -228,10 +228,11 @@ def print_sweep(result: SweepResult) -> None:
     effort = f"{summary['steps_per_second']:,.0f} steps/s on the engine {summary['engine']}"
     click.echo(f"{summary['rows']:,} runs ({counts}) in {duration(summary['wall_seconds'])}, {effort}")
     from nermo_mjx.plotting.shown import shown
-    from nermo_mjx.sweep.results import Results, result_files
+    from nermo_mjx.runs.rows import part_files
+    from nermo_mjx.sweep.results import Results
     from nermo_mjx.sweep.table import meta
 
-    schema, rows = Results(result_files(result.out)).schema, []
+    schema, rows = Results(part_files(result.out)).schema, []
 
     def value(name: str, number: float | str) -> str:
         if isinstance(number, str):

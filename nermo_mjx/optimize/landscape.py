@@ -1,8 +1,8 @@
-"""Measure a landscape into a directory: the table first, then everything that is made of it.
+"""Measure a landscape into a directory: its points first, then everything that is made of them.
 
 DIR/landscape.yaml      the resolved tuning whose objective it is
+DIR/results/            the points, a part for each batch, see `nermo_mjx.runs.rows`
 DIR/landscape.parquet   one row per point: parameters, objective, exact gradient, metrics
-DIR/batches/            until the table is whole: what was evaluated so far
 DIR/recording.npz       the tuning's reference recording, if any
 DIR/run.json            which code made it; versions, machine and command of each session that evaluated points
 DIR/landscape.json      how well slopes and secants agree, by parameter and width; versions, machine, command
@@ -12,10 +12,8 @@ DIR/plots/              a figure for each parameter
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import hashlib
-import io
 import json
 import math
 import os
@@ -32,8 +30,7 @@ from jaxtyping import Bool, Float, Int
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from nermo_mjx.files import FileError, arrays_of
-from nermo_mjx.optimize.objective import FURTHEST, Problem
+from nermo_mjx.optimize.objective import FURTHEST, Evaluation, Problem
 from nermo_mjx.optimize.tuning import Gradient, Tuned, Tuning
 from nermo_mjx.optimize.tuning_directory import keep_recording, read_stored
 from nermo_mjx.optimize.tuning_figures import corner, legend, star
@@ -44,12 +41,21 @@ from nermo_mjx.plotting.shown import ShownValues, shown
 from nermo_mjx.plotting.style import BAND, INK, LINE, MUTED, horizontal_grid, set_scales
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.runs import RunDirectory, Written, session, stamp
-from nermo_mjx.runs.files import DirectoryError, WrongDirectory, clear_errors, content_of, parquet_bytes, parquet_table
+from nermo_mjx.runs.files import (
+    DirectoryError,
+    WrongDirectory,
+    clear_errors,
+    content_of,
+    parquet_bytes,
+    parquet_table,
+    stored_table,
+)
+from nermo_mjx.runs.rows import Runs, keys_of
 from nermo_mjx.runs.text import MISSING, listed, table, to_json
 from nermo_mjx.specs.described import write_described
 from nermo_mjx.specs.model import written
 from nermo_mjx.specs.reading import changes
-from nermo_mjx.sweep.table import Columns
+from nermo_mjx.sweep.table import Columns, joined
 
 # ---
 # Which points a landscape is measured at: a line along each parameter, and pairs of points about some of them.
@@ -252,10 +258,6 @@ KEY: Final = "landscape"
 IDENTITY: Final = "identity"
 
 
-#: Folder of the batches of an unfinished landscape.
-_BATCHES: Final = "batches"
-
-
 def batch_size(count: int) -> int:
     """Worlds of each batch: as even as they can be."""
     most = CPU_BATCH if jax.default_backend() == "cpu" else DEVICE_BATCH
@@ -263,81 +265,62 @@ def batch_size(count: int) -> int:
 
 
 def evaluate(
-    held: RunDirectory,
+    runs: Runs,
     tuning: Tuning,
     problem: Problem,
     plan: Plan,
     progress: Callable[[int, int], None],
-    about: dict[str, str],
+    about: Mapping[str, str],
     code: str,
-    warn: Callable[[str], None] = lambda _: None,
-) -> tuple[pa.Table, int]:
-    """Value and gradient at all points, one row per point; and how many of them were evaluated now.
+) -> int:
+    """Value and gradient at all points that are missing; how many these were.
 
-    All batches have one size, the last one is filled up with its last point: one program is compiled. Each is kept as
-    soon as it is evaluated, and found again.
+    All batches have one size, the last one is filled up with its last point: one program is compiled. Each is stored as
+    soon as it is evaluated.
 
     Args:
-        held: the directory.
+        runs: what the directory holds.
         progress: called with the points done, and all of them.
-        about: what to note in the schema's metadata; the batches of another `KEY` are not touched.
+        about: what to note in the metadata of each batch.
         code: short name of the code that evaluates here.
-        warn: called with a message about each damaged batch, which is moved aside.
     """
-    began, evaluated, size, found = time.perf_counter(), 0, batch_size(len(plan)), []
-    name = f"{_BATCHES}/{about[KEY]}-{size}-{{:06d}}.npz"
-    progress(0, len(plan))
-    for first in range(0, len(plan), size):
-        count, rows = min(size, len(plan) - first), None
-        if (content := content_of(held.out / name.format(first))) is not None:
-            try:
-                rows = arrays_of(content, name.format(first))
-            except FileError:
-                held.set_aside("damaged", [name.format(first)], warn)
-        if rows is None:
-            # In double precision, but at the very points that are evaluated: a secant divides by their distance.
-            points = jnp.asarray(plan.points[np.minimum(np.arange(first, first + size), len(plan) - 1)], float)
-            batch = problem.evaluate(points, True)
-            numbers = {"code": np.full(size, code), "value": batch.value, "ok": batch.ok}
-            numbers |= {f"metric.{metric}": values for metric, values in batch.metrics.items()}
-            slopes = np.asarray(batch.gradient)
-            numbers |= {f"gradient.{name}": slopes[:, i] for i, name in enumerate(tuning.names)}
-            numbers["point"] = np.asarray(points, float)
-            rows = {column: np.asarray(values)[:count] for column, values in numbers.items()}
-            stored = io.BytesIO()
-            np.savez(stored, allow_pickle=False, **rows)
-            held.write(name.format(first), stored.getvalue())
-            evaluated += count
-        found.append(rows)
-        progress(first + count, len(plan))
-    columns = {column: np.concatenate([part[column] for part in found]) for column in found[0]}
-    about = about | {"wall_seconds": f"{time.perf_counter() - began:.3f}", "batch": str(size)}
-    about |= {"batches": str(len(found)), "precision": str(columns["value"].dtype)}
-    return _table(tuning, plan, columns.pop("point"), columns, about), evaluated
+    size, missing = batch_size(len(plan)), np.setdiff1d(np.arange(len(plan)), runs.numbers)
+    progress(len(plan) - len(missing), len(plan))
+    for first in range(0, len(missing), size):
+        began, rows = time.perf_counter(), missing[first : first + size]
+        # In double precision, but at the very points that are evaluated: a secant divides by their distance.
+        points = jnp.asarray(plan.points[np.pad(rows, (0, size - len(rows)), mode="edge")], float)
+        batch = problem.evaluate(points, True)
+        table = _table(tuning, plan, rows, np.asarray(points, float), batch, code)
+        seconds = f"{time.perf_counter() - began:.3f}"
+        noted = {**about, "wall_seconds": seconds, "batch": str(size), "precision": str(np.asarray(batch.value).dtype)}
+        values = {name: plan.points[rows, i] for i, name in enumerate(tuning.names)}
+        runs.add(keys_of(runs.group, values, len(rows)), table.replace_schema_metadata(noted))
+        progress(len(plan) - len(missing) + first + len(rows), len(plan))
+    return len(missing)
 
 
-def read(path: Path, wanted: Mapping[str, Any] | None = None) -> pa.Table | None:
-    """The table of a file; None if there is none.
+def points_of(runs: Runs) -> pa.Table:
+    """The table of all points, which are there; its metadata is of the batches, `session` of the last one."""
+    parts = [stored_table(part.path, "points that can be read any more") for part in runs.parts]
+    notes = [{key.decode(): text.decode() for key, text in part.schema.metadata.items()} for part in parts]
+    about = max(notes, key=lambda each: json.loads(each["session"])["started"])
+    seconds = sum(part.seconds for part in runs.parts)
+    about |= {"wall_seconds": f"{seconds:.3f}", "batches": str(len(parts))}
+    table = joined([part.replace_schema_metadata(None) for part in parts], np.arange(len(runs.numbers)))
+    return table.drop_columns(["row", "key"]).replace_schema_metadata(about)
 
-    Args:
-        wanted: the expected identity, see `identity`; any if it is None.
 
-    Raises:
-        DirectoryError: it is another one's, damaged, or cannot be read now.
-    """
-    content = content_of(path)
-    if content is None:
-        return None
-    table = parquet_table(content)
-    if table is None:
-        raise DirectoryError(f"{path} is damaged: remove it, or choose another directory.")
-    notes = {name.decode(): text.decode() for name, text in (table.schema.metadata or {}).items()}
-    if wanted is not None and notes.get(KEY) != key(wanted):
-        known = json.loads(notes[IDENTITY]) if IDENTITY in notes else wanted
+def check_directory(out: Path, wanted: Mapping[str, Any]) -> None:
+    """Raise `WrongDirectory` if a directory holds all points of another landscape; see `identity`."""
+    content = content_of(out / TABLE)
+    table = None if content is None else parquet_table(content)
+    notes = {} if table is None else table.schema.metadata or {}
+    if table is not None and notes.get(KEY.encode()) != key(wanted).encode():
+        known = json.loads(notes.get(IDENTITY.encode(), b"null")) or wanted
         apart = changes(*({name: each[name] for name in each if name != "digest"} for each in (known, wanted)))
         which = f", with another {', '.join(apart)}" if apart else ""
-        raise WrongDirectory(f"{path.parent} holds another landscape{which}; choose another directory.")
-    return table
+        raise WrongDirectory(f"{out} holds another landscape{which}; choose another directory.")
 
 
 def identity(tuning: Tuning, points: int, span: float) -> dict[str, Any]:
@@ -355,31 +338,32 @@ def key(identity: Mapping[str, Any]) -> str:
     return hashlib.sha256(json.dumps(decisive).encode()).hexdigest()[:16]
 
 
-def _table(
-    tuning: Tuning, plan: Plan, points: np.ndarray, found: dict[str, np.ndarray], about: dict[str, str]
-) -> pa.Table:
-    table, parameters = Columns(), tuning.parameters
+def _table(tuning: Tuning, plan: Plan, rows: np.ndarray, points: np.ndarray, found: Evaluation, code: str) -> pa.Table:
+    """The table of some rows of the plan, the first ones of a batch at these points (n, p)."""
+    table, parameters, own = Columns(), tuning.parameters, slice(len(rows))
+    table.add("row", rows, "index", "1", "position in the plan")
     names = np.array(tuning.names, dtype=object)
-    table.add("line", names[plan.line], "index", "1", "parameter that changes along the line")
-    table.add("centre", plan.centre, "index", "1", "of a secant's end: position in the line of its middle; else -1")
-    table.add("width", plan.width, "index", "1", "of a secant's end: share of the parameter's bounds; else 0")
-    table.add("side", plan.side, "index", "1", "of a secant's end: -1 or 1; else 0")
+    table.add("line", names[plan.line[rows]], "index", "1", "parameter that changes along the line")
+    about = "of a secant's end: position in the line of its middle; else -1"
+    table.add("centre", plan.centre[rows], "index", "1", about)
+    table.add("width", plan.width[rows], "index", "1", "of a secant's end: share of the parameter's bounds; else 0")
+    table.add("side", plan.side[rows], "index", "1", "of a secant's end: -1 or 1; else 0")
     for i, name in enumerate(tuning.names):
-        table.add(name, points[:, i], "parameter", parameters[name].unit, parameters[name].doc)
-    ok = found["ok"].astype(bool)
-    value = np.where(ok, found["value"], np.nan)
+        table.add(name, points[own, i], "parameter", parameters[name].unit, parameters[name].doc)
+    ok, slopes = np.asarray(found.ok, bool)[own], np.asarray(found.gradient)[own]
+    value = np.where(ok, found.value[own], np.nan)
     table.add("objective", value, "objective", "1", "value that is minimized; NaN where the robot fell")
-    for name in tuning.names:
+    for i, name in enumerate(tuning.names):
         unit = "1" if parameters[name].unit == "1" else f"1/({parameters[name].unit})"
-        slope = np.where(ok, found[f"gradient.{name}"], np.nan)
+        slope = np.where(ok, slopes[:, i], np.nan)
         table.add(f"gradient.{name}", slope, "gradient", unit, f"exact d objective / d {name}")
-    for name in (name.removeprefix("metric.") for name in found if name.startswith("metric.")):
+    for name, values in found.metrics.items():
         metric = (tuning.metrics | tuning.objective_metrics)[name]
-        table.add(name, found[f"metric.{name}"], "metric", metric.unit, metric.doc)
+        table.add(name, np.asarray(values)[own], "metric", metric.unit, metric.doc)
     table.add("ok", ok, "status", "1", "whether the robot walked to the end, with a finite gradient")
     made_by = "which code made the row, by its name in run.json; empty: not known"
-    table.add("code", found["code"], "code", "1", made_by)
-    return table.table(about)
+    table.add("code", np.full(len(rows), code), "code", "1", made_by)
+    return table.table({})
 
 
 # ---
@@ -597,38 +581,25 @@ def run_landscape(
         raise ParameterError(f"span is {span:g}: allowed is (0, 1].")
     say = warn or (lambda _: None)
     with RunDirectory(out, "landscape") as held, clear_errors(held.out):
-        wanted = identity(tuning, points, span)
-        table, evaluated = read(held.out / TABLE, wanted), 0
-        if table is None:
-            made_by, begun = (
-                stamp(tuning.setup.load().fingerprint, tuning.method.engine),
-                any((held.out / _BATCHES).glob("*.npz")),
-            )
-            # A directory without points can be claimed by any landscape.
-            held.take_code(made_by, holds_rows=begun, accept=accept_new_code or not begun)
+        wanted, chosen, evaluated = identity(tuning, points, span), plan(tuning, points, span), 0
+        check_directory(held.out, wanted)
+        runs = Runs(held.out, key(wanted), warn=say, held=held)
+        if len(runs.numbers) < len(chosen):
+            made_by = stamp(tuning.setup.load().fingerprint, tuning.method.engine)
+            runs.take_codes([made_by], accept=accept_new_code)
             problem = problem or simulation_of(tuning)
             held.set_aside("of another landscape", _MADE, say)
-            chosen, done = plan(tuning, points, span), 0
-
-            def count(so_far: int, of_all: int) -> None:
-                nonlocal done
-                done = so_far
-                if progress is not None:
-                    progress(so_far, of_all)
-
             here = session(points=points, span=span)
             held.note_session(here)
             about = {KEY: key(wanted), IDENTITY: json.dumps(wanted), "session": to_json(here).decode()}
             try:
-                table, evaluated = evaluate(held, tuning, problem, chosen, count, about, made_by.id, say)
+                report = progress or (lambda done, total: None)
+                evaluated = evaluate(runs, tuning, problem, chosen, report, about, made_by.id)
             except KeyboardInterrupt:
-                kept = f"{done} of {len(chosen)} walks are kept in {held.out}"
+                kept = f"{len(runs.numbers)} of {len(chosen)} walks are kept in {held.out}"
                 raise KeyboardInterrupt(f"stopped; {kept}: run the same command again to resume.") from None
-            held.write(TABLE, parquet_bytes(table))  # before anything that can still fail
-            with contextlib.suppress(OSError):
-                for path in (held.out / _BATCHES).glob(f"{key(wanted)}-{batch_size(len(chosen))}-*.npz"):
-                    path.unlink()
-                (held.out / _BATCHES).rmdir()
+        table = points_of(runs)
+        held.write(TABLE, parquet_bytes(table))  # before anything that can still fail
         tuning = keep_recording(held, tuning, say)
         write_described(held, TUNING, tuning, read_stored, say)
         with Written(held) as files:  # landscape.json comes last, and marks completion
@@ -668,9 +639,12 @@ def figures(out: Path) -> Figures:
         SpecError: its landscape.yaml cannot be read.
         DirectoryError: there is nothing to draw, or it cannot be read.
     """
-    tuning, table = Tuning.from_file(out / TUNING, recorded=False), read(out / TABLE)
+    tuning, content = Tuning.from_file(out / TUNING, recorded=False), content_of(out / TABLE)
+    table = None if content is None else parquet_table(content)
     if table is None or not set(tuning.names) <= set(table.column_names):
-        raise DirectoryError(f"{out / TABLE} is missing, or another landscape's: run nermo-mjx landscape again.")
+        raise DirectoryError(
+            f"{out / TABLE} is missing, damaged, or another landscape's: run nermo-mjx landscape again."
+        )
     return figures_of(tuning, lines_of(tuning, table))
 
 

@@ -41,7 +41,7 @@ from nermo_mjx.robot.quantity import ParameterError
 
 
 @dataclasses.dataclass(frozen=True)
-class Asked:
+class Request:
     """Points to evaluate.
 
     Attributes:
@@ -136,14 +136,14 @@ class Tuner:
         """Evaluate the points of a state and take one step from them."""
         found = None
         while found is None:
-            asked = self.ask(state)
-            state, found = self.tell(state, self.problem.evaluate(asked.points, asked.gradients > 0))
+            request = self.ask(state)
+            state, found = self.tell(state, self.problem.evaluate(request.points, request.gradients > 0))
         return state, found
 
-    def ask(self, state: TuneState) -> Asked:
+    def ask(self, state: TuneState) -> Request:
         """The worlds of an iteration, start by start; the first of each start is its point."""
         self._points = placed(self.tuning.estimator, self.bounds, state)
-        return Asked(self._points, len(self._points) * self.tuning.estimator.needs_gradient)
+        return Request(self._points, len(self._points) * self.tuning.estimator.needs_gradient)
 
     def tell(self, state: TuneState, found: Evaluation) -> tuple[TuneState, Iterate | None]:
         """The state after the step, and what the iteration found; None if more points are to be asked for."""
@@ -259,14 +259,14 @@ class LineTuner(Tuner):
         self.search = tuning.optimizer.line_search()
         self._direction: Any = None
 
-    def ask(self, state: TuneState) -> Asked:
+    def ask(self, state: TuneState) -> Request:
         """First the worlds of the gradients, then the points to be walked without."""
         estimator, (starts, p) = self.tuning.estimator, state.u.shape
         if self._direction is not None:
-            return Asked(self._direction[3].reshape(-1, p))
+            return Request(self._direction[3].reshape(-1, p))
         around = placed(estimator, self.bounds, state).reshape(starts, -1, p)[:, min(estimator.samples, 1) :]
         around = around.reshape(-1, p)
-        return Asked(around, len(around) * estimator.needs_gradient)
+        return Request(around, len(around) * estimator.needs_gradient)
 
     def tell(self, state: TuneState, found: Evaluation) -> tuple[TuneState, Iterate | None]:
         if self._direction is None:
@@ -389,10 +389,10 @@ class GenerationTuner(Tuner):
             self._next()
             self._rank(value)
 
-    def ask(self, state: TuneState) -> Asked:
+    def ask(self, state: TuneState) -> Request:
         """A generation."""
         self._next()
-        return Asked(from_unconstrained(self.bounds, jnp.asarray(self._points, state.u.dtype)))
+        return Request(from_unconstrained(self.bounds, jnp.asarray(self._points, state.u.dtype)))
 
     def tell(self, state: TuneState, found: Evaluation) -> tuple[TuneState, Iterate | None]:
         u = jnp.asarray(self._points, state.u.dtype)
@@ -425,7 +425,7 @@ class GenerationTuner(Tuner):
 class Searcher(Protocol):
     """Chooses the points of a search; `ask` and `tell` alternate, and the same results lead to the same requests."""
 
-    def ask(self) -> Asked:
+    def ask(self) -> Request:
         """The next batch."""
         ...
 
@@ -460,11 +460,11 @@ class RestartedCma(Searcher):
         self._used = {"large": 0, "small": 0}
         self._regime = "large"
 
-    def ask(self) -> Asked:
+    def ask(self) -> Request:
         if self._strategy is None:
-            return Asked(self._space.spread(SPREAD * self._batch))
+            return Request(self._space.spread(SPREAD * self._batch))
         self._points = np.array(self._strategy.ask())
-        return Asked(self._space.shares(self._points))
+        return Request(self._space.shares(self._points))
 
     def tell(self, found: Scores) -> None:
         if found.allowed.any():
@@ -518,9 +518,9 @@ class Genetic(Searcher):
         # Without an end of its own: the budget is the search's.
         self._algorithm.setup(problem, termination=NoTermination(), seed=search.sweep.seed, verbose=False)
 
-    def ask(self) -> Asked:
+    def ask(self) -> Request:
         self._population = self._algorithm.ask()
-        return Asked(np.clip(self._population.get("X").astype(float), 0.0, 1.0))
+        return Request(np.clip(self._population.get("X").astype(float), 0.0, 1.0))
 
     def tell(self, found: Scores) -> None:
         self._population.set("F", np.where(found.ok[:, None], found.cost, 0.0))
@@ -564,17 +564,17 @@ class AtlasEmitters(Searcher):
         self._centres, self._spreads = False, 0
         self._shares = np.empty((0, space.dimensions))
 
-    def ask(self) -> Asked:
+    def ask(self) -> Request:
         if not self._emitters:
             first = self._spreads * self._batch
             self._spreads += 1
             self._shares = self._space.spread(first + self._batch)[first:]
-            return Asked(self._shares)
+            return Request(self._shares)
         points = [emitter.ask_dqd() if self._centres else emitter.ask() for emitter in self._emitters]
         self._ends = np.cumsum([len(each) for each in points])
         self._slope = self._space.slope(np.concatenate(points))
         self._shares = self._space.shares(np.concatenate(points))
-        return Asked(self._shares, len(self._shares) if self._centres else 0)
+        return Request(self._shares, len(self._shares) if self._centres else 0)
 
     def tell(self, found: Scores) -> None:
         inside = found.allowed & (cells_of(self._aim, found.measures) >= 0)
@@ -590,15 +590,15 @@ class AtlasEmitters(Searcher):
             return
         parts = np.split(np.arange(len(inside)), self._ends[:-1])
         for emitter, part in zip(self._emitters, parts, strict=True):
-            told = (self._shares[part], objective[part], measures[part])
+            results = (self._shares[part], objective[part], measures[part])
             info = {"status": status[part], "value": value[part]}
             if not self._centres:
-                emitter.tell(*told, info)
+                emitter.tell(*results, info)
             else:
                 assert found.jacobian is not None
                 # A non-finite gradient is useless.
                 jacobian = np.nan_to_num(found.jacobian[part], nan=0.0, posinf=0.0, neginf=0.0)
-                emitter.tell_dqd(*told, jacobian * self._slope[part, None, :], info)
+                emitter.tell_dqd(*results, jacobian * self._slope[part, None, :], info)
         self._centres = self._along and not self._centres
 
     def _begin(self) -> None:
@@ -643,13 +643,13 @@ class SobolSample(Searcher):
         self._batch, self._first = batch, space.first
         self._points, self._begun = qmc.Sobol(space.dimensions, rng=np.random.default_rng(search.sweep.seed)), False
 
-    def ask(self) -> Asked:
+    def ask(self) -> Request:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # one point less than a power of two: the published gait stands for it
             if self._begun:
-                return Asked(self._points.random(self._batch))
+                return Request(self._points.random(self._batch))
             self._begun = True
-            return Asked(np.concatenate([self._first[None], self._points.random(self._batch - 1)]))
+            return Request(np.concatenate([self._first[None], self._points.random(self._batch - 1)]))
 
     def tell(self, found: Scores) -> None:
         """The points do not depend on it."""

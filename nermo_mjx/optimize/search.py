@@ -415,8 +415,6 @@ def _read(doc: Document) -> Search:
         if axis.form == "values":
             wanted = "a search moves between bounds; give {uniform: [low, high]} or {loguniform: [low, high]}."
             doc.fail(path, f"is {describe(list(axis.numbers))}: {wanted}", axis.name)
-        if axis.name in MEASURED.get():
-            doc.fail(path, "cannot be searched: in the table its name is a metric's.", axis.name)
     drawn = file.randomize.model_extra or {}
     sweep = Sweep(
         **walk,

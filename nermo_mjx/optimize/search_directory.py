@@ -1,21 +1,19 @@
-"""A search's directory: one chunk of its table for each batch, written before the next batch is requested.
+"""A search's directory: one part of its table for each batch, written before the next batch is requested.
 
 DIR/search.yaml                   the resolved search, and the size of its batches
 DIR/controller.py                 a copy of the file of another controller, if the search names one
 DIR/run.json                      which codes made the rows; each session's versions, machine and command
-DIR/results/chunk-00000.parquet   rows of one batch, written atomically
-DIR/manifest.sha256               a digest of each chunk, as `sha256sum` writes it, noted before the chunk is there
-DIR/results.aside/                chunks that were damaged, or hold other points, when they are run again
+DIR/results/                      the rows, a part for each batch, see `nermo_mjx.runs.rows`
+DIR/results.aside/                parts that were damaged, or hold other points, when they are run again
 DIR/best.json, DIR/best.yaml, DIR/atlas.parquet, DIR/recordings/, DIR/plots/   made from the table
 """
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
-import hashlib
 import json
 import os
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
 
@@ -28,32 +26,30 @@ from nermo_mjx.optimize.search import CmaMega, Scores, Search, cells_of, elites_
 from nermo_mjx.optimize.tuning import sweep_of
 from nermo_mjx.rollout.differentiable import cost as gradient_cost
 from nermo_mjx.runs import RunDirectory
+from nermo_mjx.runs.code import CodeStamp
 from nermo_mjx.runs.directory import engine_of, remove_leftovers
 from nermo_mjx.runs.files import (
     DirectoryError,
     WrongDirectory,
-    append_line,
     clear_errors,
-    content_of,
     create_file,
     parquet_bytes,
-    parquet_table,
     stored_json,
 )
+from nermo_mjx.runs.rows import RESULTS, Runs, opened, part_files
 from nermo_mjx.runs.status import Status, metadata_of, status_of
 from nermo_mjx.runs.text import to_json
 from nermo_mjx.specs.controllers import with_code_copied
 from nermo_mjx.specs.reading import SpecError, changes
 from nermo_mjx.sweep.replay import SweepRow
-from nermo_mjx.sweep.results import RECORDINGS, Results, chunk_files, read_table
+from nermo_mjx.sweep.results import RECORDINGS, Results, read_table
 from nermo_mjx.sweep.sampling import Rows
 from nermo_mjx.sweep.series import recording_file
 from nermo_mjx.sweep.simulating import Simulated, SweepSimulator
+from nermo_mjx.sweep.store import keys_of_rows
 from nermo_mjx.sweep.table import Columns, chunk_table, columns_of, meta
 
 SEARCH: Final = "search.yaml"
-MANIFEST: Final = "manifest.sha256"
-CHUNK: Final = "results/chunk-{:05d}.parquet"
 #: How far points of a stored batch may be from those that are asked for, as a fraction of the bounds: another machine's
 #: eigenvectors differ in their last digits.
 APART: Final = 1e-6
@@ -62,52 +58,41 @@ GRADIENT: Final = "gradient.{}.{}"
 
 
 class Batches:
-    """A directory held by this process for one search; use it in a `with` statement.
+    """The batches of one search in a directory that this process holds.
 
-    Args:
-        out: the directory; made if it does not exist.
-        search: what the directory is for; `search.batch` is what it was started with, once it is entered.
-
-    Raises:
-        DirectoryError: the directory holds another search, is in use, or cannot be written.
+    Attributes:
+        search: that they are of, with their size, and with the directory's copies of code.
+        runs: what is stored.
     """
 
-    def __init__(self, out: str | os.PathLike[str], search: Search) -> None:
-        self.out, self.search = Path(out), search
-        self.directory = RunDirectory(out, "search")
-        self.results = self.out / "results"
+    def __init__(
+        self, held: RunDirectory, search: Search, size: Callable[[], int], warn: Callable[[str], None]
+    ) -> None:
+        """Make the directory this search's, or refuse.
 
-    def __enter__(self) -> Batches:
-        with contextlib.ExitStack() as stack:
-            stack.enter_context(self.directory)
-            with clear_errors(self.out):
-                self.results.mkdir(exist_ok=True)
-                for folder in (self.results, self.out / "plots", self.out / "recordings"):
-                    remove_leftovers(folder)
-            stack.pop_all()
-        return self
+        Args:
+            size: of a batch, if neither the search nor the directory has one.
+            warn: called with a message about what is damaged, and is run again.
 
-    def __exit__(self, *_: object) -> None:
-        self.directory.__exit__()
-
-    def begun(self) -> Search | None:
-        """The search that the directory was started for, if it was."""
-        if not (self.out / SEARCH).exists():
-            return None
-        try:
-            return Search.from_file(self.out / SEARCH)
-        except SpecError as error:
-            unread = f"{self.out} holds a search that cannot be read ({error}); choose another directory."
-            raise WrongDirectory(unread) from None
-
-    def claim(self, search: Search) -> None:
-        """Make the directory this search's, or refuse."""
-        path, folder = self.out / SEARCH, self.out.resolve()
-        setup = with_code_copied(search.setup, folder, self.directory.write)
-        self.search = search = dataclasses.replace(search, sweep=dataclasses.replace(search.sweep, setup=setup))
-        begun = self.begun()
+        Raises:
+            DirectoryError: the directory holds another search, or cannot be written.
+        """
+        self.directory, self.out, self._warn = held, held.out, warn
+        path, folder, begun = self.out / SEARCH, self.out.resolve(), None
+        with clear_errors(self.out):
+            for made in ("plots", RECORDINGS):
+                remove_leftovers(self.out / made)
+        if path.exists():
+            try:
+                begun = Search.from_file(path)
+            except SpecError as error:
+                unread = f"{self.out} holds a search that cannot be read ({error}); choose another directory."
+                raise WrongDirectory(unread) from None
+        sweep = dataclasses.replace(search.sweep, setup=with_code_copied(search.setup, folder, held.write))
+        batch = search.batch or (begun and begun.batch) or size()
+        self.search = search = dataclasses.replace(search, sweep=sweep, batch=batch)
         if begun is None:
-            if any(self.results.glob("*.parquet")):
+            if part_files(self.out):
                 raise WrongDirectory(
                     f"{self.out} holds results of an unknown search (it has no {SEARCH}); choose another directory."
                 )
@@ -120,44 +105,44 @@ class Batches:
                 f"resume with {path}."
             )
         elif begun.to_yaml(folder) != search.to_yaml(folder):  # another budget, or more recordings
-            self.directory.write(SEARCH, search.to_yaml(folder).encode())
+            held.write(SEARCH, search.to_yaml(folder).encode())
+        self.runs = Runs(self.out, search.digest(), warn=warn, held=held)
+        self._parts = {int(pq.read_metadata(part.path).metadata[b"chunk"]): part for part in self.runs.parts}
 
-    def read(self, batch: int, rows: Rows) -> tuple[pa.Table | None, str]:
-        """The table of a batch, if its file is whole and holds these rows (see `APART`); else what is wrong with it.
+    def read(self, batch: int, rows: Rows) -> pa.Table | None:
+        """The table of a batch, if it is there with these rows (see `APART`); with others it is moved aside.
 
         Raises:
-            DirectoryError: another version of the library asked for its points.
+            DirectoryError: another version of the library asked for its points, or it cannot be read any more.
         """
-        path = self.out / CHUNK.format(batch)
-        content = content_of(path)
-        if content is None:
-            return None, ""
-        digest = hashlib.sha256(content).hexdigest()
-        table = parquet_table(content) if digest in (content_of(self.out / MANIFEST) or b"").decode() else None
-        if table is None:
-            return None, "is damaged"
-        notes = {name.decode(): text.decode() for name, text in (table.schema.metadata or {}).items()}
-        if notes.get("search") != self.search.digest():
-            return None, "was made by another search, or with other defaults"
+        if (part := self._parts.get(batch)) is None:
+            return None
+        with opened(part.path) as file:
+            table = file.read()
         near = table.column("variant").to_pylist() == rows.variant.tolist()
         for axis in self.search.sweep.axes if near else ():
             room = APART * (axis.numbers[1] - axis.numbers[0])
             stored = table.column(axis.name).to_numpy()
             near = near and np.allclose(stored, rows.values[axis.name], rtol=0.0, atol=room)
         if near:
-            return table, ""
-        before, now = notes.get("optimizer", ""), made_by(self.search.method)
+            return table
+        before, now = table.schema.metadata.get(b"optimizer", b"").decode(), made_by(self.search.method)
         if before != now:
             raise DirectoryError(
-                f"{path} holds points that {before} asked for, and {now} asks for others: install {before}, or choose "
-                "another directory."
+                f"{part.path} holds points that {before} asked for, and {now} asks for others: install {before}, or "
+                "choose another directory."
             )
-        return None, "holds other points than those that follow from the batches before it"
+        self.directory.move_aside(part.path.relative_to(self.out), f"{RESULTS}.aside")
+        self._warn(
+            f"batch {batch} of {self.out} holds other points than those that follow from the batches before it; it is "
+            f"kept in {RESULTS}.aside, and run again."
+        )
+        return None
 
     def write(
-        self, batch: int, rows: Rows, first: int, found: Simulated, stamp: Any, gradients: np.ndarray | None
+        self, batch: int, rows: Rows, first: int, found: Simulated, stamp: CodeStamp, gradients: np.ndarray | None
     ) -> pa.Table:
-        """Store a batch atomically; a file already in its place is moved aside.
+        """Store a batch.
 
         Args:
             rows: its runs, of which `first` is the first one's place in the table.
@@ -190,11 +175,7 @@ class Batches:
                     meaning["description"] = f"d {metric} / d share of the bounds of {name}"
                     field = pa.field(GRADIENT.format(metric, name), pa.float64(), metadata=meaning)
                     table = table.append_column(field, pa.array(np.ascontiguousarray(filled[:, i, j])))
-        name, content = CHUNK.format(batch), parquet_bytes(table)
-        with clear_errors(self.out):
-            append_line(self.out / MANIFEST, f"{hashlib.sha256(content).hexdigest()}  {name}")
-        self.directory.move_aside(name, "results.aside")
-        self.directory.write(name, content)
+        self._parts[batch] = self.runs.add(keys_of_rows(self.search.sweep, rows), table)
         return table
 
     def gradients(self, table: pa.Table, points: int) -> np.ndarray:
@@ -236,7 +217,7 @@ class Evaluations:
     def of(cls, search: Search, results: Results | Path) -> Evaluations:
         """Of a table, or a directory's, as far as it goes."""
         if isinstance(results, Path):
-            results = Results([*chunk_files(results).values()])
+            results = Results(part_files(results))
         columns = dict(results.columns(["batch", *search.aim.metrics]))
         batch = columns.pop("batch")[:: search.repeats].astype(int)
         return cls(search, results, scores_of(search.aim, search.repeats, columns, results.well), batch)
@@ -477,7 +458,7 @@ def find_evaluation(out: str | os.PathLike[str], row: int) -> SweepRow:
         line=Rows(**index, values=values, structure=np.zeros(1, int)),
         begin=float(begin),
         end=float(end),
-        engine=pq.read_schema(next(iter(chunk_files(out).values()))).metadata[b"engine"].decode(),
+        engine=pq.read_schema(part_files(out)[0]).metadata[b"engine"].decode(),
         stored=stored,
         outdated=False,
     )
@@ -494,7 +475,7 @@ def status(out: Path) -> Status:
         search = Search.from_file(out / SEARCH)
     except (SpecError, OSError) as error:
         notes.append(f"Its search cannot be read: {error}")
-    for path in chunk_files(out).values():
+    for path in part_files(out):
         if about := metadata_of(path, notes, "it will be run again."):
             runs += about.num_rows
     done, budget = runs // (1 if search is None else search.repeats), None if search is None else search.evaluations

@@ -23,8 +23,9 @@ from nermo_mjx.plotting.shown import ShownValues, shown
 from nermo_mjx.plotting.style import BAND, COLOURS, LINE, MUTED, colour_scale, horizontal_grid, set_scales
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.runs.files import DirectoryError
+from nermo_mjx.runs.rows import part_files
 from nermo_mjx.sweep.plots import chosen_figure, named_points, survey_figures, trade_off
-from nermo_mjx.sweep.results import Results, chunk_files
+from nermo_mjx.sweep.results import Results
 
 _WIDTH: Final = 7.2
 #: Pairs of measures that an atlas of three or more shows.
@@ -68,7 +69,7 @@ def figures(
         SpecError: its search.yaml cannot be read.
         DirectoryError: there is nothing to draw, or it cannot be read.
     """
-    search, files = Search.from_file(out / SEARCH), list(chunk_files(out).values())
+    search, files = Search.from_file(out / SEARCH), part_files(out)
     if not files:
         command = f"nermo-mjx search {out / SEARCH} --out {out}"
         raise DirectoryError(f"{out} holds no results of its search yet: run {command}.")

@@ -25,14 +25,15 @@ from nermo_mjx.plotting.files import write_figures
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.rollout import Simulator
 from nermo_mjx.rollout.differentiable import cost
-from nermo_mjx.runs import session
+from nermo_mjx.runs import RunDirectory, session
 from nermo_mjx.runs.code import CodeStamp
 from nermo_mjx.runs.directory import engine_of
 from nermo_mjx.runs.interruption import resumable
+from nermo_mjx.runs.rows import part_files
 from nermo_mjx.runs.workers import LocalWorkers, TaskFailed, Workers
 from nermo_mjx.runtime import cpu_count
 from nermo_mjx.specs.reading import SpecError
-from nermo_mjx.sweep.results import Results, chunk_files, read_table
+from nermo_mjx.sweep.results import Results, read_table
 from nermo_mjx.sweep.sampling import Rows, Sample
 from nermo_mjx.sweep.simulating import Simulated, SimulatorLike, SweepSimulator, chunk_rows_here, engine_name, pace
 from nermo_mjx.sweep.store import batch_values
@@ -170,16 +171,14 @@ def run_search(
     check_library(search.method)
     workers = LocalWorkers() if workers is None else workers
     with (
-        Batches(out, search) as batches,
-        resumable("search", batches.out / SEARCH, SearchInterrupted, SearchFailed) as interruption,
+        RunDirectory(out, "search") as held,
+        resumable("search", held.out / SEARCH, SearchInterrupted, SearchFailed) as interruption,
     ):
-        begun = batches.begun()
-        batch = search.batch or (begun and begun.batch) or batch_points(search, engine)
-        batches.claim(dataclasses.replace(search, batch=batch))
+        batches = Batches(held, search, lambda: batch_points(search, engine), warn or (lambda _: None))
         ran = engine_name(engine, simulator, engine_of(batches.out))
         computer = SweepSimulator(search.sweep.structures, ran, simulator, notify)
         loop = SearchLoop(batches, workers, computer, progress or (lambda _: None), interruption.check)
-        loop.run(warn or (lambda _: None), gradients, accept_new_code)
+        loop.run(gradients, accept_new_code)
         search = batches.search
         best = publish(batches, complete=True)
         if not best:
@@ -188,7 +187,7 @@ def run_search(
                 "bounds, or looser constraints."
             )
         recordings = keep_recordings(batches, best, computer)
-        results = Results([*chunk_files(batches.out).values()])
+        results = Results(part_files(batches.out))
         plots = write_figures(figures_of(search, results), batches.out / "plots") if search.plots else []
         return SearchResult(batches.out, search, best, loop.evaluated, recordings, plots)
 
@@ -219,35 +218,33 @@ class SearchLoop:
         self._cells = set[int]()
         self._measured = False
 
-    def run(self, warn: Callable[[str], None], gradients: Gradients | None, accept: bool) -> None:
+    def run(self, gradients: Gradients | None, accept: bool) -> None:
         """Ask for batches until the budget is used up; simulate what the directory lacks, and tell the results."""
         search, repeats, stamp, published = self._search, self._search.repeats, None, time.monotonic()
         method, shares, batch = searcher(search, self._size), np.empty((0, len(search.names))), 0
         while search.reached(self.evaluations, self.seconds) < 1.0:
-            asked = method.ask()
-            shares = np.concatenate([shares, asked.points])
+            request = method.ask()
+            shares = np.concatenate([shares, request.points])
             # Repeats stand side by side; draws follow from a point and the repeat.
             first = self.evaluations * repeats
             rows = Sample(search.sweep, shares).take(np.arange(first, len(shares) * repeats))
-            table, flaw = self._batches.read(batch, rows)
-            if flaw:
-                warn(f"batch {batch} of {self._batches.out} {flaw}; it is kept in results.aside, and run again.")
+            table = self._batches.read(batch, rows)
             if table is None:
                 if stamp is None:
                     stamp = self._begin(accept)
                 found, slopes = self._simulate(batch, rows), None
-                if asked.gradients:
+                if request.gradients:
                     gradients = gradients or WalkGradients(search)
-                    runs = np.arange(asked.gradients * repeats)
-                    slopes = gradients(batch_values(search.sweep, rows.take(runs), len(runs)), asked.points)
-                    slopes = slopes.reshape(asked.gradients, repeats, *slopes.shape[1:]).mean(axis=1)
+                    runs = np.arange(request.gradients * repeats)
+                    slopes = gradients(batch_values(search.sweep, rows.take(runs), len(runs)), request.points)
+                    slopes = slopes.reshape(request.gradients, repeats, *slopes.shape[1:]).mean(axis=1)
                 table = self._batches.write(batch, rows, first, found, stamp, slopes)
-                self.evaluated += len(asked.points)
+                self.evaluated += len(request.points)
             self.evaluations, batch = len(shares), batch + 1
             seconds = search.seconds(rows.values, len(rows))
             self.seconds += float(np.sum(seconds))
-            self.seconds += gradient_cost(search) * float(np.sum(seconds[: asked.gradients * repeats]))
-            method.tell(self._scores(table, asked.gradients))
+            self.seconds += gradient_cost(search) * float(np.sum(seconds[: request.gradients * repeats]))
+            method.tell(self._scores(table, request.gradients))
             self._report()
             if stamp is not None and time.monotonic() - published > PUBLISHED_EVERY:
                 publish(self._batches, complete=False)
@@ -257,9 +254,10 @@ class SearchLoop:
         """Make ready what simulates, before the first batch that is missing."""
         self._resumed = self.evaluations
         self._report()
-        stamp, held = self._workers.begin(self._computer), self._batches.directory
-        held.take_code(stamp, holds_rows=bool(chunk_files(self._batches.out)), accept=accept)
-        held.note_session(session(engine=self._computer.engine, code=stamp.id, begun_at=self.evaluations))
+        stamp = self._workers.begin(self._computer)
+        self._batches.runs.take_codes([stamp], accept=accept)
+        about = session(engine=self._computer.engine, code=stamp.id, begun_at=self.evaluations)
+        self._batches.directory.note_session(about)
         return stamp
 
     def _report(self, share: float = 0.0) -> None:

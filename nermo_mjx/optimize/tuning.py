@@ -35,7 +35,7 @@ from nermo_mjx.specs.described import Described, digest_of
 from nermo_mjx.specs.fields import Fields, Refused, chosen, optional, read
 from nermo_mjx.specs.model import Spec, named, one_of, written
 from nermo_mjx.specs.reading import Document, FieldPath, SpecError, describe, dump, read_file
-from nermo_mjx.specs.values import MEASURED, ByParameter, Choice, Ends, Positive, Whole, check_value
+from nermo_mjx.specs.values import ByParameter, Choice, Ends, Positive, Whole, check_value
 from nermo_mjx.specs.walk import WalkFields, WalkSpec, check_sources, check_workspace, read_walk, written_out
 
 # ---
@@ -154,8 +154,6 @@ class Tuned(Spec):
     def of(self, doc: Document, name: str, about: Quantity) -> Tuned:
         """The parameter of that name, with what a file leaves out; raises `SpecError`."""
         path: FieldPath = ("tune", name)
-        if name in MEASURED.get():
-            doc.fail(path, "cannot be tuned: in the history its name is a metric's.", name)
         low, high = self.bounds or (about.low, about.high)
         if not math.isfinite(low) or not math.isfinite(high):
             doc.fail((*path, "bounds"), f"is [{low:g}, {high:g}]: expected finite numbers.")

@@ -24,24 +24,21 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-import pyarrow as pa
 
-from nermo_mjx.files import MOST_ARRAYS, FileError, arrays_of, json_of, read_bytes
 from nermo_mjx.optimize.history import FILE, Log, history_table, is_done, why_done
 from nermo_mjx.optimize.methods import TuneState, initial_state
 from nermo_mjx.optimize.tuning import Tuning, sweep_of
 from nermo_mjx.runs import DirectoryError, OtherCode, RunDirectory, engine_of, session, stamp
 from nermo_mjx.runs.checkpoints import Checkpoints
-from nermo_mjx.runs.directory import Session
 from nermo_mjx.runs.files import (
     WrongDirectory,
     clear_errors,
     content_of,
     parquet_bytes,
-    parquet_file,
     parquet_table,
     stored_json,
 )
+from nermo_mjx.runs.rows import part_files
 from nermo_mjx.runs.status import Status, last_command, metadata_of, status_of
 from nermo_mjx.runs.text import to_json
 from nermo_mjx.specs.controllers import with_code_copied
@@ -316,23 +313,11 @@ def status(out: Path) -> Status:
 
 
 def landscape_status(out: Path) -> Status:
-    """How many points of a landscape a directory holds: in its table, or in the batches of an unfinished one."""
-    notes, sessions, table = list[str](), list[dict[str, Any]](), out / "landscape.parquet"
-    if table.exists():
-        try:
-            with parquet_file(table) as file:
-                about = file.metadata
-            sessions = [json_of((about.metadata or {}).get(b"session", b"{}"), Session, table)]
-            complete = (out / "landscape.json").exists()
-            command = f"nermo-mjx plot {shlex.quote(str(out))}" if complete else last_command(out)
-            rows, engine = about.num_rows, engine_of(out)
-            return Status("points", rows, rows, complete, command, engine, sessions=sessions)
-        except (OSError, pa.ArrowException, ValueError, FileError):
-            notes.append("landscape.parquet is damaged.")
-    done = 0
-    for path in out.glob("batches/*.npz"):
-        try:
-            done += len(arrays_of(read_bytes(path, MOST_ARRAYS), path)["value"])
-        except (OSError, FileError, KeyError, TypeError):
-            notes.append(f"batches/{path.name} is damaged; it will be evaluated again.")
-    return Status("points", done, None, False, last_command(out), engine_of(out), notes=tuple(notes))
+    """How many points of a landscape a directory holds."""
+    notes, table = list[str](), out / "landscape.parquet"
+    about = metadata_of(table, notes, "it is made again of the points.")
+    complete = about is not None and (out / "landscape.json").exists()
+    command = f"nermo-mjx plot {shlex.quote(str(out))}" if complete else last_command(out)
+    parts = (metadata_of(path, notes, "its points will be evaluated again.") for path in part_files(out))
+    done = sum(part.num_rows for part in parts if part)
+    return Status("points", done, about and about.num_rows, complete, command, engine_of(out), notes=tuple(notes))

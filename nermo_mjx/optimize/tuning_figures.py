@@ -682,7 +682,7 @@ class Pictures:
     notes: tuple[str, ...] = ()
 
 
-def paint(
+def make_pictures(
     directory: Directory,
     simulator: Callable[[], SimulatorLike] | None,
     drawing: Callable[[str, float], None],
@@ -721,9 +721,9 @@ def paint(
     video = out / VIDEO if tuning.video and simulator is not None else None
     if video is not None and simulator is not None and not video.exists():
         try:
-            check(tuning, video)
+            check_video(tuning.setup.load().model, video, camera=CAMERA)  # before anything walks for it
             drawing("video", 0.0)
-            shoot(tuning, start, best, simulator(), video, lambda share: drawing("video", share))
+            render_video(tuning, start, best, simulator(), video, lambda share: drawing("video", share))
         except (VideoError, RecordingError) as error:
             video, notes = None, [*notes, f"There is no video. {error}"]
     return Pictures(tuple(plots), video, tuple(notes))
@@ -742,12 +742,7 @@ FPS, WIDTH, HEIGHT = 25, 480, 360
 CAMERA: Final = "high"
 
 
-def check(tuning: Tuning, path: Path) -> None:
-    """Raise `VideoError` if this machine cannot make the video, before anything walks for it."""
-    check_video(tuning.setup.load().model, path, camera=CAMERA)
-
-
-def shoot(
+def render_video(
     tuning: Tuning,
     start: Mapping[str, Any],
     best: Mapping[str, Any],

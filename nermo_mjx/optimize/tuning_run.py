@@ -20,7 +20,7 @@ from nermo_mjx.optimize.objective import TRAJECTORY_ERROR, Problem
 from nermo_mjx.optimize.problems import SharedProblem, SimulatedProblem, WalkProblem, load_reference
 from nermo_mjx.optimize.tuning import METHODS, Differences, Generations, Gradient, Tuning
 from nermo_mjx.optimize.tuning_directory import TUNING, Directory, start_of
-from nermo_mjx.optimize.tuning_figures import Pictures, paint
+from nermo_mjx.optimize.tuning_figures import Pictures, make_pictures
 from nermo_mjx.robot import ParameterError
 from nermo_mjx.rollout import Simulator
 from nermo_mjx.rollout.differentiable import Rollout, choose_mode, cost
@@ -229,7 +229,7 @@ def run_tuning(
                 directory.write("best.json", to_json(best))
             except ParameterError as error:
                 notes = (f"Start and best are not verified: {error}",)
-        pictures = paint(directory, walker, drawing, history, start, best)
+        pictures = make_pictures(directory, walker, drawing, history, start, best)
         pictures = dataclasses.replace(pictures, notes=(*notes, *pictures.notes))
         return TuningResult(directory.out, tuning, start, best, history, state, len(log) - resumed, pictures)
 

@@ -25,8 +25,9 @@ from nermo_mjx.plotting.style import BEST, GRID, INK, LINE, MUTED, SERIES, horiz
 from nermo_mjx.robot.quantity import ParameterError, did_you_mean
 from nermo_mjx.rollout.own_metrics import METRICS
 from nermo_mjx.runs.files import DirectoryError
+from nermo_mjx.runs.rows import part_files
 from nermo_mjx.specs.reading import SpecError
-from nermo_mjx.sweep.results import HELD, Results, SweepRecord, result_files
+from nermo_mjx.sweep.results import HELD, Results, SweepRecord
 from nermo_mjx.sweep.spec import OBJECTIVES
 from nermo_mjx.sweep.structures import label_of
 from nermo_mjx.sweep.table import LEADING, Columns, columns_of, meta, report_table
@@ -74,7 +75,7 @@ def opened(source: Source) -> tuple[str, Results, SweepRecord | None, list[str]]
     out = Path(source)
     if not out.is_dir():
         raise SpecError(f"{out}: {'this is a file, not a directory' if out.exists() else 'no such directory'}.")
-    files = result_files(out)
+    files = part_files(out)
     if not files:
         raise DirectoryError(f"{out} holds no results of a sweep.")
     results, sweep, notes = Results(files), SweepRecord.of_directory(out), []

@@ -31,6 +31,7 @@ from nermo_mjx.plotting.shown import ShownValues, spoken, titled
 from nermo_mjx.plotting.style import BEST, COLOURS, GRID, INK, MUTED, SMALL, colour_scale, set_scales
 from nermo_mjx.robot.quantity import ParameterError, did_you_mean
 from nermo_mjx.runs.files import DirectoryError
+from nermo_mjx.runs.rows import part_files
 from nermo_mjx.sweep import comparing, sensitivity
 from nermo_mjx.sweep.comparing import compare
 from nermo_mjx.sweep.figures import (
@@ -49,7 +50,7 @@ from nermo_mjx.sweep.figures import (
     structure_figures,
     thinned,
 )
-from nermo_mjx.sweep.results import Results, SweepRecord, result_files
+from nermo_mjx.sweep.results import Results, SweepRecord
 from nermo_mjx.sweep.spec import cost, sides_in
 from nermo_mjx.sweep.table import LEADING, columns_of, spine_ratio
 
@@ -182,7 +183,7 @@ def figures(
         ParameterError: there is no such column.
         DirectoryError: there is nothing to draw, or it cannot be read.
     """
-    files = result_files(out)
+    files = part_files(out)
     if not files:
         raise DirectoryError(
             f"{out} holds no results of its sweep yet: run nermo-mjx sweep {out / 'sweep.yaml'} --out {out}."

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import os
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, NotRequired
@@ -154,19 +153,8 @@ class Results:
         return pa.concat_tables(joined)
 
 
-def chunk_files(out: str | os.PathLike[str]) -> dict[int, Path]:
-    """The files of a search's batches by their numbers, in order, whatever is in them."""
-    found = ((re.fullmatch(r"chunk-(\d+)\.parquet", path.name), path) for path in Path(out).glob("results/*"))
-    return dict(sorted((int(name[1]), path) for name, path in found if name))
-
-
-def result_files(out: str | os.PathLike[str]) -> list[Path]:
-    """The files of a sweep's or a search's table, whatever is in them."""
-    return part_files(Path(out)) or list(chunk_files(out).values())
-
-
 def read_table(out: str | os.PathLike[str]) -> pa.Table:
-    """The result table of a sweep's directory, as far as it is complete, in the order of its rows.
+    """The result table of a sweep's directory, or a search's, as far as it is complete, in the order of its rows.
 
     Each field's metadata has `unit`, `description` and `role` (index, varied, randomized, metric, status,
     code). Where several codes made the rows, what one of them did not know is null in its rows.
@@ -175,7 +163,7 @@ def read_table(out: str | os.PathLike[str]) -> pa.Table:
         DirectoryError: no readable part is there.
     """
     parts = []
-    for path in result_files(out):
+    for path in part_files(Path(out)):
         with contextlib.suppress(DirectoryError), opened(path) as file:  # a damaged one is left out
             parts.append(file.read([name for name in file.schema_arrow.names if name != "key"]))
     if not parts:
