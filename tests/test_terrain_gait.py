@@ -80,14 +80,15 @@ def test_trainings_of_the_three_spines_differ_in_gait_and_spine_alone():
 
 
 def test_the_policy_of_the_page_climbs_the_spiral_stair():
-    """On steps of 10 mm, from 32 starts, and nearer its path than the gait alone.
+    """On steps of 10 mm, from 128 starts, and nearer its path than the gait alone.
 
-    It passes 97.6 % of walks in docs/terrain.md: four failures of 32 would be unlucky in one of a hundred such tests.
+    It passes 97.6 % of walks in docs/terrain.md, and 243 to 249 of 256 of these starts with MuJoCo 3.17 and 4, whose
+    walks on stairs differ: at 96 %, 13 failures of 128 are chance in one of 500 tests.
     """
     policy = load_policy(FOLDER / "free.npz").upon(pilot="arc")
     simulator = Simulator(Setup(scene="spiral_stairs", physics="fast", controller=policy), engine="c")
-    values = {"pilot.radius": 0.5, "terrain.height": 0.01, "contact.friction": [0.9, 1.2, 1.4, 1.5] * 8,
-              "start.phase": np.arange(32) / 32}  # fmt: skip
+    values = {"pilot.radius": 0.5, "terrain.height": 0.01, "contact.friction": [0.9, 1.2, 1.4, 1.5] * 32,
+              "start.phase": np.arange(128) / 128}  # fmt: skip
     # The body that it was trained on; on the default one it passes in a fifth of the walks.
     values |= {"damping.knee": 0.02531, "damping.ankle": 0.02531, "damping.spine": 0.09242}
     none = dataclasses.replace(policy, actor=jax.tree.map(np.zeros_like, policy.actor)).parameters
@@ -96,5 +97,5 @@ def test_the_policy_of_the_page_climbs_the_spiral_stair():
     )
     aside = result.metrics["cross_track_peak"]
     passed = (np.array(result.status) == "ok") & (result.metrics["distance"] >= 0.5) & (aside <= 0.15)
-    assert passed.sum() >= 29
+    assert passed.sum() >= 116
     assert np.nanmean(aside) < np.nanmean(alone.metrics["cross_track_peak"])  # 0.86 times with JAX 0.12
