@@ -103,6 +103,8 @@ class RayWorkers:
         import ray.util.scheduling_strategies
 
         self._ray = ray
+        if not self.address:  # whoever imported Ray before has its constants without the switch
+            ray._private.ray_constants.ENABLE_RAY_CLUSTER = False
         # Ray prints a page of log for each lost node; `say` receives a sentence.
         ray._private.worker._worker_logs_enabled = False
         # Ray lets SIGTERM end the process at once; a writer must finish what is half done first.
