@@ -179,7 +179,7 @@ def test_a_directory_of_experiments_is_drawn_again(tmp_path: Path) -> None:
     """From the stored tables and recordings: the pictures that the run itself would draw."""
     outcome, out = walked(), tmp_path / "experiments"
     with RunDirectory(out, "experiments") as held:
-        about = {"settings": {}, "engine": "fake", "code": "0a1b2c3d", "wall_seconds": 1.0}
+        about = {"settings": {}, "engine": "fake", "code": "0a1b2c3d", "started": "2026-11-25", "wall_seconds": 1.0}
         Directory(out).save(outcome, about, Written(held))
         held.note_session({})
     result = plot(out)
@@ -204,7 +204,7 @@ def test_a_directory_of_experiments_is_drawn_again(tmp_path: Path) -> None:
 def test_an_identifications_figures_are_remade(tmp_path: Path) -> None:
     target = {"residual": 0.1, "start_residual": 0.5}
     about = {"costs": [3.0, 2.0, 1.0, 0.5], "objective": {"start": 2.0, "end": 0.5}, "targets": {"speed": target},
-             "settings": {"generations": 1, "population": 2}}  # fmt: skip
+             "settings": {"generations": 1, "population": 2}, "ensemble": None}  # fmt: skip
     (tmp_path / "identification.json").write_text(json.dumps(about))
     (tmp_path / "run.json").write_text('{"kind": "identification"}')
     assert plot(tmp_path, "--format", "svg").exit_code == 0
