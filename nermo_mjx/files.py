@@ -78,12 +78,14 @@ def read_as(content: bytes | str, shape: Any, called: object) -> Any:
     raise FileError(f"{called}: {what}: {first['msg'].rstrip('.')}.") from None
 
 
-def arrays_of(content: bytes, called: object, most: int = MOST_ARRAYS) -> dict[str, np.ndarray]:
+def arrays_of(content: bytes, called: object) -> dict[str, np.ndarray]:
     """The arrays of an NPZ file, by name; sizes are those that the file says, checked before it is unpacked.
 
     Raises:
-        FileError: it is no such file, damaged, holds Python objects, or takes more than `most` bytes.
+        FileError: it is no such file, damaged, holds Python objects, or takes more than `MOST_ARRAYS` bytes and ten
+            times its own size.
     """
+    most = max(MOST_ARRAYS, 10 * len(content))
     try:
         if content.count(b"PK\x01\x02") > _MOST_NAMES:
             raise FileError(f"{called}: it has more than {_MOST_NAMES:,} arrays.")
