@@ -72,7 +72,7 @@ def plan(
     *,
     pilot: str | None,
     assignments: tuple[str, ...],
-    switches: tuple[str, ...],
+    switches: tuple[str, ...] = (),
     seed: int | None,
     cycles: float | None,
     duration: float | None,
