@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 
 from nermo_mjx.control.schedule import Switch, scheduled
+from nermo_mjx.learn import Training
 from nermo_mjx.robot import ParameterError
 from nermo_mjx.robot.parameters import FRONT_LEG, REAR_LEG
 from nermo_mjx.rollout import Run, Setup, Simulator
@@ -173,6 +175,14 @@ def test_what_cannot_be_switched_is_refused(switches, sentence):
     with pytest.raises(ParameterError) as error:
         setup()
     assert sentence in str(error.value)
+
+
+def test_a_training_takes_no_schedule(tmp_path):
+    path = tmp_path / "train.yaml"
+    file = Path(__file__).parents[1] / "sweeps" / "train_residual.yaml"
+    path.write_text(file.read_text() + "schedule: [{at: 1.5, gait: lateral_walk}]\n")
+    with pytest.raises(SpecError, match="field 'schedule' is of a walk, not of a training"):
+        Training.from_file(path)
 
 
 FILE = """run: {duration: 8.0}

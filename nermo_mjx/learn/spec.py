@@ -294,8 +294,6 @@ def _read(doc: Document) -> Training:
         doc.fail(("worlds",), f"is {file.worlds:,}: {wrong}")
     walk = read_walk(doc, file)
     setup = walk["setup"]
-    if setup.schedule:
-        doc.fail(("schedule",), "is of a walk, not of a training: vary what a policy should cope with by 'randomize'.")
     if setup.controller is not None:
         doc.fail(("controller",), "is a custom controller: a policy file can only store a published one; "
                  "learn in Python, by nermo_mjx.learn.Environment.")  # fmt: skip

@@ -288,6 +288,8 @@ class Task(Spec):
         Raises:
             ParameterError: with the field's name, its value and what is allowed.
         """
+        if setup.schedule:
+            raise ParameterError("schedule is of a walk, not of a training: vary what a policy should cope with.")
         known = task_parameters(setup)
         body = set(identified.bodies().values) if self.bodies else set()
         for section in ("set", "randomize"):
