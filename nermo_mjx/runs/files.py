@@ -142,12 +142,16 @@ def content_of(path: Path) -> bytes | None:
         raise DirectoryError(f"{path} cannot be read: {error.strerror or error}; nothing was changed.") from error
 
 
-def parquet_table(source: Path | bytes) -> pa.Table | None:
-    """The table of a Parquet file, or of its content, every page checked; None if it is absent or damaged."""
+def parquet_table(source: Path | bytes, ours: bool = True) -> pa.Table | None:
+    """The table of a Parquet file, or of its content, every page checked; None if it is absent or damaged.
+
+    Args:
+        ours: whether this package wrote it; else its columns may be of any type.
+    """
     import pyarrow as pa
 
     try:
-        with parquet_file(pa.BufferReader(source) if isinstance(source, bytes) else source) as file:
+        with parquet_file(pa.BufferReader(source) if isinstance(source, bytes) else source, ours) as file:
             return file.read()
     except (OSError, pa.ArrowException, ValueError):
         return None
@@ -158,8 +162,8 @@ _MOST_CELLS: Final = 1 << 28
 _MOST_SPREAD: Final = 100
 
 
-def parquet_file(source: Any, **options: Any) -> pq.ParquetFile:
-    """A Parquet file whose pages are checked as they are read, opened.
+def parquet_file(source: Any, ours: bool = True, **options: Any) -> pq.ParquetFile:
+    """A Parquet file whose pages are checked as they are read, opened; `ours` as for `parquet_table`.
 
     Raises:
         OSError, pyarrow.ArrowException, ValueError: it is absent or damaged, promises more than it can hold, or has
@@ -177,7 +181,7 @@ def parquet_file(source: Any, **options: Any) -> pq.ParquetFile:
         schema = file.schema_arrow
         for field in schema:
             plain = pa.types.is_primitive(field.type) or pa.types.is_string(field.type) or pa.types.is_null(field.type)
-            if not plain or schema.names.count(field.name) > 1:
+            if ours and (not plain or schema.names.count(field.name) > 1):
                 raise ValueError(f"its column {field.name!r} is of type {field.type}, or there twice")
         for each in (schema, *schema):
             for key, value in (each.metadata or {}).items():

@@ -402,7 +402,7 @@ def _read_csv(path: Path) -> RowTable:
 
 
 def _read_parquet(path: Path) -> RowTable:
-    table = parquet_table(path)
+    table = parquet_table(path, ours=False)
     if table is None:
         raise SpecError(f"{path}: cannot be read as Parquet.")
     roles = {field.name: (field.metadata or {}).get(b"role", b"").decode() for field in table.schema}
