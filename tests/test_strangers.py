@@ -354,10 +354,15 @@ def test_many_mutants_end_in_a_sentence(kinds_of_files: Any) -> None:
     assert hunted(kinds_of_files, 20_000, seed=40) == []
 
 
+def peak_memory() -> float:
+    """Of this process so far [GB]."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
+
+
 def hunted(kinds_of_files: Any, mutants: int, seed: int) -> list[str]:
     """What is wrong with how mutants were read: kind, number, and an error that is none of the package's, or the
     processor time or memory that it took."""
-    draw, wrong = random.Random(seed), list[str]()
+    draw, wrong, hunted_from = random.Random(seed), list[str](), peak_memory()
     for number in range(mutants):
         name = draw.choice([*kinds_of_files])
         path, changes, load = kinds_of_files[name]
@@ -377,14 +382,11 @@ def hunted(kinds_of_files: Any, mutants: int, seed: int) -> list[str]:
             path.write_bytes(intact)
         if (took := time.process_time() - began) > 5.0:
             wrong.append(f"{number} {name}: {took:.1f} s")
-        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6  # GB
+        peak = peak_memory()
         if peak > hunted_from + 1.0:
             wrong.append(f"{number} {name}: {peak:.1f} GB")
             break
     return wrong
-
-
-hunted_from = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
 
 
 # ---

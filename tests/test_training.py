@@ -243,7 +243,10 @@ def choosing(policy, tmp_path):
     """The choice of a directory, policies after some steps, and how often each has walked."""
     shares = {0: (0.5, 1.0), 10: (0.8, 1.0), 20: (0.8, 1.0), 30: (0.6, 1.0), 40: (0.9, 1.0), 50: (0.85, 0.85)}
     walked = []
-    after = {steps: dataclasses.replace(policy[0], about={"trained": {"steps": steps}}) for steps in shares}
+    after = {
+        steps: dataclasses.replace(policy[0], about={"trained": {"steps": steps, "training": "0a1b"}})
+        for steps in shares
+    }
 
     def walks(policy):
         walked.append(policy.about["trained"]["steps"])

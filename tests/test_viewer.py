@@ -368,7 +368,7 @@ def test_the_command_refuses_what_is_no_recording_of_this_robot(walk: Recording,
     dataclasses.replace(walk, model_hash="0123456789abcdef").save(tmp_path / "old.npz")
     dataclasses.replace(walk, metadata={"setup": {"scene": "moon"}}).save(tmp_path / "moon.npz")
     cases = [
-        ([tmp_path / "text.npz"], "text.npz: not a recording of nermo_mjx"),
+        ([tmp_path / "text.npz"], "so it is not a recording of nermo_mjx"),
         ([tmp_path / "missing.npz"], "does not exist"),
         ([path, tmp_path / "old.npz"], "old.npz: The recording was made with another version of the robot's model"),
         ([tmp_path / "moon.npz"], "scene is 'moon'"),
