@@ -121,6 +121,10 @@ def circle(ends: Ends, side: Point, has_side: Any, radius: Scalar) -> tuple[Arra
     near = jnp.minimum(ends[:2] @ ends[:2], ends[2:] @ ends[2:]) < radius * radius
     straight = ends[2:] - ends[:2]
     free = near | (radius < mjMINVAL) | (straight @ straight < mjMINVAL)
+    # Where the straight line grazes the circle the arc has no length, and MJX's derivative of it is rounding's.
+    foot = ends[:2] - (straight @ ends[:2]) / jnp.maximum(straight @ straight, mjMINVAL) * straight
+    grazes = jnp.abs(foot @ foot - radius * radius) < 1e-12 * radius * radius
+    free |= ~jnp.squeeze(jnp.asarray(has_side, bool)) & grazes
     kept, ring = _or_else(free, _ROUND, ends, radius)
     length, points = _circle(kept, side, has_side, ring)
     return jnp.where(free, -1.0, length), jnp.where(free, 0.0, points)
