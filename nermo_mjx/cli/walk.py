@@ -82,6 +82,7 @@ def plan(
     """Join and check the options; raises `WrongUse` or `ParameterError`."""
     from nermo_mjx.robot.quantity import values_of
     from nermo_mjx.rollout import Setup, all_parameters
+    from nermo_mjx.specs.walk import unread
 
     pilot = pilot or ("straight" if options["turn_rate"] is None else "open_loop")
     chosen = {name: options[name] for name in SETUP_OPTIONS if options.get(name) is not None}
@@ -94,7 +95,7 @@ def plan(
         flag = f"--{option.replace('_', '-')}"
         if name not in known:
             raise WrongUse(f"{flag} sets {name}, which is not a parameter of {setup.controller}.")
-        if setup.controller is None and needs is not None and needs[1] not in getattr(setup, needs[0]).split("+"):
+        if needs is not None and unread(setup, name):
             raise WrongUse(
                 f"{flag} has no effect with --{needs[0]} {getattr(setup, needs[0])}: add --{needs[0]} {needs[1]}."
             )

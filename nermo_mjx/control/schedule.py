@@ -7,7 +7,7 @@ parameter, p_k that after switch k, and r_k in [0, 1] how far the switch has com
     p(t) = p_0 + sum_k r_k(t) (p_k - p_{k-1}),        r_k(t) = clip((t - at_k) / (blend_k T), 0, 1),
 
 with T the period of the gait cycle. Offsets of limbs go the shorter way around the cycle. So feet and servos are
-continuous: a limb's phase is, as long as it never goes backward, which `Schedule.check` guarantees. A mode is switched
+continuous: a limb's phase is, as long as it never goes backward, which `check_schedule` guarantees. A mode is switched
 by its gain, whose value while it acts is the world's own: amplitude of the stride extension, gain of the gaze.
 """
 
@@ -115,9 +115,8 @@ class Switch:
     def written(self) -> dict[str, Any]:
         """As in a file."""
         own = {field.name: getattr(self, field.name) for field in dataclasses.fields(self) if field.name != "values"}
-        return {name: value for name, value in own.items() if value is not None} | (
-            {"set": dict(self.values)} if self.values else {}
-        )
+        own["set"] = dict(self.values) or None
+        return {name: value for name, value in own.items() if value is not None}
 
 
 def _of_switches(default: float, unit: str, low: float, high: float, doc: str) -> Any:
