@@ -238,8 +238,8 @@ class Controller:
         memory, drive = self.pilot.start(params)
         gait, path = self.gait.start(params, trajectory.wrap(jnp.asarray(phase, dtype=float)), drive)
         spine = self.spine(params, gait.phase, drive.turn_rate, path, gait.stance)
-        level = jnp.zeros_like(gait.phase)
-        vertical = self._vertical(params, gait.phase, drive.turn_rate, level, level)
+        # Neutral at first: an arched back would start with its tail in the ground.
+        vertical = None if self.sagittal is None else jnp.zeros_like(gait.phase)
         foot = path + self._compensation(params, spine, vertical, path, path)
         pace = self._pace(params, gait.phase, drive)
         head, head_angles = self.head.start(params, pace)

@@ -13,7 +13,7 @@ import numpy as np
 
 from nermo_mjx.control.head_and_tail import Head, Tail
 from nermo_mjx.robot.geometry import Geometry
-from nermo_mjx.robot.parameters import FRONT_LEG, GAIT_PATTERNS, LIMBS, REAR_LEG
+from nermo_mjx.robot.parameters import FRONT_LEG, GAIT_CODES, GAIT_PATTERNS, LIMBS, REAR_LEG
 from nermo_mjx.robot.quantity import choice, flat, group, parameter_tree, quantity
 
 # ---
@@ -320,13 +320,16 @@ SIMULATED: tuple[str, ...] = PROFILES[:2]
 def published_values(gait: str, *, steering: str | None = None, profile: str = "exact") -> dict[str, float]:
     """Named parameter values of a published gait, turning strategy and profile (one of `PROFILES`).
 
+    >>> published_values("walking_trot") == published_values("trt1")
+    True
+
     The values are keyed as `quantities(ControlParameters)` names them, for `replace_quantities`. Those of the body are
     in `body_values`. Without a turning strategy it is `steering_of` the profile.
 
     Raises:
         ParameterError: an unknown gait, steering or profile.
     """
-    pattern = GAIT_PATTERNS[choice("gait", gait, GAIT_PATTERNS)]
+    pattern = GAIT_PATTERNS[choice("gait", GAIT_CODES.get(gait, gait), GAIT_PATTERNS)]
     choice("profile", profile, PROFILES)
     steering = steering_of(profile) if steering is None else choice("steering", steering, STEERING)
     leg, spine = STEERING[steering]

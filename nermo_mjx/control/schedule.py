@@ -23,7 +23,7 @@ import numpy as np
 from nermo_mjx.control.head_and_tail import COUNTER_ROLL, COUNTER_YAW, GAZE, HEADS, SWING, TAIL_MOTIONS
 from nermo_mjx.control.parameters import GRIP, HARMONICS, STEERING, with_gait_factor
 from nermo_mjx.control.spine_modes import mode_names
-from nermo_mjx.robot.parameters import GAIT_NAMES, GAIT_PATTERNS, LIMBS
+from nermo_mjx.robot.parameters import GAIT_CODES, GAIT_PATTERNS, LIMBS
 from nermo_mjx.robot.quantity import (
     ParameterError,
     Quantity,
@@ -83,8 +83,7 @@ class Switch:
     def __post_init__(self) -> None:
         given = self.values.items() if isinstance(self.values, Mapping) else self.values
         object.__setattr__(self, "values", tuple((str(name), float(value)) for name, value in given))
-        authors = {name: short for short, name in GAIT_NAMES.items()}
-        object.__setattr__(self, "gait", authors.get(self.gait or "", self.gait))
+        object.__setattr__(self, "gait", GAIT_CODES.get(self.gait or "", self.gait))
         for field, names in (("gait", GAIT_PATTERNS), ("steering", STEERING), ("head", HEADS),
                              ("tail_motion", TAIL_MOTIONS)):  # fmt: skip
             if (name := getattr(self, field)) is not None:

@@ -29,6 +29,7 @@ import dataclasses
 import functools
 import math
 import re
+import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from importlib import resources
 from typing import Any, Final, Literal, get_args
@@ -305,7 +306,8 @@ class Words:
         """Value of a compiled expression; None if a word found nothing, or it is not a finite number."""
         names = {name: getattr(self, name) for name in dir(self) if not name.startswith("_")}
         self._missing = False
-        with np.errstate(all="ignore"):
+        # A quick run has no cases for some figures: the mean of nothing is not finite, so not measured.
+        with np.errstate(all="ignore"), warnings.catch_warnings(action="ignore", category=RuntimeWarning):
             value = eval(code, {"__builtins__": {}, **_CONSTANTS, **names})
         if self._missing or value is None:
             return None

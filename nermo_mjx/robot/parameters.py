@@ -25,6 +25,8 @@ LIMBS: Final = ("front_left", "front_right", "rear_left", "rear_right")
 GAITS: Final = ("trt", "trt1", "lat", "bound", "gallop")
 #: The field's names of the author's gaits, which are accepted in place of his, and shown.
 GAIT_NAMES: Final = {"trt": "trot", "trt1": "walking_trot", "lat": "lateral_walk"}
+#: The author's codes by those names.
+GAIT_CODES: Final = {name: code for code, name in GAIT_NAMES.items()}
 ROUTINGS: Final = ("type1", "type2", "type3", "type3_idler")
 
 

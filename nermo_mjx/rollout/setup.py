@@ -26,7 +26,7 @@ from nermo_mjx.control.pilot import Command
 from nermo_mjx.control.protocol import ActsUpon, ChecksParameters, CompletesValues, ControllerLike
 from nermo_mjx.control.schedule import MODES, MOST, Schedule, Switch, check_schedule, schedule_of
 from nermo_mjx.control.spine_modes import SAGITTAL_MODES, SpineModes, mode_names
-from nermo_mjx.robot import GAIT_NAMES, ParameterError, Robot, RobotConfig, load_robot
+from nermo_mjx.robot import GAIT_CODES, ParameterError, Robot, RobotConfig, load_robot
 from nermo_mjx.robot.equipment import check_servo, highest_kp, highest_kv
 from nermo_mjx.robot.geometry import Geometry, check_geometry, names_geometry
 from nermo_mjx.robot.masses import mass_values
@@ -260,8 +260,7 @@ class Setup:
         )  # fmt: skip
         object.__setattr__(self, "timestep", config.timestep)
         object.__setattr__(self, "scene", config.scene)
-        authors = {name: short for short, name in GAIT_NAMES.items()}
-        object.__setattr__(self, "gait", authors.get(self.gait, self.gait))
+        object.__setattr__(self, "gait", GAIT_CODES.get(self.gait, self.gait))
         published_values(self.gait, steering=self.steering, profile=self.profile)
         if isinstance(self.steering, ProfileSteering) and self._applies("steering"):
             object.__setattr__(self, "steering", steering_of(self.profile))
