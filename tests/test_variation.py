@@ -19,7 +19,7 @@ from nermo_mjx.physics.c_engine import CEngine
 from nermo_mjx.physics.mjx_engine import MjxEngine
 from nermo_mjx.physics.servo_play import PLAY_FIELDS
 from nermo_mjx.physics.variation import DERIVED_FIELDS, compile_model
-from nermo_mjx.robot import ModelParameters, ParameterError, Robot, assemble, load_robot
+from nermo_mjx.robot import ModelParameters, Robot, assemble, load_robot
 from nermo_mjx.robot.masses import is_front
 from nermo_mjx.robot.model_parameters import gravity_vector
 from nermo_mjx.robot.quantity import quantities, replace_quantities
@@ -221,12 +221,6 @@ def test_varied_and_assembled_parameters_agree(group):
     values = {name: value for name, value in OTHER.items() if name.startswith(group)}
     assembled = assemble(robot.config, replace_quantities(ModelParameters(), values)).compile()
     assert_same_model(compile_model(robot, values), assembled)
-
-
-def test_a_name_that_is_no_parameter_is_refused():
-    """One sentence names it."""
-    with pytest.raises(ParameterError, match=r"contact\.glue is not a parameter\."):
-        compile_model(load_robot(), {"contact.glue": 1.0})
 
 
 def test_c_engine_worlds_move_like_models_compiled_for_them():
