@@ -159,15 +159,6 @@ def test_the_choice_of_the_user_for_gl_is_kept(monkeypatch: pytest.MonkeyPatch) 
     offscreen.require_gl()
 
 
-def test_without_any_library_drawing_is_refused_with_the_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys, "platform", "linux")
-    for name in ("MUJOCO_GL", "DISPLAY", "WAYLAND_DISPLAY"):
-        monkeypatch.delenv(name, raising=False)
-    monkeypatch.setattr(offscreen, "_headless_backend", lambda: None)
-    with pytest.raises(offscreen.RenderingUnavailable, match="apt-get install libosmesa6"):
-        offscreen.require_gl()
-
-
 def test_commands_take_the_number_of_threads(monkeypatch: pytest.MonkeyPatch) -> None:
     """`--threads` stands beside `--engine`, and holds for the processes that a command starts, too."""
     monkeypatch.setenv(runtime.THREADS, "1")
