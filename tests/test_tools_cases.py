@@ -108,6 +108,8 @@ CONTROLLERS = {
     "text time": ("dt = 0.01", "dt = '10 ms'", "dt '10 ms': expected the seconds of a tick"),
     "class": ("parameters = Parameters()", "parameters = Parameters", "has parameters with <class.*parameter_tree"),
     "maker": ("    dt = 0.01", "    dt = 0.01\n    def __init__(self): 1 / 0", "at own.py:24: ZeroDivisionError"),
+    "arguments": ("    dt = 0.01", "    dt = 0.01\n    def __init__(self, gain): ...", "cannot be made without arg"),
+    "other state": (UPDATE, "        return (phase, phase), self.servos(params, phase)\n", "which makes a state of"),
     "import": ("import jax.numpy as jnp", "import jax.numpy as jnp; exit(3)", "imported at own.py:5: SystemExit"),
 }  # fmt: skip
 
