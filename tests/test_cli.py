@@ -280,18 +280,9 @@ def test_walk_json_is_one_object_with_the_promised_fields(tmp_path: Path) -> Non
 @pytest.mark.compiles
 def test_options_reach_the_simulation(tmp_path: Path) -> None:
     options = ("--spine", "stride_extension", "--spine-amplitude", "0.3", "--spine-phase", "0.5", "--stride", "0.8")
-    more = (
-        "--gait",
-        "lat",
-        "--offset-compensation",
-        "--turn-rate",
-        "0.4",
-        "--steering",
-        "mix",
-        "--tail",
-        "articulated",
-    )
-    report = json_of(*SHORT, *options, *more, "--profile", "as_published", "--seed", "3")
+    more = ("--gait", "lat", "--offset-compensation", "--turn-rate", "0.4", "--steering", "mix", "--physics", "fast")
+    last = ("--tail", "articulated", "--profile", "as_published", "--seed", "3")
+    report = json_of(*SHORT, *options, *more, *last)
     parameters, setup = report["parameters"], report["setup"]
     assert (parameters["spine.amplitude"], parameters["spine.phase"], parameters["stride"]) == (0.3, 0.5, 0.8)
     assert (parameters["spine.offset_compensation"], parameters["pilot.turn_rate"]) == (1.0, 0.4)
@@ -299,6 +290,7 @@ def test_options_reach_the_simulation(tmp_path: Path) -> None:
     assert parameters["tracking.foot_gain"] < 1.0
     assert parameters["start.x"] != 0.0
     assert (setup["gait"], setup["pilot"], setup["tail"]) == ("lat", "open_loop", "articulated")
+    assert (setup["physics"], setup["timestep"]) == ("fast", pytest.approx(0.01 / 3))
 
 
 def test_the_seed_decides_the_start() -> None:

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import math
 import pickle
 
 import mujoco
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
-from nermo_mjx.cli import choices, main
 from nermo_mjx.control.parameters import published_values
 from nermo_mjx.robot import LIMBS, Robot, load_robot
 from nermo_mjx.robot.equipment import TRUNK
@@ -200,14 +197,3 @@ def test_contacts_are_no_stiffer_than_the_step_allows():
     names = {physics: all_parameters(Setup(physics=physics))["contact.time_constant"] for physics in PRESETS}
     assert names["reference"].low == 0.004
     assert names["fast"].low == pytest.approx(0.02 / 3)
-
-
-@pytest.mark.compiles
-def test_the_command_line_takes_the_preset():
-    """`walk --physics fast` walks with it and reports it; the names in the help are the presets."""
-    assert set(choices.PHYSICS) == set(PRESETS)
-    words = ["walk", "--physics", "fast", "--duration", "0.2", "--engine", "c", "--json"]
-    done = CliRunner().invoke(main, words)
-    assert done.exit_code == 0, done.output
-    setup = json.loads(done.stdout)["setup"]
-    assert (setup["physics"], setup["timestep"]) == ("fast", pytest.approx(0.01 / 3))

@@ -18,6 +18,7 @@ from nermo_mjx.control import control_parameters, published_controller
 from nermo_mjx.control.path import course_through
 from nermo_mjx.control.pilot import tabulated
 from nermo_mjx.control.schedule import Switch
+from nermo_mjx.hardware import connected
 from nermo_mjx.kinematics import leg
 from nermo_mjx.learn import Environment, Modulation, Residual, Task, Term, Training
 from nermo_mjx.learn.short_horizon import ShortHorizon
@@ -301,6 +302,13 @@ REFUSED: dict[Callable[[Any], Any], list[tuple[Any, str]]] = {
                 ({"neck": {"channel": 3, "low": 100, "high": 80}}, "low must be less."),
                 ({"neck": 3}, "expected a mapping"),
             )
+        ),
+    ],
+    lambda url: connected(url).__enter__(): [
+        ("http://a", "send is 'http://a': allowed is mqtt://HOST[:PORT] or ws://HOST[:PORT]"),
+        *(
+            (url, "with a port from 1 to 65535, and USER:PASSWORD@ before HOST")
+            for url in ("mqtt://h:99999", "mqtt://h:0", "ws://h:x", "mqtt://:p@h", "mqtt://u:p#s@h", "mqtt://h/topic")
         ),
     ],
     lambda given: run_bench(*given): [

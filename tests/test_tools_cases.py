@@ -339,15 +339,6 @@ def test_a_bridge_that_goes_away_is_noticed() -> None:
         thread.join(10)
 
 
-@pytest.mark.parametrize(
-    "url", ["mqtt://h:99999", "mqtt://h:0", "ws://h:x", "mqtt://:p@h", "mqtt://u:p#s@h", "mqtt://h/topic", "ws://[::1"]
-)
-def test_an_address_that_is_none_is_refused(url: str) -> None:
-    from nermo_mjx.hardware import connected
-
-    refused(connected(url).__enter__, "with a port from 1 to 65535, and USER:PASSWORD@ before HOST")
-
-
 @pytest.mark.parametrize("scheme", ["mqtt", "ws"])
 @pytest.mark.parametrize("address", ["u:s3cret@h:99999", "u:s3cret/x@h", "u:s3#cret@h", ":s3cret@h", "u:x@s3cret@h:0",
                                      "u:s3cret@[::1", "u:s3cret@127.0.0.1:9", "s3cret@127.0.0.1:9"])  # fmt: skip
