@@ -87,7 +87,7 @@ print(Simulator(Setup(), "c").run({}, Run(duration=0.05, warmup=0.0)).status[0])
 
 def test_a_robot_walks_with_an_xla_that_knows_none_of_our_options() -> None:
     """They go with each program, and what XLA does not know is left out; as a flag it would end the process."""
-    assert run(TOMORROW) == ["{} ''", "ok"]
+    assert run(TOMORROW, XLA_FLAGS=os.environ["XLA_FLAGS"]) == ["{} ''", "ok"]
 
 
 OPTIONS = """

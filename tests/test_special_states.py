@@ -22,10 +22,9 @@ from nermo_mjx.runtime import compiler_options
 #: One of each kind; the others run with `-m long`.
 CHOSEN = (
     "ball spring, polynomial", "ball servo in the parent's frame", "limit, deeper than width, power 1.5",
-    "tendon of length zero",
     "tendon's force zero of two", "servo beyond its force, implicitfast", "muscle that lengthens, implicitfast",
     "early filter, implicitfast", "the same, implicitfast", "no springs", "spinning, off its centre, implicitfast",
-    "weld of a spinning body", "capsules parallel",
+    "weld of a spinning body",
 )  # fmt: skip
 #: C has no derivative there: three contacts turn with the tilt, however small. `approximated` says so.
 WITHOUT_DERIVATIVE = ("cylinder stands",)
