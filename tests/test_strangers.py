@@ -51,7 +51,7 @@ from nermo_mjx.runs.status import last_command
 from nermo_mjx.specs.reading import SpecError, read_file, read_mapping
 from nermo_mjx.sweep import DirectoryError, Sweep, merge_sweeps, read_table, run_sweep
 from nermo_mjx.sweep.comparing import two_tables
-from nermo_mjx.sweep.results import Results, status
+from nermo_mjx.sweep.results import RECORD, Results, SweepRecord, status
 from nermo_mjx.sweep.structures import read_row_table
 from nermo_mjx.sweep.table import meta
 from nermo_mjx.view.explore import runs_of
@@ -188,6 +188,19 @@ def test_a_file_that_is_not_that_of_the_table_is_not_run_either(directories: tup
     assert not log.exists()
     with trust.only_reading(), pytest.raises(loading.ParameterError, match="does not run"):
         own_metrics.load_metrics(str(a / "metrics.py") if own == "metrics" else "json:loads")
+
+
+RECORD_OF_THREE = {"rows": 3, "fields": {"set": {}}, "labelled": [], "parameters": {}, "comparison": None}
+WRONG = ({"rows": "3"}, {"fields": {}}, {"parameters": 1})
+
+
+@pytest.mark.parametrize(
+    "text", ["", "[]", "{", "null", '{"rows": 3}', "[" * 5000, *(json.dumps(RECORD_OF_THREE | each) for each in WRONG)]
+)
+def test_a_damaged_record_is_one_sentence(tmp_path: Path, text: str) -> None:
+    (tmp_path / RECORD).write_text(text)
+    with pytest.raises(DirectoryError, match=r"sweep.json is damaged: run nermo-mjx sweep .* again"):
+        SweepRecord.of_directory(tmp_path)
 
 
 # ---
