@@ -38,8 +38,8 @@ runtime.start_jax()  # before a test does, with too few threads for large batche
 #: Files that take 25 s or more of a core, or wait as long; a notebook finds the program of test_tune_walk.py compiled.
 FIRST = (
     "test_tune_walk.py", "test_experiments.py", "test_ray_workers.py", "test_differentiable_step.py", "test_docs.py",
-    "test_engines.py", "test_notebooks.py", "test_controller.py", "test_tune_run.py", "test_plot_command.py",
-    "test_geometry.py", "test_cli.py", "test_walk_gradient.py",
+    "test_special_states.py", "test_notebooks.py", "test_ends_of_ranges.py", "test_engines.py", "test_controller.py",
+    "test_geometry.py", "test_walk_gradient.py", "test_tune_run.py", "test_plot_command.py", "test_cli.py",
 )  # fmt: skip
 #: Memory that a process of tests needs [bytes].
 PROCESS_BYTES = 3 * 1024**3

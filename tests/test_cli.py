@@ -151,15 +151,6 @@ def test_wrong_use_is_exit_code_2_and_one_sentence(arguments: list[str], sentenc
         assert sentence in " ".join(refused(*arguments).split())
 
 
-def test_a_wrong_sweep_is_refused_with_file_line_and_nearest_name(tmp_path: Path) -> None:
-    spec = tmp_path / "wrong.yaml"
-    spec.write_text("gait: trt\nvary:\n  frequncy: [0.5]\n")
-    message = refused("sweep", spec, "--out", tmp_path / "out")
-    assert f"{spec}:3" in message
-    assert "frequency" in message
-    assert not (tmp_path / "out").exists()
-
-
 @pytest.mark.parametrize(
     "command",
     [["render", "--out", "walk.mp4"], ["view", "--no-open", "--out", "walk.html"], ["plot", "--out", "plots"],
@@ -289,18 +280,9 @@ def test_walk_json_is_one_object_with_the_promised_fields(tmp_path: Path) -> Non
 @pytest.mark.compiles
 def test_options_reach_the_simulation(tmp_path: Path) -> None:
     options = ("--spine", "stride_extension", "--spine-amplitude", "0.3", "--spine-phase", "0.5", "--stride", "0.8")
-    more = (
-        "--gait",
-        "lat",
-        "--offset-compensation",
-        "--turn-rate",
-        "0.4",
-        "--steering",
-        "mix",
-        "--tail",
-        "articulated",
-    )
-    report = json_of(*SHORT, *options, *more, "--profile", "as_published", "--seed", "3")
+    more = ("--gait", "lat", "--offset-compensation", "--turn-rate", "0.4", "--steering", "mix", "--physics", "fast")
+    last = ("--tail", "articulated", "--profile", "as_published", "--seed", "3")
+    report = json_of(*SHORT, *options, *more, *last)
     parameters, setup = report["parameters"], report["setup"]
     assert (parameters["spine.amplitude"], parameters["spine.phase"], parameters["stride"]) == (0.3, 0.5, 0.8)
     assert (parameters["spine.offset_compensation"], parameters["pilot.turn_rate"]) == (1.0, 0.4)
@@ -308,6 +290,7 @@ def test_options_reach_the_simulation(tmp_path: Path) -> None:
     assert parameters["tracking.foot_gain"] < 1.0
     assert parameters["start.x"] != 0.0
     assert (setup["gait"], setup["pilot"], setup["tail"]) == ("lat", "open_loop", "articulated")
+    assert (setup["physics"], setup["timestep"]) == ("fast", pytest.approx(0.01 / 3))
 
 
 def test_the_seed_decides_the_start() -> None:
@@ -540,27 +523,6 @@ def test_model_sums_up_masses_and_writes_one_file(tmp_path: Path) -> None:
     assert alone.nv == summary["degrees_of_freedom"]
     assert alone.body_subtreemass[0] == pytest.approx(mass["total"])
     assert "total" in call("model").stdout
-
-
-def test_a_page_of_benchmarks_that_a_user_has_written_on_is_moved_aside(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    import nermo_mjx.bench
-
-    run = {"date": "2026-01-01", "commit": "abc", "hardware": None, "cases": []}
-
-    def run_bench(*_: Any, keep: Any) -> dict[str, Any]:
-        keep(run)
-        return run
-
-    monkeypatch.setattr(nermo_mjx.bench, "run_bench", run_bench)
-    for _ in range(2):
-        assert "moved aside" not in call("bench", "--into", tmp_path).stderr
-    (tmp_path / "results.md").write_text("my remarks")
-    result = call("bench", "--into", tmp_path)
-    assert f"moved aside in {tmp_path}, to results.md.aside-1." in result.stderr
-    assert (tmp_path / "results.md.aside-1").read_text() == "my remarks"
-    assert len((tmp_path / "results.jsonl").read_text().splitlines()) == 3
 
 
 def test_bench_passes_its_options_on_and_keeps_the_run(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

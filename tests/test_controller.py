@@ -646,50 +646,7 @@ def test_the_controller_is_static_by_value():
     assert arrays != published_controller(spine="stride_extension+balance", masses=heavier)
 
 
-@pytest.mark.parametrize(
-    ("choices", "message"),
-    [
-        ({"spine": "stride_extention"}, "spine is 'stride_extention': did you mean 'stride_extension'?"),
-        ({"spine": "stride_extension+balanse"}, "did you mean 'balance'?"),
-        ({"pilot": "strait"}, "pilot is 'strait': did you mean 'straight'?"),
-        ({"trajectory": "quintic"}, "trajectory is 'quintic': .*cubic, linear, parabolic"),
-        ({"routing": "type4"}, "routing is 'type4'"),
-        ({"pilot": "external"}, "command is missing"),
-        ({"command": tabulated([0.0], 0.1, 0.0)}, "command is given"),
-        ({"spine": "balance"}, "masses is None"),
-        ({"pilot_rate": 30.0}, "pilot_rate is 30: allowed is 100 Hz divided by a whole number"),
-        ({"pilot_rate": 200.0}, "pilot_rate is 200"),
-        ({"control_rate": 0.0}, r"control_rate is 0: allowed is \(0, inf\) Hz"),
-    ],
-)
-def test_choices_that_do_not_fit_are_refused_with_a_sentence(choices, message):
-    with pytest.raises(ParameterError, match=message):
-        published_controller(**choices)
-
-
 # -- parameters ----------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("values", "message"),
-    [
-        ({"frequency": 0.0}, r"frequency is 0: allowed is \(0, 5\] Hz"),
-        ({"duty": np.array([0.5, 1.0])}, r"duty is 1: allowed is \[0.01, 1\)"),
-        ({"spine.phase": np.nan}, "spine.phase is nan"),
-        ({"frequenzy": 1.0}, "parameter is 'frequenzy': did you mean 'frequency'?"),
-        ({"gait": "canter"}, "gait is 'canter'"),
-        ({"steering": "tail"}, "steering is 'tail'"),
-        (
-            {"stance.max_stride": 0.08, "stance.front_z": -0.056},
-            r"stance.max_stride is 0.08 m: .*is \[0, 0.056\] m",
-        ),
-        ({"stride": np.array([0.5, 1.2]), "stance.front_z": -0.058}, "stride is 1.2: .*allowed is"),
-        ({"stance.rear_z": -0.072}, "stance.rear_z is -0.072 m"),
-    ],
-)
-def test_bad_parameters_are_refused_with_a_sentence(values, message):
-    with pytest.raises(ParameterError, match=message):
-        control_parameters(**values)
 
 
 def test_the_longest_stride_that_a_refusal_names_is_accepted():

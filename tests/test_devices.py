@@ -28,13 +28,6 @@ def test_one_device_divides_nothing():
     assert alone.put([np.ones((5, 2))])[0].shape == (5, 2)
 
 
-@pytest.mark.parametrize("wanted", [0, -1, 100])
-def test_a_number_of_devices_that_are_not_there_is_refused(wanted):
-    count = len(jax.local_devices())
-    with pytest.raises(ParameterError, match=rf"devices is {wanted}: allowed is 1 to {count}, as many as JAX finds"):
-        choose_devices(wanted)
-
-
 @pytest.mark.parametrize("value", ["0", "many", "1.0", "100"])
 def test_so_is_one_in_the_environment(monkeypatch, value):
     monkeypatch.setenv("NERMO_MJX_DEVICES", value)

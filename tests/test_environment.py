@@ -242,29 +242,6 @@ def test_actions_move_servo_targets_or_parameters_by_their_ranges():
     np.testing.assert_allclose(acting.cycle_rate(batch), [0.67, 1.67], rtol=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("task", "sentence"),
-    [
-        (lambda: Task(decimation=0), "decimation is 0: allowed is a whole number from 1 on."),
-        (lambda: Task(duration=-1.0), "duration is -1.0: allowed is (0, inf)."),
-        (lambda: Task(randomize={"contact.fricton": (1.0, 2.0)}), "did you mean 'contact.friction'?"),
-        (lambda: Task(randomize={"contact.friction": (0.0, 2.0)}), "allowed is [0.05, 5]"),
-        (lambda: Task(randomize={"frequency": (1.0, 1.0)}), "the low end is not below the high one"),
-        (lambda: Task(set={"frequency": 1.0}, randomize={"frequency": (0.5, 1.0)}), "leave one out"),
-        (lambda: Task(bodies=True, randomize={"servo.kp": (10.0, 20.0)}), "the identified bodies bring"),
-        (lambda: Task(observe=("gyro", "smell")), "observe has 'smell': allowed is servo_angle"),
-        (lambda: Task(rewards={"progres": 1.0}), "did you mean 'progress'?"),
-        (lambda: Task(rewards={"speed": 1.0}), "name command.speed under set or randomize"),
-        (lambda: Task(action=Modulation({"frequencies": (0.4, 1.0)})), "no parameter of the controller"),
-        (lambda: Task(action=Residual(hip=3.0)), "residual.hip is 3.0: allowed is [0, 1.6] rad."),
-    ],
-)  # fmt: skip
-def test_a_task_that_does_not_fit_is_refused_with_a_sentence(task, sentence):
-    with pytest.raises(ParameterError) as refused:
-        Environment(SETUP, worlds=1, task=task())
-    assert sentence in str(refused.value)
-
-
 @pytest.mark.compiles
 def test_a_step_refuses_actions_of_another_shape_and_states_that_are_gone(environment):
     old = environment.reset(0)
@@ -285,12 +262,6 @@ def test_headway_saturates_so_that_being_stuck_costs_more_than_haste_earns():
     )
     assert (rest, back) == (0.0, -slow)
     np.testing.assert_allclose([slow, fast], [0.76159, 0.99505], atol=1e-4)  # tanh(1) and tanh(3), from tables
-
-
-def test_terms_of_one_name_are_refused():
-    own = Term("work", "J", "another", lambda m: m.speed)
-    with pytest.raises(ParameterError, match="two terms of one name"):
-        chosen_terms({"work": 1.0, own: 1.0}, ())
 
 
 @pytest.mark.long

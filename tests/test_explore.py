@@ -13,13 +13,12 @@ import mujoco
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from click.testing import CliRunner, Result
+from command import call
 from explore_data import MEASURES, atlas, falling, many, sweep
 from scipy.spatial.transform import Rotation
 from sweep_fake import SPEC, FakeSimulator
 
 from nermo_mjx import Recording, Run, load_robot, show
-from nermo_mjx.cli import main
 from nermo_mjx.cli.walk import plan
 from nermo_mjx.cli.walk import walk_command as walk
 from nermo_mjx.runs import DirectoryError
@@ -267,13 +266,9 @@ def test_an_atlas_row_is_replayed_and_walked(tmp_path: Path) -> None:
 # --- Python, and the command
 
 
-def call(*arguments: str | Path) -> Result:
-    return CliRunner().invoke(main, ["view", *map(str, arguments)])
-
-
 def test_show_and_the_command_make_the_same_page(swept: Path, tmp_path: Path) -> None:
     out = tmp_path / "page.html"
-    result = call(swept, "--out", out, "--no-open", "--json")
+    result = call("view", swept, "--out", out, "--no-open", "--json")
     assert result.exit_code == 0, result.output
     told = json.loads(result.stdout)
     assert told == {"page": str(out), "bytes": out.stat().st_size, "rows": 36, "recordings": 2, "opened": False}
@@ -304,6 +299,6 @@ def test_wrong_use_is_said_in_a_sentence(swept: Path, dropped: Recording, tmp_pa
         ([tmp_path / "missing"], 2, "does not exist"),
     ]
     for arguments, code, sentence in cases:
-        result = call(*arguments, "--no-open")
+        result = call("view", *arguments, "--no-open")
         assert result.exit_code == code, (arguments, result.output)
         assert sentence in result.stderr, (sentence, result.stderr)

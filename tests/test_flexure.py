@@ -13,7 +13,7 @@ from nermo_mjx.dynamics.mjx_import import mjx
 from nermo_mjx.kinematics.leg import forward, four_legs
 from nermo_mjx.physics import step
 from nermo_mjx.physics.variation import compile_model
-from nermo_mjx.robot import LIMBS, ParameterError, RobotConfig, assemble_leg, assemble_spine, load_robot
+from nermo_mjx.robot import LIMBS, assemble_leg, assemble_spine, load_robot
 from nermo_mjx.robot.equipment import MOST_HINGES, chain_of
 from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.parameters import SPINE
@@ -166,16 +166,6 @@ def test_mjx_steps_a_chain_as_c_does():
             state = advance(device, state)
             mujoco.mj_step(model, data)
     np.testing.assert_allclose(np.asarray(state.qpos), data.qpos, atol=1e-7)
-
-
-@pytest.mark.parametrize("hinges", [0, MOST_HINGES + 1, 2.0, True, "3"])
-def test_a_number_of_hinges_that_cannot_be_is_refused(hinges):
-    """In one sentence, before anything is assembled."""
-    wanted = rf"hinges is {hinges!r}: allowed is a whole number from 1 to 6\."
-    with pytest.raises(ParameterError, match=wanted):
-        RobotConfig(hinges=hinges)
-    with pytest.raises(ParameterError, match=wanted):
-        Setup(hinges=hinges)
 
 
 def test_hinges_are_part_of_a_setup():

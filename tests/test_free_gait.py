@@ -25,8 +25,6 @@ from nermo_mjx.robot import SERVOS
 from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.parameters import servo_range
 from nermo_mjx.robot.quantity import ParameterError, quantities, replace_quantities
-from nermo_mjx.specs.reading import SpecError
-from nermo_mjx.sweep import Sweep
 
 #: The published robot.
 ROBOT = Geometry()
@@ -240,31 +238,6 @@ def test_a_pattern_stands_for_all_names_that_it_matches() -> None:
     assert Search.from_dict(search.resolved()).digest() == search.digest()
     many = "tune:\n  foot.*_*.*: {bounds: [-0.003, 0.003]}\nobjective: [{maximize: speed}]\n"
     assert len(Tuning.from_text(STANDS + many).names) == 64
-
-
-@pytest.mark.parametrize(
-    ("section", "line", "sentence"),
-    [
-        ("vary: {foot.middle.*: [0.0, 0.001]}", 3, "field 'foot.middle.*' matches no parameter"),
-        ("vary:\n  foot.front.*: [0.001]\n  foot.*.y1: [0.0]", 5, "and 'foot.front.*' both match foot.front.y1"),
-        ("vary:\n  foot.front.y1: [0.001]\n  limb.lift.*: [0.01, 0.5]", 5, "'limb.lift.front' is 0.5: allowed is"),
-        ("set: {spine.amplitude: 0.1}\nvary: {spine.amplitude: [0.0]}", 4, "also fixed under 'set'"),
-    ],
-)
-def test_wrong_patterns_are_refused_at_their_line(tmp_path: Path, section: str, line: int, sentence: str) -> None:
-    path = tmp_path / "sweep.yaml"
-    path.write_text(f"{STANDS}{section}\n")
-    with pytest.raises(SpecError) as caught:
-        Sweep.from_file(path)
-    assert str(caught.value).startswith(f"{path}:{line}: ")
-    assert sentence in str(caught.value)
-
-
-def test_numbers_that_nothing_reads_are_refused() -> None:
-    with pytest.raises(SpecError, match=r"'foot\.front\.y1' has no effect: it is read only with trajectory: free"):
-        Sweep.from_text("vary: {foot.front.y1: [0.0, 0.001]}")
-    with pytest.raises(SpecError, match=r"harmonics\.cos1' has no effect: it is read only with spine: harmonics"):
-        Sweep.from_text("vary: {spine.harmonics.cos1: [0.0, 0.1]}")
 
 
 def test_patterns_on_the_command_line(tmp_path: Path) -> None:

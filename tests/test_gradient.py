@@ -11,7 +11,7 @@ import pytest
 from nermo_mjx.control.parameters import ControlParameters
 from nermo_mjx.dynamics.checkpointing import checkpointed_scan
 from nermo_mjx.dynamics.mass_constants import MassConstants
-from nermo_mjx.robot import ParameterError, load_robot
+from nermo_mjx.robot import load_robot
 from nermo_mjx.rollout import Run, Setup
 from nermo_mjx.rollout.differentiable import MOST_FORWARD, Rollout, choose_mode, value_and_gradient
 
@@ -113,27 +113,3 @@ def test_default_parameters_in_float64_leave_none_of_it_behind():
     with jax.enable_x64(True):
         assert jax.jit(scaled)(jnp.ones(())).dtype == np.float64
     assert jax.jit(lambda x: scaled(x))(jnp.ones(())).dtype == np.float32
-
-
-@pytest.mark.parametrize(
-    ("run", "message"),
-    [
-        (Run(cycles=4, distance=1.0), "run.distance is given"),
-        (Run(cycles=np.array([4.0, 5.0])), "one length for each world"),
-    ],
-)
-def test_runs_without_a_fixed_length_are_refused(run, message):
-    with pytest.raises(ParameterError, match=message):
-        Rollout(Setup(), run)
-
-
-def test_wrong_values_are_refused_before_anything_is_traced():
-    rollout = Rollout(Setup(), ONE_CYCLE)
-    with pytest.raises(ParameterError, match=r"spine\.amplitud"):
-        rollout({"spine.amplitud": 0.2})
-    with pytest.raises(ParameterError, match=r"frequency is -1: allowed is"):
-        rollout({"frequency": -1.0})
-    with pytest.raises(ParameterError, match=r"stride has shape \(2,\).*jax.vmap"):
-        rollout({"stride": np.array([0.5, 1.0])})
-    with pytest.raises(ParameterError, match=r"frequency is traced.*slowest"):
-        jax.eval_shape(lambda f: rollout({"frequency": f}), jnp.asarray(0.8))

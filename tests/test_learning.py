@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from learn_toy import PointMass
 
-from nermo_mjx import ParameterError
 from nermo_mjx.learn.experience import RESET, Experience, Scores, Statistics, advantages, finite_backwards, scanned
 from nermo_mjx.learn.ppo import PPO
 from nermo_mjx.learn.short_horizon import ShortHorizon
@@ -172,8 +171,3 @@ def test_a_world_without_a_finite_derivative_spoils_no_other():
 
     slope = jax.grad(blown)(jnp.array([0.0, 1.0, 4.0]))
     assert slope.tolist() == [0.0, 0.5, 0.25]
-
-
-def test_gradients_need_an_environment_that_can_be_traced():
-    with pytest.raises(ParameterError, match=r"engine has no derivative: .* needs the engine mjx"):
-        ShortHorizon().iteration(PointMass(4, pure=False))

@@ -22,7 +22,6 @@ from nermo_mjx.kinematics.leg import arm_range
 from nermo_mjx.robot import geometry as geometry_module
 from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.parameters import FRONT_LEG, IDLER_RADIUS, REAR_LEG, ROUTINGS, LegGeometry
-from nermo_mjx.robot.quantity import ParameterError
 
 #: The published robot.
 ROBOT = Geometry()
@@ -295,13 +294,6 @@ def test_legs_and_batches_broadcast():
         np.testing.assert_allclose(together.servo[:, limb], alone.servo, atol=1e-6)
     np.testing.assert_allclose(together.servo, mapped.servo, atol=1e-6)
     assert jax.eval_shape(functools.partial(kin.jacobian, routing="type2"), legs, feet).shape == (5, 4, 2, 2)
-
-
-@pytest.mark.parametrize("function", [kin.forward, kin.inverse])
-def test_unknown_routing_is_refused_in_words(function):
-    """A routing that does not exist raises ParameterError, which names those that do."""
-    with pytest.raises(ParameterError, match=r"type4.*type1, type2, type3"):
-        function(kin.leg_of(FRONT_LEG), np.zeros(2), "type4")
 
 
 @jax.jit

@@ -63,10 +63,6 @@ def test_the_rigid_tail_is_given_what_is_missing() -> None:
     table = servo_table(channels="published")
     assert table.names[8] == "tail"
     np.testing.assert_array_equal(table.given[:, [8, 10]], 0.0)
-    with pytest.raises(ParameterError, match="tail is no servo of the robot with tail 'rigid'"):
-        servo_table(channels={"spine": {"channel": 0}, "tail": {"channel": 1}})
-    with pytest.raises(ParameterError, match="field 'whole_degrees' is 'floored': allowed is rounded or truncated"):
-        servo_table(channels={"whole_degrees": "floored", "spine": {"channel": 0}})
 
 
 class Clock:
@@ -193,14 +189,11 @@ def test_nobody_there_is_a_sentence(url: str, sentence: str) -> None:
         pass
 
 
-def test_other_addresses_and_missing_packages_are_refused(monkeypatch) -> None:
+def test_a_missing_package_is_named(monkeypatch) -> None:
     monkeypatch.setitem(sys.modules, "paho.mqtt.client", None)
-    for url, sentence in (
-        ("http://a", r"send is 'http://a': allowed is mqtt://HOST\[:PORT\] or ws://HOST\[:PORT\]"),
-        ("mqtt://127.0.0.1", "send needs paho: install nermo-mjx with its extra mqtt"),
-    ):
-        with pytest.raises(ParameterError, match=sentence), connected(url):
-            pass
+    sentence = "send needs paho: install nermo-mjx with its extra mqtt"
+    with pytest.raises(ParameterError, match=sentence), connected("mqtt://127.0.0.1"):
+        pass
 
 
 def test_the_command_sends_and_says_how_it_went(broker) -> None:

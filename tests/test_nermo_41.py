@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from nermo_mjx import ParameterError, Run, Setup, Simulator, load_robot
+from nermo_mjx import Run, Setup, Simulator, load_robot
 from nermo_mjx.control.parameters import ControlParameters
 from nermo_mjx.control.spine_modes import SagittalModes
 from nermo_mjx.kinematics import body, spine
@@ -176,12 +176,6 @@ def test_the_sagittal_extension_flexes_at_touch_down_and_steering_leaves_less_of
     assert angle(0.5) == pytest.approx(0.3)
     assert angle(0.5, 0.5) == pytest.approx(0.15)
     assert angle(0.5, -1.0) == pytest.approx(0.0, abs=1e-6)
-
-
-def test_modes_of_the_vertical_servo_need_its_joints():
-    """One sentence, before anything is built."""
-    with pytest.raises(ParameterError, match="which robot 'nermo_lite' does not have; it goes with robot 'nermo_41'"):
-        Setup(spine="stride_extension+pitch_balance")
 
 
 @pytest.mark.parametrize(("mode", "least", "most"), [("none", 0.0, 0.04), ("sagittal_extension", 0.08, 0.13)])

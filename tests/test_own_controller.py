@@ -143,24 +143,6 @@ def test_the_controller_sees_each_tick_once_and_keeps_its_whole_numbers() -> Non
     assert (ticks.tolist(), ticks.dtype.kind) == ([7], "i")
 
 
-@pytest.mark.parametrize(
-    ("controller", "message"),
-    [
-        (
-            Still(update=lambda params, *_: ((), Still().initial_servo(params, 0))),
-            r"update \(.*, which makes a state of",
-        ),
-        (
-            Still(initial_servo=lambda params, phase: jnp.zeros(8)),
-            "initial_servo .*, which gives .*expected ServoAngles",
-        ),
-    ],
-)
-def test_functions_that_do_not_fit_together_are_refused(controller: Any, message: str) -> None:
-    with pytest.raises(ParameterError, match=message):
-        check_controller(Setup().load(), controller)
-
-
 # --- what a setup takes
 
 
@@ -192,17 +174,6 @@ class Nested:
 def test_a_setup_refuses_what_does_not_fit(choices: dict[str, Any], message: str) -> None:
     with pytest.raises(ParameterError, match=message):
         Setup(**choices)
-
-
-def test_a_file_that_fails_says_why(tmp_path: Path) -> None:
-    (tmp_path / "broken.py").write_text("import nothing_of_the_kind")
-    with pytest.raises(
-        ParameterError, match=r"cannot be imported at broken.py:1: ModuleNotFoundError: No module named 'nothing_of"
-    ):
-        load_controller(f"{tmp_path / 'broken.py'}:Bound")
-    (tmp_path / "eager.py").write_text("class Bound:\n    def __init__(self, gain): ...")
-    with pytest.raises(ParameterError, match="cannot be made without arguments"):
-        load_controller(f"{tmp_path / 'eager.py'}:Bound")
 
 
 def test_no_robot_is_built_to_check_a_setup(monkeypatch: pytest.MonkeyPatch) -> None:

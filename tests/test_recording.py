@@ -73,25 +73,14 @@ def test_another_layout_is_refused_with_its_number(tmp_path: Path, monkeypatch: 
         Recording.load(path)
 
 
-@pytest.mark.parametrize("content", [b"", b"hello", b"PK\x03\x04 a broken archive"])
-def test_another_file_is_refused(tmp_path: Path, content: bytes) -> None:
-    path = tmp_path / "walk.npz"
-    path.write_bytes(content)
-    with pytest.raises(RecordingError, match="not a recording of nermo_mjx"):
-        Recording.load(path)
-
-
-def test_a_cut_file_another_array_and_a_missing_file_are_refused(tmp_path: Path) -> None:
+def test_another_file_a_cut_one_and_a_missing_one_are_refused(tmp_path: Path) -> None:
     path = some_recording().save(tmp_path / "walk.npz")
-    path.write_bytes(path.read_bytes()[:-300])
-    with pytest.raises(RecordingError, match="not a recording"):
-        Recording.load(path)
+    whole = path.read_bytes()
     np.savez(tmp_path / "other.npz", a=np.zeros(3))
-    with pytest.raises(RecordingError, match="not a recording"):
-        Recording.load(tmp_path / "other.npz")
-    np.save(tmp_path / "plain.npy", np.zeros(3))
-    with pytest.raises(RecordingError, match="not a recording"):
-        Recording.load(tmp_path / "plain.npy")
+    for content in (b"", b"hello", whole[:-300], (tmp_path / "other.npz").read_bytes()):
+        path.write_bytes(content)
+        with pytest.raises(RecordingError, match="not a recording of nermo_mjx"):
+            Recording.load(path)
     with pytest.raises(RecordingError, match="no such file"):
         Recording.load(tmp_path / "missing.npz")
 

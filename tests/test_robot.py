@@ -491,30 +491,6 @@ def test_exported_xml_is_self_contained_and_the_same_model(tail):
     np.testing.assert_allclose(simulate(copy, ctrl), simulate(robot.model, ctrl), atol=1e-3)
 
 
-@pytest.mark.parametrize(
-    ("choice", "sentence"),
-    [
-        ({"robot": "mickey"}, "robot is 'mickey': allowed is 'nermo_lite' or 'nermo_41'."),
-        ({"tail": "short"}, "tail is 'short': allowed is 'rigid' or 'articulated'."),
-        ({"routing": "type4"}, "routing is 'type4': allowed is 'type1' or 'type2' or 'type3' or 'type3_idler'."),
-        ({"cone": "round"}, "cone is 'round': allowed is 'elliptic' or 'pyramidal'."),
-        ({"timestep": 0.1}, "timestep is 0.1: allowed is [1e-05, 0.004] s."),
-        ({"timestep": float("nan")}, "timestep is nan: allowed is [1e-05, 0.004] s."),
-    ],
-)
-def test_a_bad_name_gives_one_sentence(choice, sentence):
-    """What is wrong, and what is allowed, before anything compiles."""
-    with pytest.raises(ParameterError) as error:
-        RobotConfig(**choice)
-    assert str(error.value) == sentence
-
-
-def test_an_unknown_scene_is_named():
-    """The allowed scenes are the files of `mjcf/scenes`."""
-    with pytest.raises(ParameterError, match=r"scene is 'moon': allowed is .*'flat'.*\.$"):
-        load_robot(scene="moon")
-
-
 @pytest.mark.parametrize("tail", TAILS)
 def test_sensors_are_read_by_meaning(tail):
     """Every reading of `Sensors` is that of the MuJoCo sensors with its name, with and without a batch."""

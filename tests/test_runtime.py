@@ -87,7 +87,7 @@ print(Simulator(Setup(), "c").run({}, Run(duration=0.05, warmup=0.0)).status[0])
 
 def test_a_robot_walks_with_an_xla_that_knows_none_of_our_options() -> None:
     """They go with each program, and what XLA does not know is left out; as a flag it would end the process."""
-    assert run(TOMORROW) == ["{} ''", "ok"]
+    assert run(TOMORROW, XLA_FLAGS=os.environ["XLA_FLAGS"]) == ["{} ''", "ok"]
 
 
 OPTIONS = """
@@ -157,15 +157,6 @@ def test_the_choice_of_the_user_for_gl_is_kept(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setenv("MUJOCO_GL", "glfw")
     monkeypatch.setattr(offscreen, "_headless_backend", lambda: pytest.fail("looked for a library"))
     offscreen.require_gl()
-
-
-def test_without_any_library_drawing_is_refused_with_the_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys, "platform", "linux")
-    for name in ("MUJOCO_GL", "DISPLAY", "WAYLAND_DISPLAY"):
-        monkeypatch.delenv(name, raising=False)
-    monkeypatch.setattr(offscreen, "_headless_backend", lambda: None)
-    with pytest.raises(offscreen.RenderingUnavailable, match="apt-get install libosmesa6"):
-        offscreen.require_gl()
 
 
 def test_commands_take_the_number_of_threads(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -12,13 +11,10 @@ import numpy as np
 import pytest
 
 from nermo_mjx.control.schedule import Switch, scheduled
-from nermo_mjx.learn import Training
-from nermo_mjx.robot import ParameterError
 from nermo_mjx.robot.parameters import FRONT_LEG, REAR_LEG
 from nermo_mjx.rollout import Run, Setup, Simulator
 from nermo_mjx.rollout.differentiable import Rollout
 from nermo_mjx.runtime import compiler_options
-from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.sweep import Sweep
 
 pytestmark = pytest.mark.compiles
@@ -155,36 +151,6 @@ def test_engines_agree_and_the_gradient_through_a_switch_is_that_of_differences(
     np.testing.assert_allclose(slope, difference, rtol=1e-3)
 
 
-@pytest.mark.parametrize(("switches", "sentence"), [
-    ([{"gait": "tro"}], "gait is 'tro': did you mean 'trt'?"),
-    ([{}], "switch changes nothing"),
-    ([{"values": {"freq": 1.0}}], "schedule.1 is refused: parameter is 'freq': did you mean 'frequency'?"),
-    ([{"values": {"mass.front": 0.2}}], "schedule.1 is refused: parameter is 'mass.front'"),
-    ([{"values": {"frequency": 9.0}}], "schedule.1 is refused: frequency is 9: allowed is (0, 5] Hz"),
-    ([{"gait": "lat", "blend": 0.1}], "schedule.blend.1 is 0.1: allowed is more than 0.32 cycles"),
-    ([{"gait": "lat"}, {"at": 2.1, "gait": "trt"}], "schedule.at.2 is 2.1: allowed is at least 3.49"),
-    ([{"gait": "lat"}] * 9, "schedule has 9 switches: allowed are 8"),
-    ([{"spine": "pitch_balance"}], "it goes with robot 'nermo_41'"),
-    ([{"tail_motion": "swing"}], "tail_motion is 'swing' and tail 'rigid'"),
-])  # fmt: skip
-def test_what_cannot_be_switched_is_refused(switches, sentence):
-    def setup():
-        made = Setup(schedule=tuple(Switch(**{"at": AT, **switch}) for switch in switches))
-        made.check(made.world({}))
-
-    with pytest.raises(ParameterError) as error:
-        setup()
-    assert sentence in str(error.value)
-
-
-def test_a_training_takes_no_schedule(tmp_path):
-    path = tmp_path / "train.yaml"
-    file = Path(__file__).parents[1] / "sweeps" / "train_residual.yaml"
-    path.write_text(file.read_text() + "schedule: [{at: 1.5, gait: lateral_walk}]\n")
-    with pytest.raises(SpecError, match="field 'schedule' is of a walk, not of a training"):
-        Training.from_file(path)
-
-
 FILE = """run: {duration: 8.0}
 schedule:
   - {at: 1.5, gait: lateral_walk, spine: stride_extension}
@@ -205,19 +171,3 @@ def test_a_sweep_varies_when_a_switch_begins(tmp_path):
         {"at": 1.5, "blend": 1.0, "gait": "lat", "spine": "stride_extension"},
         {"at": 4.0, "blend": 2.0, "set": {"stride": 0.8}},
     ]
-
-
-@pytest.mark.parametrize(("old", "new", "sentence"), [
-    ("gait: lateral_walk", "gait: laterl_walk", ":3: field 'schedule.0.gait' is 'laterl_walk'"),
-    ("{stride: 0.8}", "{strid: 0.8}", ":4: field 'schedule.1' is refused: parameter is 'strid'"),
-    ("at: 4.0", "at: soon", ":4: field 'schedule.1.at' is the text 'soon': expected a number"),
-    ("at: 1.5, ", "", ":3: field 'schedule.0' has no 'at'"),
-    ("[1.2, 1.6]", "[1.2, 3.9]", ":6: field 'schedule.at.1'"),
-    ("schedule.at.1", "schedule.at.3", ":6: "),
-])  # fmt: skip
-def test_a_wrong_switch_of_a_file_is_refused_with_its_line(tmp_path, old, new, sentence):
-    path = tmp_path / "switch.yaml"
-    path.write_text(FILE.replace(old, new))
-    with pytest.raises(SpecError) as error:
-        Sweep.from_file(path)
-    assert sentence in str(error.value)

@@ -22,10 +22,9 @@ from nermo_mjx.runtime import compiler_options
 #: One of each kind; the others run with `-m long`.
 CHOSEN = (
     "ball spring, polynomial", "ball servo in the parent's frame", "limit, deeper than width, power 1.5",
-    "tendon of length zero",
     "tendon's force zero of two", "servo beyond its force, implicitfast", "muscle that lengthens, implicitfast",
     "early filter, implicitfast", "the same, implicitfast", "no springs", "spinning, off its centre, implicitfast",
-    "weld of a spinning body", "capsules parallel",
+    "weld of a spinning body",
 )  # fmt: skip
 #: C has no derivative there: three contacts turn with the tilt, however small. `approximated` says so.
 WITHOUT_DERIVATIVE = ("cylinder stands",)
@@ -207,11 +206,12 @@ def test_a_singular_input_has_a_finite_derivative(name: str) -> None:
     """In both modes, which agree; and that of a rotation at the identity is the identity, not zero."""
     function, points = SINGULAR[name]
     with jax.enable_x64(True):
-        traced = with_point_jacobians(lambda x: function(x))
+        all_of = jax.jit(
+            with_point_jacobians(lambda x: (function(x), jax.jacfwd(function)(x), jax.jacrev(function)(x)))
+        )
         for point in points:
-            at = jnp.asarray(point, float)
-            ahead, back = with_point_jacobians(jax.jacfwd(traced))(at), with_point_jacobians(jax.jacrev(traced))(at)
-            assert np.isfinite(traced(at)).all(), point
+            value, ahead, back = all_of(jnp.asarray(point, float))
+            assert np.isfinite(value).all(), point
             assert np.isfinite(ahead).all(), point
             np.testing.assert_allclose(back, ahead, rtol=1e-9, atol=1e-12, err_msg=str(point))
             if name in ("rotation vector", "tendon's segment") and point[:3] in ([1, 0, 0], [0, 0, 0]):

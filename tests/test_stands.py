@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from nermo_mjx.kinematics import leg, spine
-from nermo_mjx.robot import LIMBS, ParameterError, assemble_leg, assemble_spine
+from nermo_mjx.robot import LIMBS, assemble_leg, assemble_spine
 from nermo_mjx.robot.equipment import KNEE_REST
 from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.parameters import FRONT_LEG, REAR_LEG, ROUTINGS, SPINE
@@ -156,12 +156,6 @@ def test_right_legs_do_what_left_legs_do(pair):
     for point in ("foot", "attachment", "rim"):
         there = right.site(f"{pair}_right_{point}").xpos * (-1, 1, 1)
         np.testing.assert_allclose(there, left.site(f"{pair}_left_{point}").xpos, atol=1e-12)
-
-
-def test_an_unknown_limb_is_named():
-    """A stand for a limb that does not exist gives one sentence."""
-    with pytest.raises(ParameterError, match=r"limb is 'tail': allowed is one of front_left, .*\.$"):
-        assemble_leg("tail")
 
 
 #: Spine servo angles that give each joint up to 0.1 rad, both sides.

@@ -17,7 +17,15 @@ MODELS = dict(step_models.installed_models())
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["mjx/actuator/arm21", "mjx/tendon/armature", "mjx/quadratic_frictionloss"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "mjx/actuator/arm21",
+        # test_special_states.py has tendons with armature, test_differentiable_step.py contacts and dry friction.
+        pytest.param("mjx/tendon/armature", marks=pytest.mark.long),
+        pytest.param("mjx/quadratic_frictionloss", marks=pytest.mark.long),
+    ],
+)
 def test_the_gradient_is_that_of_the_differences(name: str) -> None:
     """An arm, a tendon with armature, and a body that slides with contacts and dry friction; states agree with C."""
     found = step_matrix.measure(MODELS[name], "gradient", {})

@@ -9,6 +9,7 @@ import os
 import random
 import re
 import resource
+import shutil
 import time
 import traceback
 import zipfile
@@ -48,10 +49,11 @@ from nermo_mjx.runs.directory import codes_of, read_record
 from nermo_mjx.runs.files import parquet_table
 from nermo_mjx.runs.status import last_command
 from nermo_mjx.specs.reading import SpecError, read_file, read_mapping
-from nermo_mjx.sweep import Sweep, read_table, run_sweep
+from nermo_mjx.sweep import DirectoryError, Sweep, merge_sweeps, read_table, run_sweep
 from nermo_mjx.sweep.comparing import two_tables
-from nermo_mjx.sweep.results import Results, status
+from nermo_mjx.sweep.results import RECORD, Results, SweepRecord, status
 from nermo_mjx.sweep.structures import read_row_table
+from nermo_mjx.sweep.table import meta
 from nermo_mjx.view.explore import runs_of
 from nermo_mjx.view.recorded import robot_of
 
@@ -112,6 +114,93 @@ def test_no_command_that_reads_runs_the_code_of_a_directory(kind: str, own: str,
         assert result.exception is None or isinstance(result.exception, SystemExit), (words, result.exception)
         assert not canary.exists(), f"{words[0]} ran it"
         assert result.exit_code == 0 or result.stderr.count("\n") == 1, result.stderr
+
+
+class Measuring(FakeSimulator):
+    """With what the stranger's metric gives."""
+
+    def run(self, values: Any, run: Any, **how: Any) -> Any:
+        result = super().run(values, run, **how)
+        result.metrics |= {"yaw_shake": result.metrics["speed"] * 2}
+        return result
+
+
+@pytest.fixture(params=["metrics", "controller"])
+def directories(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[str, Path, Path, Path]:
+    """What is own, two directories that were moved here, and the file that their code writes when it is run."""
+    log, made = tmp_path / "log", tmp_path / "made"
+    own = {request.param: {"metrics": "own.py", "controller": "own.py:stiff"}[request.param]}
+    made.mkdir()
+    (made / "own.py").write_text(CANARY.format(log=str(log)))
+    vary = {"frequency": {"linspace": [0.5, 1.0, 80]}, "stride": [0.5, 0.7]}
+    for name, gait in (("a", "trt"), ("b", "lat")):
+        spec = own | {"gait": gait, "plots": False, "vary": vary, "compare": {"by": "stride"}}
+        (made / f"{name}.yaml").write_text(json.dumps(spec))
+        run_sweep(made / f"{name}.yaml", made / name, simulator=Measuring())
+    run_sweep(made / "a.yaml", made / "half", chunk=40, shard=(0, 2), simulator=Measuring())
+    for name in ("a", "b", "half"):
+        shutil.move(made / name, tmp_path / name)
+    assert log.read_text().startswith("run")
+    log.unlink()
+    loading._imported.cache_clear()
+    return request.param, tmp_path / "a", tmp_path / "b", log
+
+
+def test_no_code_of_a_directory_is_run(directories: tuple[str, Path, Path, Path]) -> None:
+    """Yet units, sides, meanings, the section `compare`, and how many runs there will be are known."""
+    own, a, b, log = directories
+    half = a.with_name("half")
+    for words in (
+        ("status", a), ("plot", a, "--format", "png"), ("plot", half, "--format", "png"),
+        ("compare", a, "--by", "stride"),
+    ):  # fmt: skip
+        result = call(*words)
+        assert result.exit_code == 0, result.stderr
+    assert "sample is grid, whose variants are not drawn" in call("sensitivity", a).stderr
+    assert "80 of 160 runs, not complete" in call("status", half).stdout
+    assert "gait: trt and lat" in call("compare", a, b).stdout
+    assert (a / "plots" / "differences.png").exists()
+    merged = call("merge", a, half, "--out", a.with_name("both"))
+    if own == "controller":
+        assert merged.exit_code == 1
+        assert "field 'controller' is " in merged.stderr
+        assert "it is code, which a command that only reads does not run" in merged.stderr
+        assert merged.stderr.count("\n") == 1
+    else:
+        assert merged.exit_code == 0, merged.stderr
+        table = read_table(a.with_name("both"))
+        assert table.num_rows == 160
+        assert meta(table.schema.field("yaw_shake")) == meta(read_table(a).schema.field("yaw_shake"))
+    assert not log.exists(), "it was run"
+    if own == "metrics":  # the merged directory has the code, which `sweep` then runs: nothing is simulated again
+        both, simulator = a.with_name("both"), Measuring()
+        assert run_sweep(both / "sweep.yaml", both, simulator=simulator).complete
+        assert simulator.batches == []
+        assert log.exists()
+
+
+def test_a_file_that_is_not_that_of_the_table_is_not_run_either(directories: tuple[str, Path, Path, Path]) -> None:
+    own, a, b, log = directories
+    (a / f"{own}.py").write_text((a / f"{own}.py").read_text() + "\n")
+    with pytest.raises(DirectoryError, match=r"it is code, which a command that only reads does not run\."):
+        merge_sweeps([a, b], a.with_name("both"))
+    assert call("status", a).exit_code == 0
+    assert not log.exists()
+    with trust.only_reading(), pytest.raises(loading.ParameterError, match="does not run"):
+        own_metrics.load_metrics(str(a / "metrics.py") if own == "metrics" else "json:loads")
+
+
+RECORD_OF_THREE = {"rows": 3, "fields": {"set": {}}, "labelled": [], "parameters": {}, "comparison": None}
+WRONG = ({"rows": "3"}, {"fields": {}}, {"parameters": 1})
+
+
+@pytest.mark.parametrize(
+    "text", ["", "[]", "{", "null", '{"rows": 3}', "[" * 5000, *(json.dumps(RECORD_OF_THREE | each) for each in WRONG)]
+)
+def test_a_damaged_record_is_one_sentence(tmp_path: Path, text: str) -> None:
+    (tmp_path / RECORD).write_text(text)
+    with pytest.raises(DirectoryError, match=r"sweep.json is damaged: run nermo-mjx sweep .* again"):
+        SweepRecord.of_directory(tmp_path)
 
 
 # ---
@@ -318,15 +407,6 @@ def kinds_of_files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[
                          lambda: read_file(top / "t.yaml")),
     }  # fmt: skip
     return found
-
-
-class Measuring(FakeSimulator):
-    """With what the stranger's metric gives."""
-
-    def run(self, values: Any, run: Any, **how: Any) -> Any:
-        result = super().run(values, run, **how)
-        result.metrics |= {"yaw_shake": result.metrics["speed"] * 2}
-        return result
 
 
 def _file(path: Path, data: Any) -> Path:

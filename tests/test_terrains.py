@@ -7,14 +7,14 @@ import mujoco
 import numpy as np
 import pytest
 
-from nermo_mjx import ParameterError, Rollout, Run, Setup
+from nermo_mjx import Setup
 from nermo_mjx.learn import Environment, Task
 from nermo_mjx.physics.variation import Variation, compile_model, vary
 from nermo_mjx.robot import ModelParameters, load_robot
 from nermo_mjx.robot.quantity import replace_quantities
 from nermo_mjx.robot.terrains import BEGIN, TERRAINS, TerrainShape, gates
 from nermo_mjx.specs.walk import unread
-from nermo_mjx.sweep import SpecError, Sweep
+from nermo_mjx.sweep import Sweep
 
 #: What carries the robot.
 GROUNDS = [name for name, kind in TERRAINS.items() if not kind.obstacle]
@@ -131,20 +131,11 @@ def test_an_environment_draws_a_ground_for_each_episode():
     assert (np.abs(first - second).max(axis=1) > 0.05).all()
 
 
-def test_a_shape_where_there_is_none_is_refused():
+def test_a_scene_reads_its_own_shape_only():
     assert unread(Setup(), "terrain.height") == ("scene", "planks")
     assert unread(Setup(scene="logs"), "terrain.height") is None
-    with pytest.raises(ParameterError, match="which the scene 'flat' has not"):
-        Environment(worlds=1, task=Task(set={"terrain.height": 0.01}))
-    sentence = "terrain.slope has no effect: it is read only with scene ramp, and the scene is 'flat'."
-    for run in (Setup().world, lambda values: Rollout(Setup(), Run(duration=0.1))(values)):
-        with pytest.raises(ParameterError) as refused:
-            run({"terrain.slope": 0.2})
-        assert str(refused.value) == sentence
     # All parameters at once, as a table or `defaults` gives them.
     assert Setup().world(Setup().defaults() | {"frequency": 0.8}).control.gait.frequency == 0.8
-    with pytest.raises(SpecError, match=r"terrain.height.* has no effect: it is read only with scene: planks"):
-        Sweep.from_dict({"set": {"terrain.height": 0.02}, "vary": {"frequency": [0.6, 0.8]}})
 
 
 def test_a_fixed_shape_goes_to_the_scenes_that_read_it():

@@ -108,6 +108,8 @@ CONTROLLERS = {
     "text time": ("dt = 0.01", "dt = '10 ms'", "dt '10 ms': expected the seconds of a tick"),
     "class": ("parameters = Parameters()", "parameters = Parameters", "has parameters with <class.*parameter_tree"),
     "maker": ("    dt = 0.01", "    dt = 0.01\n    def __init__(self): 1 / 0", "at own.py:24: ZeroDivisionError"),
+    "arguments": ("    dt = 0.01", "    dt = 0.01\n    def __init__(self, gain): ...", "cannot be made without arg"),
+    "other state": (UPDATE, "        return (phase, phase), self.servos(params, phase)\n", "which makes a state of"),
     "import": ("import jax.numpy as jnp", "import jax.numpy as jnp; exit(3)", "imported at own.py:5: SystemExit"),
 }  # fmt: skip
 
@@ -335,15 +337,6 @@ def test_a_bridge_that_goes_away_is_noticed() -> None:
             play(servo_table(channels="published"), send, 2.0)
         server.shutdown()
         thread.join(10)
-
-
-@pytest.mark.parametrize(
-    "url", ["mqtt://h:99999", "mqtt://h:0", "ws://h:x", "mqtt://:p@h", "mqtt://u:p#s@h", "mqtt://h/topic", "ws://[::1"]
-)
-def test_an_address_that_is_none_is_refused(url: str) -> None:
-    from nermo_mjx.hardware import connected
-
-    refused(connected(url).__enter__, "with a port from 1 to 65535, and USER:PASSWORD@ before HOST")
 
 
 @pytest.mark.parametrize("scheme", ["mqtt", "ws"])

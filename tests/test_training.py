@@ -30,7 +30,6 @@ from nermo_mjx.learn.mixture import Mixture, divided
 from nermo_mjx.learn.run import Choice
 from nermo_mjx.runs import RunDirectory
 from nermo_mjx.runs.files import WrongDirectory
-from nermo_mjx.specs.reading import SpecError
 
 pytestmark = pytest.mark.compiles
 SHIPPED = sorted((Path(__file__).parents[1] / "sweeps").glob("train_*.yaml"))
@@ -133,45 +132,6 @@ def test_another_training_is_refused_and_more_steps_are_not(tmp_path, done):
     np.testing.assert_equal(lasting(out).slice(0, 7).to_pydict(), lasting(done.out).to_pydict())
 
 
-@pytest.mark.parametrize(
-    ("fields", "sentence"),
-    [
-        ({"task": {"rewards": {"progres": 1.0}}}, "field 'task.rewards.progres' is no term of the reward; allowed are"),
-        ({"task": {"observe": ["smell"]}}, r"field 'task.observe.0' is the text 'smell': allowed are"),
-        ({"task": {"action": "fly"}}, "field 'task.action' is 'fly': expected residual, modulation or targets"),
-        ({"task": {"rewards": {"speed": 1.0}}}, "and nothing is commanded: name command.speed"),
-        ({"randomize": {"contact.friction": [1.6, 1.0]}}, "the low end is not below the high one"),
-        ({"randomize": {"contact.frictio": [1.0, 1.6]}}, "did you mean 'contact.friction'"),
-        ({"worlds": 3, "algorithm": {"ppo": {"horizon": 5}}}, "4 minibatches, .* choose a number that divides 15"),
-        ({"algorithm": "dqn"}, "field 'algorithm' is 'dqn': expected ppo or short_horizon"),
-        ({"vary": {"frequency": [1.0]}}, "is no field of a training: .* stands under 'randomize'"),
-        ({"evaluate": {"scenes": ["moon"]}}, "moon"),
-        ({"evaluate": {"set": {"terrain.height": 0.01}}}, "'evaluate.set.terrain.height' is no parameter of the eval"),
-        ({"scene": "planks", "evaluate": {"set": {"terrain.height": 1}}}, r"is 1: allowed is \[0, 0.05\] m"),
-        ({"evaluate": {"randomize": {"terrain.height": [0, 0.01]}}}, "'evaluate.randomize.terrain.height' is no param"),
-        ({"evaluate": {"randomize": {"start.yaw": [0.1, 0.0]}}}, "the low end is not below the high one"),
-        (
-            {"evaluate": {"set": {"start.yaw": 0.1}, "randomize": {"start.yaw": [0, 0.1]}}},
-            "'evaluate.randomize.start.yaw' stands under set, too",
-        ),
-        ({"scenes": [{"scene": "planks"}]}, "field 'scenes' has 1: expected two or more"),
-        ({"scene": "flat", "scenes": [{"scene": "planks"}]}, "field 'scene' stands beside 'scenes'"),
-        ({"scenes": [{"scene": "planks"}, {"scene": "planks"}]}, "'scenes.1.scene' is 'planks' for a second time"),
-        (
-            {"scenes": [{"scene": "ramp"}, {"scene": "slalom", "set": {"terrain.height": 0.01}}]},
-            "'scenes.1.set' has 'terrain.height', which the scene 'slalom' has not",
-        ),
-        ({"scenes": [{"scene": "ramp"}, {"scene": "rough", "pilot": "open_loop"}]}, "'rough', where a policy observes"),
-        ({"scenes": [{"scene": "ramp"}, {"scene": "rough", "corridor": 0.0}]}, "'scenes.1.corridor' is 0"),
-        ({"worlds": 1, "scenes": [{"scene": "ramp"}, {"scene": "rough"}]}, "2 scenes need at least one world each"),
-    ],
-)
-def test_a_wrong_file_is_refused_in_a_sentence(fields, sentence):
-    with pytest.raises(SpecError, match=sentence) as refused:
-        Training.from_dict(fields)
-    assert "\n" not in str(refused.value)
-
-
 def test_a_resolved_file_is_the_same_training():
     """With all defaults written out, in every form."""
     given = {
@@ -199,7 +159,7 @@ def test_a_policy_walks_in_a_simulator_as_in_its_environment(policy):
 
 
 @pytest.fixture(scope="module")
-def evaluated(policy):
+def evaluated(policy, shared_simulators):
     """The evaluation of a policy on two scenes with corridors of their own, and the same without corridors."""
     scenes = [{"scene": "flat"}, {"scene": "planks"}]
     fields = {

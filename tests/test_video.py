@@ -121,8 +121,6 @@ def test_every_following_view_keeps_the_robot_in_the_middle(model: mujoco.MjMode
 @pytest.mark.usefixtures("drawing")
 def test_a_camera_of_the_model_can_be_named(model: mujoco.MjModel, tmp_path: Path) -> None:
     assert render(walk(model), model, tmp_path / "w.gif", fps=5, width=64, height=48, camera="own").exists()
-    with pytest.raises(ParameterError, match=r"camera is 'nose': allowed is one of three_quarter, .*own"):
-        render(walk(model), model, tmp_path / "v.gif", camera="nose")
 
 
 @pytest.mark.parametrize(
@@ -134,12 +132,16 @@ def test_a_camera_of_the_model_can_be_named(model: mujoco.MjModel, tmp_path: Pat
         ("walk.mp4", {"fps": 0}, "1 to 240 frames/s"),
         ("walk.gif", {"fps": 51}, r"^fps is 51: allowed is \[1, 50\] in a GIF"),
         ("walk.mp4", {"speed": -1.0}, "speed above 0"),
+        ("walk.gif", {"camera": "nose"}, "camera is 'nose': allowed is one of three_quarter, .*own"),
+        ("walk.gif", {"overlays": ("tail",)}, "overlay is 'tail': allowed is one of gait, servos, support"),
+        ("walk.gif", {"overlays": ("gait",)}, "needs the sensor 'foot_force'"),
+        ("walk.gif", {"overlays": ("gait", "gait")}, "each name once"),
     ],
 )
 def test_what_cannot_be_made_is_said_in_one_sentence(
     model: mujoco.MjModel, tmp_path: Path, file: str, options: dict, sentence: str
 ) -> None:
-    with pytest.raises(ParameterError, match=sentence):
+    with pytest.raises((ParameterError, RecordingError), match=sentence):
         render(walk(model), model, tmp_path / file, **options)
     assert not list(tmp_path.iterdir())
 
@@ -261,15 +263,6 @@ def test_a_loaded_tail_is_a_corner_of_the_polygon(model: mujoco.MjModel) -> None
         scene = mujoco.MjvScene(model, 100)
         draw_support(scene, recording, 3, np.array([0.0, 0.0, 0.1]), np.array([0.02, 0.25, 0.004]))
         assert scene.ngeom == parts
-
-
-def test_an_overlay_needs_its_sensors_and_a_known_name(model: mujoco.MjModel, tmp_path: Path) -> None:
-    with pytest.raises(ParameterError, match="overlay is 'tail': allowed is one of gait, servos, support"):
-        render(walk(model), model, tmp_path / "w.gif", overlays=("tail",))
-    with pytest.raises(RecordingError, match="needs the sensor 'foot_force'"):
-        render(walk(model), model, tmp_path / "w.gif", overlays=("gait",))
-    with pytest.raises(ParameterError, match="each name once"):
-        render(trotting(model), model, tmp_path / "w.gif", overlays=("gait", "gait"))
 
 
 def test_a_machine_without_gl_gets_the_remedy(

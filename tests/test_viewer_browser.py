@@ -216,15 +216,6 @@ def test_plots_go_with_the_time_and_a_click_seeks(tab: chromium.Tab, one: Path) 
 # --- picture
 
 
-def test_the_robot_is_drawn_and_moves(tab: chromium.Tab, one: Path) -> None:
-    opened(tab, one)
-    tab.evaluate("viewer.player.seek(0.4)")
-    before = stage_picture(tab)
-    assert len(np.unique(before.reshape(-1, 3), axis=0)) > 500, "an empty picture"
-    tab.evaluate("viewer.player.seek(1.0)")
-    assert share_changed(before, stage_picture(tab)) > 0.02
-
-
 def test_keys_change_the_picture_and_change_it_back(tab: chromium.Tab, one: Path) -> None:
     opened(tab, one)
     tab.evaluate("viewer.player.seek(1.2)")

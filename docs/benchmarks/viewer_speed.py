@@ -1,4 +1,4 @@
-"""How fast a page is in headless Chromium, by hand: `python tests/viewer_speed.py FILE.html`, on a quiet machine.
+"""How fast a page is in headless Chromium, by hand: `python docs/benchmarks/viewer_speed.py FILE`, on a quiet machine.
 
 Of a recording's page it prints the time until it is ready and until its first still is drawn, and the frames a second
 while it plays; of a directory's page the time until it is ready and until it is seen, until another choice is drawn,
@@ -9,9 +9,11 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 import time
 from pathlib import Path
 
+sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))
 import chromium
 
 SECONDS = 6.0
