@@ -12,7 +12,7 @@ from nermo_mjx.experiments.ensemble import ALL, FREE, TOLERANCE, UNCERTAIN, name
 from nermo_mjx.experiments.identification import CASES, START, TARGETS, Search, figures, identify, objective
 from nermo_mjx.robot.quantity import ParameterError, quantities
 from nermo_mjx.rollout import Setup
-from nermo_mjx.runs import DirectoryError, OtherCode, RunDirectory, codes_of
+from nermo_mjx.runs import DirectoryError, OtherCode, RunDirectory, Watch, codes_of
 from nermo_mjx.runs.files import WrongDirectory
 from nermo_mjx.runs.workers import WorkersLost
 
@@ -251,7 +251,7 @@ def test_a_users_files_in_the_way_are_moved_aside_with_a_sentence(pretended, tmp
     said = []
     (tmp_path / "identification.md").write_text("my plan")
     (tmp_path / "ensemble.csv").write_text("my bodies")
-    identification.run_identification(tmp_path, engine="c", **SMALL, bodies=32, sweeps=5, notify=said.append)
+    identification.run_identification(tmp_path, engine="c", **SMALL, bodies=32, sweeps=5, watch=Watch(warn=said.append))
     assert (tmp_path / "identification.md.aside-1").read_text() == "my plan"
     assert (tmp_path / "ensemble.csv.aside-1").read_text() == "my bodies"
     assert said == [

@@ -14,7 +14,8 @@ import pyarrow.parquet as pq
 import pytest
 from search_fake import ATLAS, BEST, FALLS, FRONT, SPEED, WALK, FakeSimulator, walk
 
-from nermo_mjx.optimize import SearchFailed, SearchInterrupted, run_search
+from nermo_mjx.optimize import SearchFailed, run_search
+from nermo_mjx.runs import Interrupted, Watch
 from nermo_mjx.runs.files import DirectoryError
 from nermo_mjx.runs.rows import part_files
 from nermo_mjx.specs.reading import SpecError
@@ -133,7 +134,7 @@ def test_the_same_search_gives_the_same_numbers(spec, tmp_path):
 def test_a_search_that_is_stopped_goes_on_with_the_same_numbers(spec, tmp_path):
     """Stopped in its sixth batch; nothing that is stored is simulated again."""
     run_search(spec, tmp_path / "whole", simulator=(whole := FakeSimulator()))
-    with pytest.raises(SearchInterrupted, match="nermo-mjx search"):
+    with pytest.raises(Interrupted, match="nermo-mjx search"):
         run_search(spec, tmp_path / "out", simulator=FakeSimulator(stop_at=5))
     run_search(spec, tmp_path / "out", simulator=(rest := FakeSimulator()))
     assert rest.batches == whole.batches[5:]
@@ -180,7 +181,7 @@ def test_a_damaged_batch_is_run_again(tmp_path):
     content[len(content) // 3] ^= 1
     path.write_bytes(content)
     said = []
-    run_search(SPEED, tmp_path / "out", simulator=(fake := FakeSimulator()), warn=said.append)
+    run_search(SPEED, tmp_path / "out", simulator=(fake := FakeSimulator()), watch=Watch(warn=said.append))
     assert fake.batches == [12]
     assert numbers(tmp_path / "out") == before
     assert said == [f"{path} is damaged; it is kept in results.aside, and its runs are made again."]

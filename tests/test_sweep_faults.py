@@ -25,7 +25,7 @@ from sweep_fake import SPEC, FakeSimulator, part_of
 
 from nermo_mjx.cli import main
 from nermo_mjx.robot.quantity import ParameterError
-from nermo_mjx.runs import OtherCode, files
+from nermo_mjx.runs import Interrupted, OtherCode, Watch, files
 from nermo_mjx.runs.rows import Runs
 from nermo_mjx.sweep import (
     DirectoryError,
@@ -33,7 +33,6 @@ from nermo_mjx.sweep import (
     SpecError,
     Sweep,
     SweepError,
-    SweepInterrupted,
     read_table,
     run_sweep,
 )
@@ -129,7 +128,7 @@ def test_damaged_rows_are_told_kept_and_run_again(done, reference, damage):
     path, said = part_of(done, 3), []
     damage(path, part_of(done, 35))
     damaged = [path.read_bytes()] if path.exists() else []
-    result = run_sweep(SPEC, done, simulator=FakeSimulator(), warn=said.append)
+    result = run_sweep(SPEC, done, simulator=FakeSimulator(), watch=Watch(warn=said.append))
     assert said == [f"{path} is damaged; it is kept in results.aside, and its runs are made again."] * len(damaged)
     assert [kept.read_bytes() for kept in done.glob("results.aside/*")] == damaged
     assert result.chunks_run == 1
@@ -185,7 +184,7 @@ class Vandal(FakeSimulator):
 def test_what_is_damaged_meanwhile_is_found_in_the_end(tmp_path, reference):
     """What was written is read again before it is summed up."""
     simulator, said = Vandal(tmp_path), []
-    result = run_sweep(SPEC, tmp_path, chunk=4, simulator=simulator, warn=said.append)
+    result = run_sweep(SPEC, tmp_path, chunk=4, simulator=simulator, watch=Watch(warn=said.append))
     assert len(simulator.batches) == 10
     assert len(said) == 1
     assert result.table.equals(reference)
@@ -328,7 +327,7 @@ def test_what_is_computed_is_written_before_an_interruption_ends_it(tmp_path, mo
     """A slow disk is waited for: three batches were computed when Ctrl-C came, and three are there."""
     add = Runs.add
     monkeypatch.setattr(Runs, "add", lambda *args: (time.sleep(0.2), add(*args))[1])
-    with pytest.raises(SweepInterrupted):
+    with pytest.raises(Interrupted):
         run_sweep(SPEC, tmp_path, chunk=4, simulator=FakeSimulator(stop_at=3))
     assert len(list(tmp_path.glob("results/*.parquet"))) == 3
 
@@ -345,7 +344,7 @@ class Deaf(FakeSimulator):
 
 def test_an_interruption_that_something_swallows_still_counts(tmp_path):
     """The batch reports its progress, and that is the end."""
-    with pytest.raises(SweepInterrupted):
+    with pytest.raises(Interrupted):
         run_sweep(SPEC, tmp_path, chunk=4, simulator=Deaf())
     assert len(list(tmp_path.glob("results/*.parquet"))) == 2
 

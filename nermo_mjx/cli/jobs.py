@@ -14,25 +14,18 @@ import click
 
 from nermo_mjx.cli import options
 from nermo_mjx.cli.choices import EXPERIMENT_PROFILES, EXPERIMENTS
-from nermo_mjx.cli.options import FileKind, assigned
+from nermo_mjx.cli.options import LISTED, FileKind, assigned
 from nermo_mjx.cli.output import WrongUse, print_json, print_table, sayer, stdout_reserved
-from nermo_mjx.cli.progress import Progress, Stages, duration
+from nermo_mjx.cli.progress import Stages, duration
 
 if TYPE_CHECKING:
     from nermo_mjx.experiments.run import ExperimentsResult
     from nermo_mjx.learn.cost import Cost as TrainingCost
     from nermo_mjx.learn.run import TrainingProgress, TrainingResult
-    from nermo_mjx.optimize import (
-        LandscapeResult,
-        Search,
-        SearchProgress,
-        SearchResult,
-        Tuning,
-        TuningProgress,
-        TuningResult,
-    )
+    from nermo_mjx.optimize import LandscapeResult, Search, SearchResult, Tuning, TuningResult
     from nermo_mjx.optimize.search_run import Cost as SearchCost
     from nermo_mjx.optimize.tuning_run import MethodCost
+    from nermo_mjx.runs.job import Progress, Watch
     from nermo_mjx.runs.workers import Workers
     from nermo_mjx.sweep import Sweep, SweepResult
     from nermo_mjx.sweep.run import Forecast
@@ -71,12 +64,20 @@ def _job(
 
 @contextlib.contextmanager
 def _working(
-    name: str, unit: str, quiet: bool, workers: str = "local", address: str | None = None
-) -> Iterator[tuple[Progress, Callable[[str], None] | None, Workers]]:
-    """While a job works: its display, what says a sentence about it, and its workers; prints of libraries are moved."""
-    say, progress = sayer(name, quiet), Progress(name, unit, quiet=quiet, compiles=workers == "local")
-    with stdout_reserved(), options.crew(workers, address, say) as crew, progress:
-        yield progress, say, crew
+    name: str,
+    unit: str,
+    quiet: bool,
+    workers: str = "local",
+    address: str | None = None,
+    compiles: Callable[[str], bool] | None = None,
+    known: Callable[[Progress], str] = lambda _: "",
+) -> Iterator[tuple[Watch, Workers]]:
+    """While a job works: its display, see `Stages`, and its workers; prints of libraries are moved."""
+    from nermo_mjx.runs.job import Watch
+
+    shown = Stages(name, unit, quiet, compiles or (lambda _: workers == "local"), known)
+    with stdout_reserved(), options.crew(workers, address, shown.say) as crew, shown:
+        yield Watch(shown.show, shown.say), crew
 
 
 def _print_places(out: Path, places: Mapping[str, str | Path | None], width: int = 8) -> None:
@@ -178,11 +179,8 @@ def sweep_command(
             for name, places in sweep.partly_read().items():
                 read = f"{len(places)} of {len(sweep.structures)} structures"
                 say(f"{name} is varied in {read}: the others do not read it.")
-    with _working("sweep", "runs", quiet, workers, ray_address) as (progress, say, crew):
-        result = run_sweep(
-            sweep, out, **how, warn=say, workers=crew,
-            progress=lambda done: progress.share(done.fraction, done.rows_done, done.rows),
-        )  # fmt: skip
+    with _working("sweep", "runs", quiet, workers, ray_address) as (watch, crew):
+        result = run_sweep(sweep, out, **how, watch=watch, workers=crew)
     return sweep_fields(out, result), lambda: print_sweep(result)
 
 
@@ -293,7 +291,7 @@ Examples:
     click.argument("sources", metavar="DIR DIR...", nargs=-1, required=True, type=click.Path(path_type=Path)),
     options.accept_new_code,
 )
-def merge_command(sources: tuple[Path, ...], out: Path, accept_new_code: bool, quiet: bool, **_: Any) -> Outcome:
+def merge_command(sources: tuple[Path, ...], out: Path, accept_new_code: bool, quiet: bool, as_json: bool) -> Outcome:
     """Merge the rows of several sweeps into one directory.
 
     The sweeps may differ in what they vary, and in their repeats; what is
@@ -301,10 +299,10 @@ def merge_command(sources: tuple[Path, ...], out: Path, accept_new_code: bool, q
     and the given directories are only read. A row that is in several is taken
     from the first of them.
     """
-    with stdout_reserved():
+    with _working("merge", "runs", quiet, compiles=lambda _: False) as (watch, _):
         from nermo_mjx.sweep import merge_sweeps
 
-        result = merge_sweeps(sources, out, accept_new_code=accept_new_code, warn=sayer("merge", quiet))
+        result = merge_sweeps(sources, out, accept_new_code=accept_new_code, watch=watch)
 
     def show() -> None:
         print_sweep(result)
@@ -364,37 +362,29 @@ def search_command(
     if dry_run:
         print_json({"cost": dataclasses.asdict(cost)}) if as_json else _print_search_cost(cost)
         return None
-    with _working("search", "evaluations", quiet, workers, ray_address) as (progress, say, crew):
-        result = run_search(
-            search, out, engine=engine, warn=say, workers=crew, accept_new_code=accept_new_code,
-            progress=lambda done: _show_search(progress, search, done),
-        )  # fmt: skip
+    known = functools.partial(_search_so_far, search)
+    with _working("search", "evaluations", quiet, workers, ray_address, known=known) as (watch, crew):
+        result = run_search(search, out, engine=engine, watch=watch, workers=crew, accept_new_code=accept_new_code)
     fields = ("out", "best", "evaluations_run", "recordings", "plots")
     content = {name: getattr(result, name) for name in fields}
     return content, lambda: _print_search(result)
 
 
-def _show_search(progress: Progress, search: Search, done: SearchProgress) -> None:
-    """How far the search is, and what it has found by now."""
-    total = search.evaluations or None
-    known = f"{done.filled:,} cells" if done.filled is not None else ""
-    if not known and done.best is not None:
-        known = f"best {_objective(search, done.best)}"
-    count = None if total is None else min(done.evaluations, total)
-    progress.share(done.fraction, count, total, known)
-
-
-def _objective(search: Search, cost: float) -> str:
-    """An objective as people read it: a metric with its unit, where it is one metric."""
+def _search_so_far(search: Search, done: Progress) -> str:
+    """What a search has found: cells of an atlas, or its objective, where it is one metric with its unit."""
+    if "cells" in done.numbers:
+        return f"{done.numbers['cells']:,.0f} cells"
+    if (cost := done.best) is None:
+        return ""
     from nermo_mjx.plotting.shown import shown
     from nermo_mjx.rollout import METRICS
 
     term = search.aim.objective.terms[0]
     if len(search.aim.objective.terms) > 1 or term.aim == "hold":
-        return f"{cost:.4g}"
+        return f"best {cost:.4g}"
     value = cost * term.scale / term.weight * (-1.0 if term.aim == "maximize" else 1.0)
     quantity = shown(term.metric, METRICS[term.metric].unit, value)
-    return f"{term.metric} {quantity.shown(float(quantity.values))}"
+    return f"best {term.metric} {quantity.shown(float(quantity.values))}"
 
 
 def _print_search(result: SearchResult) -> None:
@@ -499,20 +489,13 @@ def tune_command(
         else:
             click.echo("\n".join(_told(costs)))
         return None
-    with stdout_reserved():
+    known, compiles = functools.partial(_tuning_so_far, tuning), lambda what: what in ("tune", "landscape")
+    with _working("tune", "evaluations", quiet, workers, ray_address, compiles, known) as (watch, crew):
         from nermo_mjx.optimize import run_tuning
 
-        with (
-            Stages(quiet, compiles=lambda what: what in ("tune", "landscape")) as stages,
-            options.crew(workers, ray_address, stages.say) as crew,
-        ):
-            display = _Display(stages, tuning)
-            result = run_tuning(
-                tuning, out, progress=display.report, drawing=stages.share, warn=stages.say,
-                accept_new_code=accept_new_code, workers=crew,
-            )  # fmt: skip
-            for note in result.pictures.notes:
-                stages.say(note)
+        result = run_tuning(tuning, out, watch=watch, accept_new_code=accept_new_code, workers=crew)
+        for note in result.pictures.notes:
+            watch.warn(note)
     pictures = result.pictures
     content = {name: getattr(result, name) for name in ("out", "iterations_run", "start", "best")}
     content |= {"plots": list(pictures.plots), "video": pictures.video, "notes": list(pictures.notes)}
@@ -531,29 +514,12 @@ def _told(costs: list[MethodCost]) -> list[str]:
     return lines
 
 
-class _Display:
-    """Passes a tuning's progress to the display."""
-
-    def __init__(self, stages: Stages, tuning: Tuning) -> None:
-        self._stages, self._tuning = stages, tuning
-        self._begun = False
-
-    def report(self, progress: TuningProgress) -> None:
-        """Show the tuning's progress; there is one more evaluation than steps."""
-        total = progress.iterations + 1
-        done = min(progress.iteration + 1 if self._begun else progress.resumed, total)
-        self._begun = True
-        self._stages.part("tune", "evaluations").share(done / total, done, total, self._known(progress))
-
-    def _known(self, progress: TuningProgress) -> str:
-        """The best objective so far, and the metrics of this iteration's best point."""
-        if progress.best is None:
-            return ""
-        parts = [f"best {progress.best:.4g}"]
-        for name in self._tuning.objective.metrics[:_NAMED]:
-            if name in progress.metrics:
-                parts.append(_number_and_unit(self._tuning, name, progress.metrics[name]))
-        return ", ".join(parts)
+def _tuning_so_far(tuning: Tuning, done: Progress) -> str:
+    """The best objective so far, and the metrics of this iteration's best point."""
+    if done.best is None:
+        return ""
+    named = [name for name in tuning.objective.metrics[:_NAMED] if name in done.numbers]
+    return ", ".join([f"best {done.best:.4g}", *(_number_and_unit(tuning, name, done.numbers[name]) for name in named)])
 
 
 def _print_tuning(result: TuningResult) -> None:
@@ -682,10 +648,8 @@ def landscape_command(
     with stdout_reserved():
         from nermo_mjx.optimize import run_landscape
 
-    with _working("landscape", "walks", quiet) as (progress, say, _):
-        result = run_landscape(
-            spec, out, points=points, span=span, progress=progress.count, warn=say, accept_new_code=accept_new_code
-        )
+    with _working("landscape", "walks", quiet) as (watch, _):
+        result = run_landscape(spec, out, points=points, span=span, watch=watch, accept_new_code=accept_new_code)
     return {"out": result.out, "evaluated": result.evaluated, **result.content}, lambda: _print_landscape(result)
 
 
@@ -749,15 +713,18 @@ def train_command(
             cost = cost_of(training, engine)
         print_json({"cost": dataclasses.asdict(cost)}) if as_json else _print_training_cost(cost)
         return None
-    with stdout_reserved():
+    with _working("train", "steps", quiet, known=_training_so_far) as (watch, _):
         from nermo_mjx.learn.run import run_training
+        from nermo_mjx.runs.job import Progress
 
-        with Stages(quiet, compiles=lambda what: True) as stages:
-            result = run_training(
-                training, out, engine=engine, progress=lambda done: _show_training(stages, done), warn=stages.say,
-                tensorboard=tensorboard, evaluating=lambda share: stages.share("evaluation", share),
-                accept_new_code=accept_new_code,
-            )  # fmt: skip
+        def tell(done: TrainingProgress) -> None:
+            share = min(1.0, done.steps / done.total)
+            watch.progress(Progress(share, done.steps, done.total, numbers=done.numbers))
+
+        result = run_training(
+            training, out, engine=engine, progress=tell, warn=watch.warn, accept_new_code=accept_new_code,
+            tensorboard=tensorboard, evaluating=lambda share: watch.progress(Progress(share, what="evaluation")),
+        )  # fmt: skip
         exported = _export(result) if onnx else None
     return {
         "out": result.out,
@@ -769,13 +736,10 @@ def train_command(
     }, lambda: _print_training(result, exported)
 
 
-def _show_training(stages: Stages, done: TrainingProgress) -> None:
-    """Show the training's progress, and the results of its last episodes."""
-    known = [f"{name} {done.numbers[name]:.3g}" for name in ("return", "reward")
-             if math.isfinite(done.numbers.get(name, math.nan))]  # fmt: skip
-    stages.part("train", "steps").share(
-        min(1.0, done.steps / done.total), min(done.steps, done.total), done.total, ", ".join(known)
-    )
+def _training_so_far(done: Progress) -> str:
+    """The results of the last episodes."""
+    known = {name: done.numbers.get(name, math.nan) for name in ("return", "reward")}
+    return ", ".join(f"{name} {value:.3g}" for name, value in known.items() if math.isfinite(value))
 
 
 def _export(result: TrainingResult) -> Path | None:
@@ -860,9 +824,8 @@ _WIDEST = 72
     options.engine,
 )
 def experiment_command(
-    name: str, out: Path, profile: str, repeats: int | None, seed: int, bodies: int | None, quick: bool,
-    no_video: bool, again: bool, controller: str | None, workers: str, ray_address: str | None, accept_new_code: bool,
-    assignments: tuple[str, ...], engine: str, as_json: bool, quiet: bool,
+    name: str, out: Path, profile: str, no_video: bool, workers: str, ray_address: str | None,
+    assignments: tuple[str, ...], as_json: bool, quiet: bool, **how: Any,
 ) -> Outcome | None:  # fmt: skip
     """Run a published experiment, or all of them, and compare.
 
@@ -873,32 +836,20 @@ def experiment_command(
     --workers ray distributes experiments, and batches of bodies, over the
     machines of a cluster, which need no access to DIR.
     """
-    with stdout_reserved():
+    with _working("experiment", "", quiet, workers, ray_address, lambda what: "," not in what) as (watch, crew):
         from nermo_mjx.experiments.run import run_experiments
+        from nermo_mjx.robot.quantity import quantities
+        from nermo_mjx.rollout.setup import WorldParameters
 
-        values = _body_values(assignments)
-        with (
-            Stages(quiet, compiles=lambda what: "," not in what) as stages,
-            options.crew(workers, ray_address, stages.say) as crew,
-        ):
-            result = run_experiments(
-                EXPERIMENTS if name == ALL else [name], out, engine=engine, repeats=repeats, seed=seed, quick=quick,
-                profiles=EXPERIMENT_PROFILES if profile == "all" else (profile,), values=values, controller=controller,
-                bodies=bodies, video=not no_video, again=again, accept_new_code=accept_new_code,
-                progress=stages.share, notify=stages.say, workers=crew,
-            )  # fmt: skip
+        # Their ranges are checked with the other settings.
+        values = assigned(assignments, dict(quantities(WorldParameters)), LISTED)
+        profiles = EXPERIMENT_PROFILES if profile == "all" else (profile,)
+        result = run_experiments(
+            EXPERIMENTS if name == ALL else [name], out, profiles=profiles, values=values, video=not no_video,
+            watch=watch, workers=crew, **how,
+        )  # fmt: skip
     run = {each.name: {"kept": each.kept} for each in result.results}
     return {"out": result.out, "run": run, **result.report}, lambda: _print_experiments(result)
-
-
-def _body_values(assignments: tuple[str, ...]) -> dict[str, float]:
-    """Parameters by name; their ranges are checked with the other settings."""
-    from nermo_mjx.robot.quantity import quantities
-    from nermo_mjx.rollout.setup import WorldParameters
-
-    known = dict(quantities(WorldParameters))
-    unknown = "is not a parameter; `nermo-mjx sweep --list-parameters` prints all."
-    return assigned(assignments, known, unknown)
 
 
 def _print_experiments(result: ExperimentsResult) -> None:
@@ -973,8 +924,8 @@ def identify_command(
     with stdout_reserved():
         from nermo_mjx.experiments.identification import run_identification
 
-    with _working("identify", "", quiet, workers, ray_address) as (progress, say, crew):
-        content = run_identification(out, engine=engine, **settings, progress=progress.share, notify=say, workers=crew)
+    with _working("identify", "", quiet, workers, ray_address) as (watch, crew):
+        content = run_identification(out, engine=engine, **settings, watch=watch, workers=crew)
     return {"out": out, **content}, lambda: _print_identification(content, out)
 
 

@@ -42,6 +42,7 @@ from nermo_mjx.runs import RunDirectory, Written, codes_of, engine_of, session
 from nermo_mjx.runs.code import CodeStamp, stamp
 from nermo_mjx.runs.directory import Session
 from nermo_mjx.runs.files import DirectoryError, append_line, clear_errors, content_of, stored_json
+from nermo_mjx.runs.job import SILENT, Progress, Watch
 from nermo_mjx.runs.status import Status, last_command
 from nermo_mjx.runs.text import MISSING, listed, table, to_json
 from nermo_mjx.runs.workers import LocalWorkers, TaskFailed, Workers, WorkersLost
@@ -337,7 +338,7 @@ def identify(
     wanted: Search,
     engine: str = "auto",
     memory: CandidateFile | None = None,
-    progress: Callable[[float], None] | None = None,
+    watch: Watch = SILENT,
     workers: Workers | None = None,
 ) -> Identified:
     """Find the parameters whose straight-line speeds match the published ones best, then all within the tolerance.
@@ -345,7 +346,7 @@ def identify(
     Args:
         engine: of the simulations.
         memory: of earlier simulations, which are not repeated.
-        progress: called with the share done.
+        watch: is told the share done.
         workers: what simulates; by default this process. The numbers are the same: a task is a batch, and results are
             processed in the order of the batches.
 
@@ -362,8 +363,7 @@ def identify(
     def report() -> None:
         nonlocal done
         done += 1
-        if progress:
-            progress(done / batches)
+        watch.progress(Progress(done / batches))
 
     search = Candidates(workers, cases, free, population, memory, report)
     design = qmc.Sobol(len(free), rng=seed).random_base2((wanted.samples - 1).bit_length())[: wanted.samples]
@@ -397,8 +397,7 @@ def identify(
             costs = np.append(search.best, costs)
             weights = np.append(1.0, weights * len(weights)) / (1 + len(weights))
         several = ensemble.Bodies(values, costs, weights, tolerance, found)
-    if progress:
-        progress(1.0)
+    watch.progress(Progress(1.0))
 
     def with_residuals(found: Mapping[str, float]) -> dict[str, tuple[float, float]]:
         return {name: (value, float(TARGETS[name].residual(np.asarray(value)))) for name, value in found.items()}
@@ -431,8 +430,7 @@ def run_identification(
     *,
     engine: str = "auto",
     accept_new_code: bool = False,
-    progress: Callable[[float], None] | None = None,
-    notify: Callable[[str], None] | None = None,
+    watch: Watch = SILENT,
     workers: Workers | None = None,
     **wanted: Any,
 ) -> dict[str, Any]:
@@ -442,8 +440,7 @@ def run_identification(
         out: the directory.
         engine: of the simulations; `auto` is the one that the directory was started with, if any.
         accept_new_code: reuse candidates of other code; the file's `code` tells them apart.
-        progress: called with the share done.
-        notify: called with a message about conflicting files.
+        watch: is told the share done, and of conflicting files.
         workers: what simulates; by default this process. The result is the same.
         wanted: of `Search`.
 
@@ -466,7 +463,7 @@ def run_identification(
                 raise ParameterError(
                     f"{folder} holds an identification with another {', '.join(apart)}; choose another directory."
                 )
-            return _publish(written, content, notify)
+            return _publish(written, content, watch)
         if engine == "auto":
             engine = engine_of(folder) or engine
         code, defaults = Walking(resolve_engine(engine)).stamp(), WALKS.defaults()
@@ -479,17 +476,17 @@ def run_identification(
         with clear_errors(folder):
             memory = CandidateFile(folder / FILE, begun | {"defaults": defaults}, code.id)
         try:
-            identified = identify(search, code.engine, memory, progress, workers)
+            identified = identify(search, code.engine, memory, watch, workers)
         except WorkersLost as lost:
             raise WorkersLost(lost.kept_in(folder)) from lost
         made = {"model": code.model, "defaults": defaults, "codes": list(codes_of(folder))}
         content = {**_content(identified, search.profile), **made, **about, "wall_seconds": time.monotonic() - started}
         # The result first: whatever happens to the plots, the search is not lost.
         held.write(RESULT, to_json(content))
-        return _publish(written, content, notify)
+        return _publish(written, content, watch)
 
 
-def _publish(written: Written, content: dict[str, Any], notify: Callable[[str], None] | None) -> dict[str, Any]:
+def _publish(written: Written, content: dict[str, Any], watch: Watch) -> dict[str, Any]:
     """Create the rest of the directory from its result, which has `plots` when everything exists."""
     folder = written.held.out
     if content["ensemble"] and content["ensemble"]["size"]:
@@ -498,8 +495,8 @@ def _publish(written: Written, content: dict[str, Any], notify: Callable[[str], 
     content = content | {"plots": [written.name(path) for path in plots]}
     written.write(folder / "identification.md", _page(content).encode())
     written.held.write(RESULT, to_json(content))
-    if notify and written.aside:
-        notify(written.sentence())
+    if written.aside:
+        watch.warn(written.sentence())
     return content
 
 

@@ -44,6 +44,7 @@ from nermo_mjx.robot.quantity import choice
 from nermo_mjx.runs import CodeStamp, DirectoryError, RunDirectory, Written, codes_of, engine_of, session, stamp
 from nermo_mjx.runs.directory import Session, read_record, remove_leftovers
 from nermo_mjx.runs.files import clear_errors, parquet_bytes, parquet_table, replace_file, stored_json
+from nermo_mjx.runs.job import SILENT, Interrupted, Progress, Watch
 from nermo_mjx.runs.status import Status, last_command
 from nermo_mjx.runs.text import to_json
 from nermo_mjx.runs.workers import LocalWorkers, TaskFailed, Workers, WorkersLost
@@ -301,10 +302,6 @@ class ExperimentError(RuntimeError):
     """A failed experiment; the message names it and says what is kept."""
 
 
-class ExperimentsInterrupted(KeyboardInterrupt):
-    """Ctrl-C or SIGTERM; the message says how to resume."""
-
-
 @dataclasses.dataclass(frozen=True)
 class ExperimentResult:
     """The result of one experiment.
@@ -359,8 +356,7 @@ def run_experiments(
     video: bool = True,
     again: bool = False,
     accept_new_code: bool = False,
-    progress: Callable[[str, float], None] | None = None,
-    notify: Callable[[str], None] | None = None,
+    watch: Watch = SILENT,
     workers: Workers | None = None,
 ) -> ExperimentsResult:
     """Run experiments; each is stored when it finishes, and the report is rewritten after each.
@@ -382,8 +378,7 @@ def run_experiments(
         video: whether to make the videos.
         again: rerun and replace the directory's results of these experiments, regardless of the code that made them.
         accept_new_code: resume a directory that other code started; the tables' column `code` tells the rows apart.
-        progress: called with the current activity and its finished share.
-        notify: called with a message about anything unusual.
+        watch: is told what is at work (`Progress.what`) and its finished share, and anything unusual.
         workers: what simulates; by default this process, one experiment after the other, else
             `nermo_mjx.runs.ray_workers.RayWorkers`. The numbers are the same.
 
@@ -392,7 +387,7 @@ def run_experiments(
         OtherCode: other code made what the directory holds; nothing has run.
         ExperimentError: an experiment failed, or all workers are lost; what was done before is kept.
         DirectoryError: the directory holds something else, is in use, or cannot be written.
-        ExperimentsInterrupted: Ctrl-C or SIGTERM; the same call resumes.
+        Interrupted: Ctrl-C or SIGTERM; the same call resumes.
     """
     chosen = [EXPERIMENTS[choice("experiment", name, EXPERIMENTS)] for name in dict.fromkeys(names)]
     if repeats is None:
@@ -421,8 +416,7 @@ def run_experiments(
         if engine == "auto" and not again:
             engine = engine_of(directory.out) or engine
         code = Simulation(resolve_engine(engine)).stamp()
-        tell, say = progress or (lambda *_: None), notify or (lambda _: None)
-        call = _Call(Written(held), directory, settings, code, drawn, again, video and not quick, tell, say)
+        call = _Call(Written(held), directory, settings, code, drawn, again, video and not quick, watch)
         # All are looked up before anything runs, so that an error costs no simulation.
         kept = {each.name: None if again else call.kept(each) for each in chosen}
         holds_rows = any((directory.out / "results").glob("*.parquet"))
@@ -445,7 +439,7 @@ def _stoppable(out: Path) -> Iterator[None]:
     try:
         yield
     except KeyboardInterrupt:
-        raise ExperimentsInterrupted(
+        raise Interrupted(
             f"stopped; the experiments that are finished are kept in {out}. To resume, run the same command again."
         ) from None
 
@@ -524,8 +518,7 @@ class _Call:
     bodies: Mapping[str, Mapping[str, np.ndarray]]
     again: bool
     video: bool
-    progress: Callable[[str, float], None]
-    notify: Callable[[str], None]
+    watch: Watch
 
     def kept(self, chosen: Experiment) -> Stored | None:
         """The directory's results of an experiment, if they match the request; raises otherwise."""
@@ -589,7 +582,7 @@ class _Call:
         def tell(key: int, share: float) -> None:
             part = parts[key]
             bodies = max(part.settings.body_count, 1)
-            self.progress(part.label, (part.before + share * bodies) / part.total)
+            self._tell(part.label, (part.before + share * bodies) / part.total)
 
         try:
             if parts:
@@ -600,7 +593,7 @@ class _Call:
                 several[key] = found
                 # Remote workers do not report progress.
                 done = sum(max(parts[k].settings.body_count, 1) for k in several)
-                self.progress(part.label, done / part.total)
+                self._tell(part.label, done / part.total)
                 if len(several) < sum(each.label == part.label for each in parts):
                     continue
                 seconds = sum(seconds for _, seconds in several.values())
@@ -638,7 +631,7 @@ class _Call:
             made = codes_of(out).get(kept.about.get("code", ""))
             unlike = "" if made is None else made.unlike(self.code)
             other = " by code that is not known" if made is None else f" by other code ({unlike})" if unlike else ""
-            self.notify(f"{chosen.name}: kept as run on {kept.about['started']}{other}; --again reruns it.")
+            self.watch.warn(f"{chosen.name}: kept as run on {kept.about['started']}{other}; --again reruns it.")
         several = self.directory.load(chosen.name, bodies=True)
         lines = compare(stored.outcome, several.outcome if several else None, chosen.figures)
         if stored.about["settings"].get("controller"):  # reasons were found for the published controller
@@ -653,7 +646,7 @@ class _Call:
             **{name: former.get(name, []) for name in ("plots", "videos", "notes")},
         }
         self._publish(chosen, entry)
-        self.progress(f"{chosen.name}, plots", 0.0)
+        self._tell(f"{chosen.name}, plots", 0.0)
         plots = write_figures(figures_of(stored.outcome, lines), out / "plots", written.write)
         entry["plots"] = [written.name(plot) for plot in plots]
         old = [name for name in written.known if name.startswith(f"plots/{chosen.name}-")]
@@ -661,12 +654,15 @@ class _Call:
         entry["videos"], entry["notes"] = self._videos(chosen, stored.outcome, entry["videos"])
         self._publish(chosen, entry | {"finished": True})
         if written.aside:
-            self.notify(f"{chosen.name}: {written.sentence()}")
+            self.watch.warn(f"{chosen.name}: {written.sentence()}")
             written.aside.clear()
         videos = tuple(out / video["file"] for video in entry["videos"])
         files = (stored.table, tuple(plots), stored.recordings, videos)
         result = (chosen.name, out, stored.outcome, tuple(lines), *files)
         return ExperimentResult(*result, kept is not None, tuple(entry["notes"]))
+
+    def _tell(self, what: str, share: float) -> None:
+        self.watch.progress(Progress(share, what=what))
 
     def _publish(self, chosen: Experiment, entry: dict[str, Any]) -> None:
         """Store an experiment's entry, and the report of the whole directory."""
@@ -685,13 +681,13 @@ class _Call:
         path = self.directory.out / "videos" / f"{chosen.name}.mp4"
 
         def make(path: Path) -> float:
-            return shoot(outcome, chosen.shot, path, lambda share: self.progress(f"{chosen.name}, video", share))
+            return shoot(outcome, chosen.shot, path, lambda share: self._tell(f"{chosen.name}, video", share))
 
         try:
             speed = self.written.make(path, make)
         except (VideoError, RecordingError) as error:
             note = f"There is no video of {chosen.name}. {error}"
-            self.notify(note)
+            self.watch.warn(note)
             return [], [note]
         return [{"file": self.written.name(path), "shows": shows, "speed": speed}], []
 

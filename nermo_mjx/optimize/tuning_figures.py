@@ -47,6 +47,7 @@ from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.rollout import Run
 from nermo_mjx.runs import stamp
 from nermo_mjx.runs.files import DirectoryError, content_of, parquet_bytes, parquet_table
+from nermo_mjx.runs.job import Progress, Watch
 from nermo_mjx.sweep.simulating import SimulatorLike
 from nermo_mjx.sweep.table import Columns, meta
 from nermo_mjx.view import RecordingError, VideoError, check_video, recording_of
@@ -685,7 +686,7 @@ class Pictures:
 def make_pictures(
     directory: Directory,
     simulator: Callable[[], SimulatorLike] | None,
-    drawing: Callable[[str, float], None],
+    watch: Watch,
     history: pa.Table,
     start: Mapping[str, Any],
     best: Mapping[str, Any],
@@ -695,18 +696,22 @@ def make_pictures(
     Args:
         directory: where they go.
         simulator: creates the simulator for them on first use; None: nothing is simulated.
-        drawing: called with what is being made, and the share of it.
+        watch: is told what is being made, and the share of it.
         history: the tuning's table.
         start, best: the point it began with and the best one, see `nermo_mjx.optimize.tuning_directory`.
     """
     tuning, out, notes = directory.tuning, directory.out, list[str]()
+
+    def drawing(what: str, share: float = 0.0) -> None:
+        watch.progress(Progress(share, what=what))
+
     plots: list[Path] = []
     if tuning.plots:
         background, others = None, off_grid(tuning, best["parameters"])
         if simulator is not None and has_background(tuning):
             table = read(out / LANDSCAPE, tuning, others)
             if table is None:
-                drawing("landscape", 0.0)
+                drawing("landscape")
                 try:
                     table = simulate(tuning, others, simulator(), lambda share: drawing("landscape", share))
                     directory.set_aside("of another best point, or damaged", LANDSCAPE)
@@ -716,13 +721,13 @@ def make_pictures(
                         f"There is no landscape behind the paths, because some of it cannot be walked: {error}"
                     )
             background = None if table is None else background_of(tuning, table)
-        drawing("plots", 0.0)
+        drawing("plots")
         plots = write_figures(figures_of(tuning, history, background), out / "plots")
     video = out / VIDEO if tuning.video and simulator is not None else None
     if video is not None and simulator is not None and not video.exists():
         try:
             check_video(tuning.setup.load().model, video, camera=CAMERA)  # before anything walks for it
-            drawing("video", 0.0)
+            drawing("video")
             render_video(tuning, start, best, simulator(), video, lambda share: drawing("video", share))
         except (VideoError, RecordingError) as error:
             video, notes = None, [*notes, f"There is no video. {error}"]
