@@ -68,7 +68,11 @@ def heat_maps(
         chosen = np.where(gain, z.values, np.nan)
         marked = [_cell_means(x.values[mask], y.values[mask], chosen[mask], xs, ys) for _, mask in panels]
         colours, fill, edge = GAIN_COLOURS, "white", INK
-        scale, extend = _about_zero(values)
+        # Symmetric around 0; losses beyond 25 % and three times the best gain are cut off.
+        good = values[np.isfinite(values)]
+        low, high = (float(good.min()), float(good.max())) if len(good) else (0.0, 0.0)
+        far = max(high, min(-low, max(3 * high, 25.0)), 1e-9)
+        scale, extend = Normalize(-far, far), "min" if low < -far else "neither"
     figure, axes = panelled(len(panels), 2.5 if len(panels) > 1 else 4.4)
     prices = [cost(z.side, grid) for grid in marked]
     lowest = min((float(np.nanmin(price)) for price in prices if np.isfinite(price).any()), default=math.nan)
@@ -98,8 +102,16 @@ def heat_maps(
                 clip_on=False,
             )
             if gain is not None:
-                _beside(ax, xs[i], ys[j], _signed(candidates[i, j]), 11 if star else 8, left=bool(i >= len(xs) / 2))
-    _outer_labels(axes, x.label, y.label)
+                left, apart = bool(i >= len(xs) / 2), 11 if star else 8  # of the mark, in points
+                look: dict[str, Any] = {"fontsize": 8.5, "fontweight": "bold", "color": INK, "zorder": 6}
+                look |= {"va": "center", "ha": "right" if left else "left", "textcoords": "offset points"}
+                look["bbox"] = {"boxstyle": "round,pad=0.2", "fc": "white", "alpha": 0.75, "lw": 0}
+                ax.annotate(_signed(candidates[i, j]), (xs[i], ys[j]), (-apart if left else apart, 0), **look)
+    columns = _columns(len(axes))
+    for i, ax in enumerate(axes):  # labels at the outside of the panels only
+        bottom, left = i + columns >= len(axes), i % columns == 0
+        ax.tick_params(labelbottom=bottom, labelleft=left)
+        ax.set(xlabel=x.label if bottom else "", ylabel=y.label if left else "")
     bar = _colour_bar(figure, axes, scale, z.label, colours, extend=extend)
     if gain is not None:
         bar.formatter = FuncFormatter(lambda value, _: _signed(value).removesuffix(" %"))
@@ -197,36 +209,10 @@ def _colour_bar(
     return bar
 
 
-def _beside(ax: Axes, x: float, y: float, text: str, apart: float, *, left: bool) -> None:
-    """A text next to a mark, at the given distance in points."""
-    ax.annotate(
-        text,
-        (x, y),
-        (-apart if left else apart, 0),
-        textcoords="offset points",
-        ha="right" if left else "left",
-        va="center",
-        fontsize=8.5,
-        fontweight="bold",
-        color=INK,
-        zorder=6,
-        bbox={"boxstyle": "round,pad=0.2", "fc": "white", "alpha": 0.75, "lw": 0},
-    )
-
-
 def _signed(percent: float) -> str:
     """A gain with its sign: +14.5 %."""
     text = f"{percent:+.3g}" if abs(percent) >= 100 else f"{round(percent, 1) + 0.0:+g}"
     return f"{'0' if text in ('+0', '-0') else text.replace('-', '−')} %"
-
-
-def _outer_labels(axes: Sequence[Axes], x: str, y: str) -> None:
-    """Axis and tick labels at the outside of the panels only."""
-    columns = _columns(len(axes))
-    for i, ax in enumerate(axes):
-        bottom, left = i + columns >= len(axes), i % columns == 0
-        ax.tick_params(labelbottom=bottom, labelleft=left)
-        ax.set(xlabel=x if bottom else "", ylabel=y if left else "")
 
 
 def _cell_means(x: np.ndarray, y: np.ndarray, z: np.ndarray, xs: np.ndarray, ys: np.ndarray) -> np.ndarray:
@@ -257,14 +243,6 @@ def _edges(centres: np.ndarray, log: bool) -> np.ndarray:
         middle = (c[1:] + c[:-1]) / 2
         edges = np.concatenate([[2 * c[0] - middle[0]], middle, [2 * c[-1] - middle[-1]]])
     return np.exp(edges) if log else edges
-
-
-def _about_zero(values: np.ndarray) -> tuple[Normalize, str]:
-    """A symmetric scale around 0; losses beyond 25 % and three times the best gain are cut off."""
-    good = values[np.isfinite(values)]
-    low, high = (float(good.min()), float(good.max())) if len(good) else (0.0, 0.0)
-    far = max(high, min(-low, max(3 * high, 25.0)), 1e-9)
-    return Normalize(-far, far), "min" if low < -far else "neither"
 
 
 # ---
