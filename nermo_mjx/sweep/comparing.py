@@ -266,8 +266,8 @@ def two_stage(values: np.ndarray, cell: np.ndarray, variant: np.ndarray) -> Inte
             picks = rng.multinomial(often[:, variant[k]] * len(runs), np.full(len(runs), 1 / len(runs)))
             part += picks @ apart[runs] / len(runs)
         drawn[start : start + size] = part / variants
-    # Degrees of freedom of the estimate's variance, by Satterthwaite's rule, from the cells' shares in it, and from what
-    # the variants add beyond the noise of their runs.
+    # Degrees of freedom of the estimate's variance, by Satterthwaite's rule: from the cells' shares in it, and what the
+    # variants add beyond the noise of their runs.
     share, between, known = noise / variants**2, np.maximum(across - within, 0), count > 1
     square = (share[known] ** 2 / (count[known] - 1)[:, None]).sum(axis=0) + between**2 / max(variants - 1, 1)
     whole = (share.sum(axis=0) + between) ** 2
