@@ -388,10 +388,18 @@ def _search_so_far(search: Search, done: Progress) -> str:
 
 
 def _print_search(result: SearchResult) -> None:
-    best, search = result.best, result.search
+    from nermo_mjx.plotting.shown import shown
+    from nermo_mjx.rollout import METRICS
+
+    best, search, rows = result.best, result.search, []
+    for kind, names in (("parameters", search.names), ("metrics", search.aim.metrics)):
+        for name in names:
+            about: Any = search.sweep.parameters[name] if kind == "parameters" else METRICS[name]
+            quantity = shown(name, about.unit, best[kind][name])
+            rows.append([name, f"{float(quantity.values) + 0.0:.4g}", quantity.unit])
     columns = [("", "left"), ("best", "right"), ("", "left")]
     middle = "In the middle of the front" if search.aim.pareto else "Best"
-    print_table(f"{middle}: row {best['row']}", columns, list(_search_rows(result)))
+    print_table(f"{middle}: row {best['row']}", columns, rows)
     effort = f"{best['evaluations']:,} evaluations, {duration(best['simulated_seconds'])} simulated"
     click.echo(f"{effort}; {best['failed']:,} fell" if best["failed"] else effort)
     if "front" in best:
@@ -403,19 +411,6 @@ def _print_search(result: SearchResult) -> None:
     places |= {"records": "recordings"} if result.recordings else {}
     places |= {"plots": "plots"} if result.plots else {}
     _print_places(result.out, places)
-
-
-def _search_rows(result: SearchResult) -> Any:
-    """Every parameter, and every metric that the search aims at."""
-    from nermo_mjx.plotting.shown import shown
-    from nermo_mjx.rollout import METRICS
-
-    parameters = result.search.sweep.parameters
-    for kind, names in (("parameters", result.search.names), ("metrics", result.search.aim.metrics)):
-        for name in names:
-            about: Any = parameters[name] if kind == "parameters" else METRICS[name]
-            quantity = shown(name, about.unit, result.best[kind][name])
-            yield [name, f"{float(quantity.values) + 0.0:.4g}", quantity.unit]
 
 
 def _print_search_cost(cost: SearchCost) -> None:
@@ -518,8 +513,12 @@ def _tuning_so_far(tuning: Tuning, done: Progress) -> str:
     """The best objective so far, and the metrics of this iteration's best point."""
     if done.best is None:
         return ""
-    named = [name for name in tuning.objective.metrics[:_NAMED] if name in done.numbers]
-    return ", ".join([f"best {done.best:.4g}", *(_number_and_unit(tuning, name, done.numbers[name]) for name in named)])
+    parts = [f"best {done.best:.4g}"]
+    for name in tuning.objective.metrics[:_NAMED]:
+        if name in done.numbers:
+            (number,), unit = _shown(tuning, name, (done.numbers[name],))
+            parts.append(f"{name} {number:.4g} {unit}".rstrip())
+    return ", ".join(parts)
 
 
 def _print_tuning(result: TuningResult) -> None:
@@ -532,8 +531,14 @@ def _print_tuning(result: TuningResult) -> None:
     print_table(f"Iteration {best['iteration']}{where} is the best", columns, _tuning_rows(result))
     wall = result.history.column("wall_seconds")[-1].as_py()
     effort = f"{duration(best['simulated_seconds'])} simulated, gradients at their cost, in {duration(wall)}"
-    if again:
-        click.echo(_walked_again(again))
+    if again:  # what the columns of the engine c mean
+        walked = [again[point] or {"walks_ok": 0} for point in _AGAIN]
+        fell = sum(again["walks"] - each["walks_ok"] for each in walked)
+        fallen = f", of which {fell} were not completed" if fell else ""
+        many = "1 walk" if again["walks"] == 1 else f"means of {again['walks']} walks from unseen starts"
+        ends = again["best"] if again["walks"] > 1 else None
+        apart = f"; the best gave {ends['lowest']:.4g} to {ends['highest']:.4g}" if ends else ""
+        click.echo(f"Engine {again['engine']}: {many}{fallen}{apart}.")
     click.echo(f"{best['iterations']} iterations ({effort})")
     if best["stopped"]:
         click.echo(best["stopped"])
@@ -554,7 +559,10 @@ def _tuning_rows(result: TuningResult) -> list[list[str]]:
     rows = []
     for name, kind in names.items():
         ends = start[kind][name], best[kind][name]
-        change = _shortest(result.tuning, name, ends[1] - ends[0])
+        change, tuning = ends[1] - ends[0], result.tuning
+        if name in tuning.names and tuning.bounds.periodic[place := tuning.names.index(name)]:  # the shorter way around
+            period = float(tuning.bounds.high[place] - tuning.bounds.low[place])
+            change -= period * round(change / period)
         (before, after, change), unit = _shown(result.tuning, name, (*ends, change))
         rows.append([name, *_cells(before, after, change), *_again(result, name, kind), unit])
     ends = start["objective"], best["objective"]
@@ -573,38 +581,12 @@ def _again(result: TuningResult, name: str, kind: str = "") -> list[str]:
     return cells
 
 
-def _walked_again(again: Mapping[str, Any]) -> str:
-    """The meaning of the columns of the engine `c`."""
-    fell = sum(again["walks"] - (each or {"walks_ok": 0})["walks_ok"] for each in (again[point] for point in _AGAIN))
-    fallen = f", of which {fell} were not completed" if fell else ""
-    many = "1 walk" if again["walks"] == 1 else f"means of {again['walks']} walks from unseen starts"
-    best = again["best"]
-    apart = f"; the best gave {best['lowest']:.4g} to {best['highest']:.4g}" if best and again["walks"] > 1 else ""
-    return f"Engine {again['engine']}: {many}{fallen}{apart}."
-
-
-def _shortest(tuning: Tuning, name: str, change: float) -> float:
-    """A change of a parameter; for a periodic one, the shorter way around."""
-    if name not in tuning.names:
-        return change
-    place = tuning.names.index(name)
-    if not tuning.bounds.periodic[place]:
-        return change
-    period = float(tuning.bounds.high[place] - tuning.bounds.low[place])
-    return change - period * round(change / period)
-
-
 def _cells(before: float, after: float, change: float) -> list[str]:
     return [_digits(before), _digits(after), f"{change + 0.0:+.3g}" if math.isfinite(change) else "-"]
 
 
 def _digits(value: float) -> str:
     return f"{value + 0.0:.4g}" if math.isfinite(value) else "-"
-
-
-def _number_and_unit(tuning: Tuning, metric: str, value: float) -> str:
-    (number,), unit = _shown(tuning, metric, (value,))
-    return f"{metric} {number:.4g} {unit}".rstrip()
 
 
 def _shown(tuning: Tuning, name: str, values: tuple[float, ...]) -> tuple[list[float], str]:
@@ -725,7 +707,13 @@ def train_command(
             training, out, engine=engine, progress=tell, warn=watch.warn, accept_new_code=accept_new_code,
             tensorboard=tensorboard, evaluating=lambda share: watch.progress(Progress(share, what="evaluation")),
         )  # fmt: skip
-        exported = _export(result) if onnx else None
+        exported = result.policy.with_suffix(".onnx") if onnx and result.policy is not None else None
+        if exported is not None:
+            from nermo_mjx.learn.onnx import export
+            from nermo_mjx.learn.policy import load_policy
+            from nermo_mjx.runs.files import replace_file
+
+            replace_file(exported, export(load_policy(result.policy)))
     return {
         "out": result.out,
         **result.summary,
@@ -740,18 +728,6 @@ def _training_so_far(done: Progress) -> str:
     """The results of the last episodes."""
     known = {name: done.numbers.get(name, math.nan) for name in ("return", "reward")}
     return ", ".join(f"{name} {value:.3g}" for name, value in known.items() if math.isfinite(value))
-
-
-def _export(result: TrainingResult) -> Path | None:
-    from nermo_mjx.learn.onnx import export
-    from nermo_mjx.learn.policy import load_policy
-    from nermo_mjx.runs.files import replace_file
-
-    if result.policy is None:
-        return None
-    path = result.policy.with_suffix(".onnx")
-    replace_file(path, export(load_policy(result.policy)))
-    return path
 
 
 def _print_training(result: TrainingResult, exported: Path | None) -> None:

@@ -15,7 +15,6 @@ DIR/run.json                        which code made the rows (their column `code
 from __future__ import annotations
 
 import collections
-import contextlib
 import dataclasses
 import hashlib
 import json
@@ -44,10 +43,10 @@ from nermo_mjx.robot.quantity import choice
 from nermo_mjx.runs import CodeStamp, DirectoryError, RunDirectory, Written, codes_of, engine_of, session, stamp
 from nermo_mjx.runs.directory import Session, read_record, remove_leftovers
 from nermo_mjx.runs.files import clear_errors, parquet_bytes, parquet_table, replace_file, stored_json
-from nermo_mjx.runs.job import SILENT, Interrupted, Progress, Watch
+from nermo_mjx.runs.job import SILENT, Progress, Watch, resumable
 from nermo_mjx.runs.status import Status, last_command
 from nermo_mjx.runs.text import to_json
-from nermo_mjx.runs.workers import LocalWorkers, TaskFailed, Workers, WorkersLost
+from nermo_mjx.runs.workers import LocalWorkers, TaskFailed, Workers
 from nermo_mjx.view import RecordingError, VideoError, render, robot_of
 
 # --- the experiments by name
@@ -111,23 +110,21 @@ class Experiment:
         return figures(self.name) if self.own_figures is None else self.own_figures
 
 
-def _published(name: str, run: Callable[[Settings], Outcome], settable: frozenset[str], walks: bool) -> Experiment:
-    about = cases.texts("catalogue")[name]
-    return Experiment(name, run, settable, walks=walks, **about | {"shot": Shot(**about.get("shot", {}))})
+def _catalogue() -> Iterator[Experiment]:
+    for name, run, settable, walking in (
+        ("straight-line", walks.walk_line, cases.settable(walks.line_cases()), True),
+        ("turning", walks.walk_turns, cases.settable(walks.turn_cases()), True),
+        ("balance", balance.run, balance.SETTABLE, False),
+        ("maze", walks.walk_maze, cases.settable(walks.maze_cases()), True),
+        ("body", stands.run_body, stands.BODY_SETTABLE, False),
+        ("leg-stand", stands.run_leg, stands.STAND_SETTABLE, False),
+        ("spine-stand", stands.run_spine, stands.STAND_SETTABLE, False),
+    ):
+        about = cases.texts("catalogue")[name]
+        yield Experiment(name, run, settable, walks=walking, **about | {"shot": Shot(**about.get("shot", {}))})
 
 
-EXPERIMENTS: Final[dict[str, Experiment]] = {
-    name: _published(name, *how)
-    for name, how in {
-        "straight-line": (walks.walk_line, cases.settable(walks.line_cases()), True),
-        "turning": (walks.walk_turns, cases.settable(walks.turn_cases()), True),
-        "balance": (balance.run, balance.SETTABLE, False),
-        "maze": (walks.walk_maze, cases.settable(walks.maze_cases()), True),
-        "body": (stands.run_body, stands.BODY_SETTABLE, False),
-        "leg-stand": (stands.run_leg, stands.STAND_SETTABLE, False),
-        "spine-stand": (stands.run_spine, stands.STAND_SETTABLE, False),
-    }.items()
-}
+EXPERIMENTS: Final[dict[str, Experiment]] = {each.name: each for each in _catalogue()}
 
 # --- a directory: the results of each experiment, its settings, and how far it is
 
@@ -410,7 +407,7 @@ def run_experiments(
                 raise ParameterError(f"{name} cannot be set for {each.name}, whose cases decide it or do not use it.")
     resolve_engine(engine)
     directory = Directory(out)
-    with RunDirectory(out, "experiments") as held, _stoppable(directory.out):
+    with RunDirectory(out, "experiments") as held, resumable(directory.out, failed=ExperimentError):
         for folder in ("results", "plots"):
             remove_leftovers(directory.out / folder)
         if engine == "auto" and not again:
@@ -432,16 +429,6 @@ def run_experiments(
                 left.remove(next(stored))
             results.append(call.finish(each, kept[each.name]))
         return ExperimentsResult(directory.out, tuple(results), directory.report(call.written))
-
-
-@contextlib.contextmanager
-def _stoppable(out: Path) -> Iterator[None]:
-    try:
-        yield
-    except KeyboardInterrupt:
-        raise Interrupted(
-            f"stopped; the experiments that are finished are kept in {out}. To resume, run the same command again."
-        ) from None
 
 
 # --- simulation: a worker's task is an experiment with its own body, or with a batch of identified ones
@@ -601,8 +588,12 @@ class _Call:
                 about = sessions[part.label] | {"settings": self.settings.as_dict(), **made}
                 if part.bodies:
                     about |= {"bodies": part.bodies, "drawn": self.drawn}
-                    batches = [(several[k][0], parts[k].begin) for k in sorted(several)]
-                    self.directory.save(_joined(batches), about, self.written, bodies=True)
+                    batches = [(several[k][0].columns, parts[k].begin) for k in sorted(several)]
+                    columns = {name: np.concatenate([of[name] for of, _ in batches]) for name in batches[0][0]}
+                    # Each batch is numbered from the position of its first body.
+                    columns[BODY] = np.concatenate([of[BODY] + begin for of, begin in batches])
+                    outcome = dataclasses.replace(several[min(several)][0], columns=columns, recordings={})
+                    self.directory.save(outcome, about, self.written, bodies=True)
                     fresh.add(part.name)
                 else:
                     if part.name not in fresh and self._outdated(self.directory.load(part.name, bodies=True)):
@@ -617,8 +608,6 @@ class _Call:
                     raise ExperimentError(text) from error
                 error.add_note(text)
             raise error from None
-        except WorkersLost as lost:
-            raise ExperimentError(lost.kept_in(self.directory.out)) from None
 
     def finish(self, chosen: Experiment, kept: Stored | None) -> ExperimentResult:
         """Everything derived from new or stored results."""
@@ -690,18 +679,6 @@ class _Call:
             self.watch.warn(note)
             return [], [note]
         return [{"file": self.written.name(path), "shows": shows, "speed": speed}], []
-
-
-def _joined(batches: Sequence[tuple[Outcome, int]]) -> Outcome:
-    """Batches of bodies as one table without recordings, each numbered from the position of its first body."""
-    first = batches[0][0]
-    columns = {
-        name: np.concatenate(
-            [part.columns[name] + begin if name == BODY else part.columns[name] for part, begin in batches]
-        )
-        for name in first.columns
-    }
-    return dataclasses.replace(first, columns=columns, recordings={})
 
 
 #: A frame takes 0.1 to 0.15 s of one core without a graphics card, so that a video takes 25 s at most.

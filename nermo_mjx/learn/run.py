@@ -197,7 +197,7 @@ def run_training(
     name = engine_for(training, engine)
     with (
         Directory(out, training, name, warn or (lambda _: None)) as directory,
-        resumable("train", directory.out / SPEC) as interruption,
+        resumable(directory.out, f"train {directory.out / SPEC}") as interruption,
         contextlib.ExitStack() as stack,
     ):
         worlds = environment or training.environment(name)

@@ -145,7 +145,7 @@ def run_search(
     workers = LocalWorkers() if workers is None else workers
     with (
         RunDirectory(out, "search") as held,
-        resumable("search", held.out / SEARCH, SearchFailed) as interruption,
+        resumable(held.out, f"search {held.out / SEARCH}", SearchFailed) as interruption,
     ):
         watch = interruption.watched(watch)
         batches = Batches(held, search, lambda: batch_points(search, engine), watch.warn)

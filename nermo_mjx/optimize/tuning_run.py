@@ -151,7 +151,7 @@ def run_tuning(
     tuning = Tuning.of(spec)
     with (
         Directory(out, tuning, watch.warn) as directory,
-        resumable("tune", directory.out / TUNING, TuningFailed) as interruption,
+        resumable(directory.out, f"tune {directory.out / TUNING}", TuningFailed) as interruption,
     ):
         state, log = directory.restore(accept=accept_new_code)
         resumed = 0 if log is None else len(log)

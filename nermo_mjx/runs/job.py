@@ -115,21 +115,21 @@ def interruptible() -> Iterator[Interruption]:
 
 
 @contextlib.contextmanager
-def resumable(command: str, spec: Path, failed: type[Exception] = WorkersLost) -> Iterator[Interruption]:
+def resumable(out: Path, again: str = "", failed: type[Exception] = WorkersLost) -> Iterator[Interruption]:
     """`interruptible`, with errors that say how to resume: `Interrupted` after a signal.
 
     Args:
-        command: of nermo-mjx, by which it was started.
-        spec: the file in the directory that is its first argument.
+        out: the directory.
+        again: a command that resumes it from the files in it, if there is one.
         failed: the error after the loss of all workers.
     """
     try:
         with interruptible() as interruption:
             yield interruption
     except WorkersLost as lost:
-        raise failed(lost.kept_in(spec.parent)) from None
+        raise failed(lost.kept_in(out)) from None
     except KeyboardInterrupt:
+        how = f", or: nermo-mjx {again} --out {out}" if again else "."
         raise Interrupted(
-            f"stopped; what is finished is kept in {spec.parent}. To resume, run the same command again, or: "
-            f"nermo-mjx {command} {spec} --out {spec.parent}"
+            f"stopped; what is finished is kept in {out}. To resume, run the same command again{how}"
         ) from None

@@ -479,7 +479,7 @@ def run_sweep(
         raise SpecError(f"chunk is {size:,}: {wrong}")
     with (
         RunDirectory(out, "sweep", shard) as held,
-        resumable("sweep", held.out / "sweep.yaml") as interruption,
+        resumable(held.out, f"sweep {held.out / 'sweep.yaml'}") as interruption,
         contextlib.ExitStack() as stack,
     ):
         watch = interruption.watched(watch)
