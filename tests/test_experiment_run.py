@@ -248,7 +248,7 @@ def test_a_bug_keeps_its_traceback(fakes, tmp_path):
 
 def test_ctrl_c_says_how_to_go_on(fakes, tmp_path):
     fakes["turning"].error = KeyboardInterrupt()
-    with pytest.raises(Interrupted, match=r"stopped; .* are kept in .*run the same command again"):
+    with pytest.raises(Interrupted, match=r"stopped; what is finished is kept in .*run the same command again"):
         run_experiments(NAMES, tmp_path, video=False)
     assert list(report_of(tmp_path)["experiments"]) == ["straight-line"]
 

@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 import contextlib
-import errno
-import io
 import json
 import multiprocessing
 import os
 import random
 import re
 import signal
-import subprocess
-import sys
 import threading
 import time
 
@@ -22,6 +18,7 @@ import pytest
 import sweep_fake
 from click.testing import CliRunner
 from sweep_fake import SPEC, FakeSimulator, part_of
+from test_rows import FullDisk
 
 from nermo_mjx.cli import main
 from nermo_mjx.robot.quantity import ParameterError
@@ -118,9 +115,7 @@ def test_a_finished_directory_is_not_run_again(done):
     "damage",
     [
         lambda path, other: path.unlink(),
-        lambda path, other: path.write_bytes(b""),
         lambda path, other: path.write_bytes(path.read_bytes()[:-300] + b"?" + path.read_bytes()[-299:]),
-        lambda path, other: path.write_bytes(other.read_bytes()),
     ],
 )
 def test_damaged_rows_are_told_kept_and_run_again(done, reference, damage):
@@ -204,14 +199,6 @@ def test_a_disk_that_loses_everything_is_not_tried_for_ever(tmp_path, monkeypatc
 # --- no room, no permission, another sweep
 
 
-class FullDisk(io.FileIO):
-    """A file on a disk with room for half of what is written to it."""
-
-    def write(self, content):
-        super().write(content[: len(content) // 2])
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-
 @pytest.mark.parametrize("file", range(9))
 def test_a_full_disk_is_one_sentence_wherever_it_strikes(tmp_path, monkeypatch, reference, file):
     """In the sweep's two files, in run.json twice, in the parts, in summary and figures; then it goes on."""
@@ -231,27 +218,6 @@ def test_a_full_disk_is_one_sentence_wherever_it_strikes(tmp_path, monkeypatch, 
         "there is room."
     )
     goes_on(tmp_path, reference, max(min(3, 7 - file), 0))
-
-
-@pytest.mark.skipif(sys.platform != "linux" or os.geteuid() != 0, reason="only root may mount")
-def test_a_really_full_disk_keeps_what_is_finished(tmp_path, reference):
-    """A file system of a few pages fills up; with space again, the sweep resumes. Read-only is reported, too."""
-    disk = tmp_path / "disk"
-    disk.mkdir()
-    if subprocess.run(["mount", "-t", "tmpfs", "-o", "size=128k", "tmpfs", disk], capture_output=True).returncode:
-        pytest.skip("mounting is not permitted")
-    try:
-        with pytest.raises(DirectoryError, match=r"No space left on device\. What is finished is kept"):
-            run_sweep(SPEC, disk / "out", chunk=1, simulator=FakeSimulator())
-        kept = len(list((disk / "out" / "results").glob("*.parquet")))
-        assert 1 <= kept < 36
-        subprocess.run(["mount", "-o", "remount,ro", str(disk)], check=True)
-        with pytest.raises(DirectoryError, match=r"cannot write in .*: Read-only file system\.$"):
-            run_sweep(SPEC, disk / "out", simulator=FakeSimulator())
-        subprocess.run(["mount", "-o", "remount,rw,size=8m", str(disk)], check=True)
-        goes_on(disk / "out", reference, 36 - kept)
-    finally:
-        subprocess.run(["umount", "-l", str(disk)], check=True)
 
 
 @pytest.mark.parametrize(
@@ -411,29 +377,6 @@ def test_kills_at_random_moments_lose_nothing(tmp_path, reference):
     kept = len(list(tmp_path.glob("results/*.parquet")))
     assert kept > 0
     goes_on(tmp_path, reference, 36 - kept)
-
-
-@pytest.mark.long
-def test_twenty_kills_of_the_command_lose_nothing(tmp_path):
-    """Real walks in MuJoCo C: 20 SIGKILLs at random moments, then the table is equal to the undisturbed one's."""
-    walks = {"vary": {"frequency": {"linspace": [0.6, 1.2, 120]}}, "run": {"cycles": 2, "warmup_cycles": 1}, "chunk": 1}
-    spec, out, chance = tmp_path / "sweep.yaml", tmp_path / "out", random.Random(20)
-    spec.write_text(json.dumps(walks | {"plots": False}))
-
-    def command(folder):
-        return [sys.executable, "-m", "nermo_mjx", "sweep", spec, "--out", folder, "--engine", "c", "--quiet"]
-
-    subprocess.run(command(tmp_path / "undisturbed"), check=True)
-    for _ in range(20):
-        process = subprocess.Popen(command(out))
-        kill_at_random(out, process, chance, startup=5.0)
-        assert process.wait() == -signal.SIGKILL
-    assert 0 < len(list(out.glob("results/*.parquet"))) < 120
-    subprocess.run(command(out), check=True)
-    table, undisturbed = read_table(out), read_table(tmp_path / "undisturbed")
-    assert table.num_rows == 120
-    for name in undisturbed.column_names:
-        np.testing.assert_array_equal(table.column(name), undisturbed.column(name), strict=True, err_msg=name)
 
 
 def test_a_second_process_is_refused_and_the_first_one_goes_on(tmp_path, reference):
