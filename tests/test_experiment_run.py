@@ -17,14 +17,13 @@ from nermo_mjx.experiments.report import number, published_text
 from nermo_mjx.experiments.run import (
     EXPERIMENTS,
     Directory,
-    ExperimentError,
     Shot,
     run_experiment,
     run_experiments,
     shoot,
 )
 from nermo_mjx.robot import ParameterError
-from nermo_mjx.runs import DirectoryError, Interrupted, OtherCode, RunDirectory, Watch, codes_of
+from nermo_mjx.runs import DirectoryError, Interrupted, JobFailed, OtherCode, RunDirectory, Watch, codes_of
 from nermo_mjx.runs.files import TEMPORARY, WrongDirectory
 from nermo_mjx.view import RecordingError, VideoError
 
@@ -230,7 +229,7 @@ def test_a_damaged_table_or_a_lost_recording_is_run_again(fakes, tmp_path):
 
 def test_a_failure_half_way_keeps_what_is_done(fakes, tmp_path):
     fakes["balance"].error = RecordingError("the feet came off.")
-    with pytest.raises(ExperimentError, match=r"^balance failed: the feet came off\. What was done before is kept in"):
+    with pytest.raises(JobFailed, match=r"^balance failed: the feet came off\. What was done before is kept in"):
         run_experiments(NAMES, tmp_path, video=False)
     assert list(report_of(tmp_path)["experiments"]) == ["straight-line", "turning"]
     assert not fakes["maze"].asked

@@ -14,8 +14,8 @@ import pyarrow.parquet as pq
 import pytest
 from search_fake import ATLAS, BEST, FALLS, FRONT, SPEED, WALK, FakeSimulator, walk
 
-from nermo_mjx.optimize import SearchFailed, run_search
-from nermo_mjx.runs import Interrupted, Watch
+from nermo_mjx.optimize import run_search
+from nermo_mjx.runs import Interrupted, JobFailed, Watch
 from nermo_mjx.runs.files import DirectoryError
 from nermo_mjx.runs.rows import part_files
 from nermo_mjx.specs.reading import SpecError
@@ -74,7 +74,7 @@ def test_constraints_hold_at_the_best_point(tmp_path):
 
 def test_nothing_within_the_constraints_is_said(tmp_path):
     spec = SPEED | {"budget": 12, "subject_to": {"roll_std": {"max": 0.001}}}
-    with pytest.raises(SearchFailed, match="no point of this search walked to its end within its constraints"):
+    with pytest.raises(JobFailed, match="no point of this search walked to its end within its constraints"):
         run_search(spec, tmp_path / "out", simulator=FakeSimulator())
 
 
@@ -204,7 +204,7 @@ def test_a_directory_keeps_the_size_of_its_batches(tmp_path):
 
 
 def test_a_simulation_that_fails_keeps_what_is_done(tmp_path):
-    with pytest.raises(SearchFailed, match=r"batch 1 of .* failed: OSError: no luck\. What is finished is kept"):
+    with pytest.raises(JobFailed, match=r"batch 1 of .* failed: OSError: no luck\. What is finished is kept"):
         run_search(SPEED, tmp_path / "out", simulator=FakeSimulator(fail_at=2, error=OSError("no luck.")))
     assert len(list((tmp_path / "out/results").iterdir())) == 1
 
@@ -212,7 +212,7 @@ def test_a_simulation_that_fails_keeps_what_is_done(tmp_path):
 def test_no_walk_of_a_first_batch_is_no_end(tmp_path):
     """If everything falls, an atlas keeps searching, and finally reports that it found nothing."""
     spec = ATLAS | {"vary": WALK["vary"] | {"frequency": {"uniform": [1.41, 1.5]}}, "budget": 48}
-    with pytest.raises(SearchFailed, match="no point"):
+    with pytest.raises(JobFailed, match="no point"):
         run_search(spec, tmp_path / "out", simulator=(fake := FakeSimulator()))
     assert fake.batches == [16, 16, 16]
 

@@ -22,14 +22,13 @@ from test_rows import FullDisk
 
 from nermo_mjx.cli import main
 from nermo_mjx.robot.quantity import ParameterError
-from nermo_mjx.runs import Interrupted, OtherCode, Watch, files
+from nermo_mjx.runs import Interrupted, JobFailed, OtherCode, Watch, files
 from nermo_mjx.runs.rows import Runs
 from nermo_mjx.sweep import (
     DirectoryError,
     Results,
     SpecError,
     Sweep,
-    SweepError,
     read_table,
     run_sweep,
 )
@@ -277,8 +276,8 @@ def test_the_command_ends_with_one_sentence_and_1(tmp_path):
 @pytest.mark.parametrize(
     ("error", "expected", "sentence"),
     [
-        (ValueError("no\nsuch luck"), SweepError, r"failed: ValueError: no\. What is finished is kept in .+: run the"),
-        (MemoryError(), SweepError, r"failed: MemoryError\. .+: take a smaller --chunk in another directory\.$"),
+        (ValueError("no\nsuch luck"), JobFailed, r"failed: ValueError: no\. What is finished is kept in .+: run the"),
+        (MemoryError(), JobFailed, r"failed: MemoryError\. .+: take a smaller --chunk in another directory\.$"),
         (ParameterError("stride is 9."), SpecError, r"are refused: stride is 9\.$"),
     ],
 )

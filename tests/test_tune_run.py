@@ -16,8 +16,9 @@ import pytest
 from sweep_fake import FakeSimulator
 from tune_fake import BEST, SPEC, FakeProblem, FakeWalker, Three
 
-from nermo_mjx.optimize import Tuning, TuningFailed, load_tuning, read_history, run_tuning
+from nermo_mjx.optimize import Tuning, load_tuning, read_history, run_tuning
 from nermo_mjx.optimize.methods import Tuner, initial_state
+from nermo_mjx.runs import JobFailed
 from nermo_mjx.runs.job import SILENT, Interrupted, Watch
 from nermo_mjx.runs.workers import TaskFailed, WorkersLost
 from nermo_mjx.sweep import DirectoryError, Sweep, run_sweep
@@ -180,7 +181,7 @@ def test_workers_that_are_lost_leave_what_is_done(tmp_path):
             raise WorkersLost("no node came within 300 s.")
 
     tuning = Tuning.from_dict(SPEC)
-    with pytest.raises(TuningFailed, match=r"no node came within 300 s\. What is finished is kept in .*same command"):
+    with pytest.raises(JobFailed, match=r"no node came within 300 s\. What is finished is kept in .*same command"):
         run_tuning(tuning, tmp_path, problem=FakeProblem(tuning), workers=Lost())
 
 
@@ -242,7 +243,7 @@ def test_a_start_that_falls_goes_back_towards_its_best_point(tmp_path):
 
 def test_nothing_that_walks_is_an_error_at_once(tmp_path):
     """All worlds fall at all starts: no iteration could change that. Another tuning may take the directory."""
-    with pytest.raises(TuningFailed, match="no world of iteration 0 walked"):
+    with pytest.raises(JobFailed, match="no world of iteration 0 walked"):
         tune(tmp_path, falls=lambda points: jnp.ones(len(points), bool))
     assert not (tmp_path / "best.json").exists()
     assert tune(tmp_path, {"seed": 9})[0].best["complete"]

@@ -451,7 +451,7 @@ def run_identification(
         ParameterError: wrong arguments, or a directory that holds an identification or a search with other settings.
         OtherCode: other code made the candidates that the directory holds.
         DirectoryError: the directory holds something else, is in use, or cannot be written.
-        WorkersLost: no worker is left; the same command resumes.
+        JobFailed: no worker is left; the same command resumes.
     """
     resolve_engine(engine)
     folder = Path(out)

@@ -43,7 +43,7 @@ from nermo_mjx.robot.quantity import choice
 from nermo_mjx.runs import CodeStamp, DirectoryError, RunDirectory, Written, codes_of, engine_of, session, stamp
 from nermo_mjx.runs.directory import Session, read_record, remove_leftovers
 from nermo_mjx.runs.files import clear_errors, parquet_bytes, parquet_table, replace_file, stored_json
-from nermo_mjx.runs.job import SILENT, Progress, Watch, resumable
+from nermo_mjx.runs.job import SILENT, JobFailed, Progress, Watch, resumable
 from nermo_mjx.runs.status import Status, last_command
 from nermo_mjx.runs.text import to_json
 from nermo_mjx.runs.workers import LocalWorkers, TaskFailed, Workers
@@ -295,10 +295,6 @@ def images(out: Path) -> Figures:
 # --- a call
 
 
-class ExperimentError(RuntimeError):
-    """A failed experiment; the message names it and says what is kept."""
-
-
 @dataclasses.dataclass(frozen=True)
 class ExperimentResult:
     """The result of one experiment.
@@ -382,7 +378,7 @@ def run_experiments(
     Raises:
         ParameterError: wrong arguments, or a directory that holds one of them with other settings; nothing has run.
         OtherCode: other code made what the directory holds; nothing has run.
-        ExperimentError: an experiment failed, or all workers are lost; what was done before is kept.
+        JobFailed: an experiment failed, or all workers are lost; what was done before is kept.
         DirectoryError: the directory holds something else, is in use, or cannot be written.
         Interrupted: Ctrl-C or SIGTERM; the same call resumes.
     """
@@ -407,7 +403,7 @@ def run_experiments(
                 raise ParameterError(f"{name} cannot be set for {each.name}, whose cases decide it or do not use it.")
     resolve_engine(engine)
     directory = Directory(out)
-    with RunDirectory(out, "experiments") as held, resumable(directory.out, failed=ExperimentError):
+    with RunDirectory(out, "experiments") as held, resumable(directory.out):
         for folder in ("results", "plots"):
             remove_leftovers(directory.out / folder)
         if engine == "auto" and not again:
@@ -605,7 +601,7 @@ class _Call:
             text = f"{parts[failed.key].name} failed: {error} What was done before is kept in {self.directory.out}."
             if isinstance(error, (ValueError, RuntimeError, OSError)) and not isinstance(error, ParameterError):
                 if type(error).__module__.startswith("nermo_mjx"):
-                    raise ExperimentError(text) from error
+                    raise JobFailed(text) from error
                 error.add_note(text)
             raise error from None
 

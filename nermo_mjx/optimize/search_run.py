@@ -28,7 +28,7 @@ from nermo_mjx.rollout.differentiable import cost
 from nermo_mjx.runs import RunDirectory, session
 from nermo_mjx.runs.code import CodeStamp
 from nermo_mjx.runs.directory import engine_of
-from nermo_mjx.runs.job import SILENT, Progress, Watch, resumable
+from nermo_mjx.runs.job import SILENT, JobFailed, Progress, Watch, resumable
 from nermo_mjx.runs.rows import part_files
 from nermo_mjx.runs.workers import LocalWorkers, TaskFailed, Workers
 from nermo_mjx.runtime import cpu_count
@@ -68,10 +68,6 @@ def batch_points(search: Search, engine: str) -> int:
 
 #: Seconds between two updates of best.json and the atlas while the search runs.
 PUBLISHED_EVERY: Final = 60.0
-
-
-class SearchFailed(RuntimeError):
-    """A search that cannot continue; the message is one sentence that says why, and what to do."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -137,7 +133,7 @@ def run_search(
         SpecError: the search is wrong; nothing has been written.
         DirectoryError: the directory holds something else, is in use, or cannot be written; `OtherCode` if other code
             made what it holds.
-        SearchFailed: a simulation failed, all workers are lost, or nothing walked; what is finished is kept.
+        JobFailed: a simulation failed, all workers are lost, or nothing walked; what is finished is kept.
         Interrupted: Ctrl-C or SIGTERM; the same call resumes.
     """
     search = Search.of(spec)
@@ -145,7 +141,7 @@ def run_search(
     workers = LocalWorkers() if workers is None else workers
     with (
         RunDirectory(out, "search") as held,
-        resumable(held.out, f"search {held.out / SEARCH}", SearchFailed) as interruption,
+        resumable(held.out, f"search {held.out / SEARCH}") as interruption,
     ):
         watch = interruption.watched(watch)
         batches = Batches(held, search, lambda: batch_points(search, engine), watch.warn)
@@ -156,7 +152,7 @@ def run_search(
         search = batches.search
         best = publish(batches, complete=True)
         if not best:
-            raise SearchFailed(
+            raise JobFailed(
                 f"{batches.out}: no point of this search walked to its end within its constraints: choose other "
                 "bounds, or looser constraints."
             )
@@ -253,7 +249,7 @@ class SearchLoop:
             if isinstance(failed.error, ParameterError):
                 raise SpecError(f"{named} is refused: {failed.error}") from failed.error
             reason = (str(failed.error).strip().splitlines() or [""])[0].rstrip(".")[:300]
-            raise SearchFailed(
+            raise JobFailed(
                 f"{named} failed: {type(failed.error).__name__}: {reason}. What is finished is kept: run the same "
                 "command again when it is fixed."
             ) from failed.error
@@ -271,7 +267,7 @@ class SearchLoop:
         for name in aim.metrics if well.any() and not self._measured else ():
             if not np.isfinite(metrics[name][well]).any():
                 about = self._search.sweep.metrics[name].doc
-                raise SearchFailed(
+                raise JobFailed(
                     f"{name} is NaN in all {well.sum()} walks of the first batch ({about}): ask for another metric, or "
                     "change the walk."
                 )

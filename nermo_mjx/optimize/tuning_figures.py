@@ -28,7 +28,7 @@ from nermo_mjx.optimize.objective import FURTHEST, TRAJECTORY_ERROR
 from nermo_mjx.optimize.tuning import Generations, Tuned, Tuning
 from nermo_mjx.optimize.tuning_directory import VIDEO, Directory, load_tuning
 from nermo_mjx.plotting.files import Figures, write_figures
-from nermo_mjx.plotting.page import page
+from nermo_mjx.plotting.page import colour_bar, page
 from nermo_mjx.plotting.shown import ShownValues, shown
 from nermo_mjx.plotting.style import (
     BAND,
@@ -484,6 +484,7 @@ def key(tuning: Tuning, others: Mapping[str, float]) -> str:
 #: Lower is better, and brighter.
 _COLOURS: Final = f"{COLOURS}_r"
 _LEVELS: Final = 18
+_LABEL: Final = "objective, lower is better [1]"
 #: Share of the landscape's points covered by the colours; including the highest would reduce the contrast.
 _COVERED: Final = 0.97
 
@@ -570,7 +571,7 @@ def _draw_background(figure: Figure, ax: Axes, traces: Traces, background: Backg
     scale = PowerNorm(0.5, low, high)
     ax.contourf(x, y, shown, levels, cmap=_COLOURS, norm=scale, extend=cut, zorder=1)
     ax.contour(x, y, shown, levels[::2], colors="white", linewidths=0.5, linestyles="solid", alpha=0.45, zorder=2)
-    _bar(figure, ax, ScalarMappable(scale, _COLOURS), extend=cut, extendfrac=0.03)
+    colour_bar(figure, ax, ScalarMappable(scale, _COLOURS), _LABEL, aspect=28, extend=cut)
 
 
 def _draw_values(figure: Figure, ax: Axes, traces: Traces) -> None:
@@ -581,15 +582,9 @@ def _draw_values(figure: Figure, ax: Axes, traces: Traces) -> None:
     low, high = float(good.min()), float(np.quantile(good, _COVERED))
     scale = Normalize(low, high if high > low else low + 1e-9)
     points = ax.scatter(x[:, drawn], y[:, drawn], c=value[:, drawn], s=22, cmap=_COLOURS, lw=0, zorder=5, norm=scale)
-    _bar(figure, ax, points)
+    colour_bar(figure, ax, points, _LABEL, aspect=28)
     ax.grid(color=GRID, lw=0.8)
     ax.set_axisbelow(True)
-
-
-def _bar(figure: Figure, ax: Axes, colours: ScalarMappable, **more: Any) -> None:
-    bar = figure.colorbar(colours, ax=ax, aspect=28, pad=0.02, **more)
-    bar.set_label("objective, lower is better [1]")
-    bar.outline.set_visible(False)
 
 
 def _copies(traces: Traces, paths: list[np.ndarray], ends: list[np.ndarray], start: int) -> list[tuple[int, ...]]:

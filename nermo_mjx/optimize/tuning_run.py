@@ -25,7 +25,7 @@ from nermo_mjx.robot import ParameterError
 from nermo_mjx.rollout import Simulator
 from nermo_mjx.rollout.differentiable import Rollout, choose_mode, cost
 from nermo_mjx.rollout.run import START_SPREAD
-from nermo_mjx.runs.job import SILENT, Progress, Watch, resumable
+from nermo_mjx.runs.job import SILENT, JobFailed, Progress, Watch, resumable
 from nermo_mjx.runs.text import to_json
 from nermo_mjx.runs.workers import LocalWorkers, Workers
 from nermo_mjx.sweep.simulating import SimulatorLike, pace
@@ -79,10 +79,6 @@ def verified(tuning: Tuning, points: Mapping[str, Mapping[str, float]], simulato
                 "metrics": {metric: float(metrics[metric][mine].mean()) for metric in tuning.objective.metrics},
             }
     return found
-
-
-class TuningFailed(RuntimeError):
-    """No robot walks, or no worker is left; the message says how to resume."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -145,13 +141,13 @@ def run_tuning(
         SpecError: the tuning is wrong; nothing has been written.
         DirectoryError: the directory holds something else, is in use, or cannot be read or written; `OtherCode` if
             other code, or other defaults, made what it holds.
-        TuningFailed: no robot walks to the end, or all workers are lost.
+        JobFailed: no robot walks to the end, or all workers are lost.
         Interrupted: Ctrl-C or SIGTERM; the same call resumes.
     """
     tuning = Tuning.of(spec)
     with (
         Directory(out, tuning, watch.warn) as directory,
-        resumable(directory.out, f"tune {directory.out / TUNING}", TuningFailed) as interruption,
+        resumable(directory.out, f"tune {directory.out / TUNING}") as interruption,
     ):
         state, log = directory.restore(accept=accept_new_code)
         resumed = 0 if log is None else len(log)
@@ -171,7 +167,7 @@ def run_tuning(
             state, found = tuner.step(state)
             if found.lost.all() and not np.isfinite(state.best_value).any():
                 done = 0 if log is None else len(log)
-                raise TuningFailed(
+                raise JobFailed(
                     f"{directory.out}: no world of iteration {done} walked to its end, nor did one before: choose "
                     "other starts or bounds."
                 )
@@ -191,7 +187,7 @@ def run_tuning(
         assert log is not None
         best = directory.publish(log)
         if best is None:
-            raise TuningFailed(
+            raise JobFailed(
                 f"{directory.out}: the robot walked to the end at no point of this tuning: choose other starts or "
                 "bounds."
             )

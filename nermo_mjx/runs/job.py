@@ -60,6 +60,10 @@ class Watch:
 SILENT: Final = Watch()
 
 
+class JobFailed(RuntimeError):
+    """A job that cannot go on; the message is one sentence that says why, and how to resume."""
+
+
 class Interrupted(KeyboardInterrupt):
     """Ctrl-C or SIGTERM; the message says how to resume."""
 
@@ -115,19 +119,18 @@ def interruptible() -> Iterator[Interruption]:
 
 
 @contextlib.contextmanager
-def resumable(out: Path, again: str = "", failed: type[Exception] = WorkersLost) -> Iterator[Interruption]:
-    """`interruptible`, with errors that say how to resume: `Interrupted` after a signal.
+def resumable(out: Path, again: str = "") -> Iterator[Interruption]:
+    """`interruptible`, with errors that say how to resume: `Interrupted`, and `JobFailed` if all workers are lost.
 
     Args:
         out: the directory.
         again: a command that resumes it from the files in it, if there is one.
-        failed: the error after the loss of all workers.
     """
     try:
         with interruptible() as interruption:
             yield interruption
     except WorkersLost as lost:
-        raise failed(lost.kept_in(out)) from None
+        raise JobFailed(lost.kept_in(out)) from None
     except KeyboardInterrupt:
         how = f", or: nermo-mjx {again} --out {out}" if again else "."
         raise Interrupted(

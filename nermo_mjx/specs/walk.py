@@ -448,8 +448,12 @@ def check_workspace(
     parameters = all_parameters(setup)
     parts = {"set": {name: np.array([value]) for name, value in fixed.items()}, **tried}
     sections = {name: section for section, names in parts.items() for name in names if not unread(setup, name)}
-    values = {name: _within(np.unique(parts[section][name]), parameters[name]) for name, section in sections.items()}
-    values = {name: column for name, column in values.items() if len(column)}
+    values: dict[str, np.ndarray] = {}
+    for name, section in sections.items():
+        column, about = np.unique(parts[section][name]), parameters[name]
+        # An open bound is only approached.
+        on_bound = (about.open_low & (column <= about.low)) | (about.open_high & (column >= about.high))
+        values |= {name: column[~on_bound]} if not on_bound.all() else {}
     constant = {name: column[0] for name, column in values.items() if len(column) == 1}
 
     def refuse(error: ParameterError, name: str, given: np.ndarray) -> NoReturn:
@@ -483,12 +487,6 @@ def check_workspace(
     if len(mesh) > 1 and (error := refusal(dict(zip(mesh, combined, strict=True)))) is not None:
         name = next(iter(mesh))
         refuse(error, name, mesh[name])
-
-
-def _within(column: np.ndarray, about: Quantity) -> np.ndarray:
-    """The values without those on an open bound, which is only approached."""
-    on_bound = (about.open_low & (column <= about.low)) | (about.open_high & (column >= about.high))
-    return column[~on_bound]
 
 
 # ---
@@ -527,38 +525,22 @@ def written_out(doc: Document) -> Document:
     data, lines = dict(doc.data), dict(doc.lines)
     for section in _SECTIONS:
         given = data.get(section)
-        if isinstance(given, dict) and any(map(is_pattern, given)):
-            origin = _origins(doc, section, given)
-            data[section] = {name: given[key] for name, key in origin.items()}
-            lines |= _lines(doc, section, origin)
-    return dataclasses.replace(doc, data=data, lines=lines)
-
-
-def _origins(doc: Document, section: str, given: dict[str, Any]) -> dict[str, str]:
-    """Each name, and the key of the file that it has its value from."""
-    origin: dict[str, str] = {}
-    for key in given:
-        if not is_pattern(key):
-            origin[key] = key
+        if not (isinstance(given, dict) and any(map(is_pattern, given))):
             continue
-        found = matches(key, NAMES.get())
-        if not found:
-            doc.fail((section, key), "matches no parameter (nermo-mjx sweep --list-parameters prints all).", key)
-        for name in found:
-            if name in origin and name not in given:
-                doc.fail((section, key), f"and '{origin[name]}' both match {name}: give it one source.", key)
-            if name not in given:
-                origin[name] = key
-    return origin
-
-
-def _lines(doc: Document, section: str, origin: dict[str, str]) -> dict[FieldPath, int]:
-    """The line numbers under a pattern, for each name that it matches."""
-    moved: dict[FieldPath, int] = {}
-    below: dict[str, list[FieldPath]] = {}
-    for path in doc.lines:
-        if len(path) > 1 and path[0] == section:
-            below.setdefault(str(path[1]), []).append(path)
-    for name, key in origin.items():
-        moved |= {(section, name, *path[2:]): doc.lines[path] for path in below.get(key, ())}
-    return moved
+        origin: dict[str, str] = {}  # of each name, the key of the file that it has its value from
+        for key in given:
+            found = matches(key, NAMES.get()) if is_pattern(key) else [key]
+            if not found:
+                doc.fail((section, key), "matches no parameter (nermo-mjx sweep --list-parameters prints all).", key)
+            for name in found if is_pattern(key) else ():
+                if name in origin and name not in given:
+                    doc.fail((section, key), f"and '{origin[name]}' both match {name}: give it one source.", key)
+            origin |= {name: key for name in found if name == key or name not in given}
+        data[section] = {name: given[key] for name, key in origin.items()}
+        below: dict[str, list[FieldPath]] = {}
+        for path in doc.lines:
+            if len(path) > 1 and path[0] == section:
+                below.setdefault(str(path[1]), []).append(path)
+        for name, key in origin.items():
+            lines |= {(section, name, *path[2:]): doc.lines[path] for path in below.get(key, ())}
+    return dataclasses.replace(doc, data=data, lines=lines)

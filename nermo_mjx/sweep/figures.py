@@ -12,7 +12,6 @@ import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
-from matplotlib.colorbar import Colorbar
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -20,7 +19,7 @@ from matplotlib.patheffects import Normal, Stroke
 from matplotlib.ticker import FuncFormatter
 
 from nermo_mjx.plotting.cloud import cloud, remark
-from nermo_mjx.plotting.page import around, blank
+from nermo_mjx.plotting.page import around, blank, colour_bar
 from nermo_mjx.plotting.shown import ShownValues, shown, spoken, titled
 from nermo_mjx.plotting.style import (
     BAND,
@@ -39,6 +38,8 @@ from nermo_mjx.plotting.style import (
 from nermo_mjx.sweep.results import Results
 from nermo_mjx.sweep.spec import cost, sides_in
 from nermo_mjx.sweep.table import Variants, columns_of, labelled, meta
+
+_BAR: Final[dict[str, Any]] = {"shrink": 0.9, "aspect": 28}
 
 
 def heat_maps(
@@ -112,7 +113,7 @@ def heat_maps(
         bottom, left = i + columns >= len(axes), i % columns == 0
         ax.tick_params(labelbottom=bottom, labelleft=left)
         ax.set(xlabel=x.label if bottom else "", ylabel=y.label if left else "")
-    bar = _colour_bar(figure, axes, scale, z.label, colours, extend=extend)
+    bar = colour_bar(figure, axes, ScalarMappable(scale, colours), z.label, extend=extend, **_BAR)
     if gain is not None:
         bar.formatter = FuncFormatter(lambda value, _: _signed(value).removesuffix(" %"))
     word = best_word(z) if gain is None else "best"
@@ -172,7 +173,7 @@ def pair_scatters(
             ax.scatter(x.values[order[-1]], y.values[order[-1]], s=170, marker="*", fc=BEST, ec="white", zorder=5)
         set_scales(ax, x, y)
         ax.set(xlabel=x.label, ylabel=y.label)
-    _colour_bar(figure, axes, scale, z.label, extend=extend)
+    colour_bar(figure, axes, ScalarMappable(scale, COLOURS), z.label, extend=extend, **_BAR)
     best = f"star: {best_word(z)}, {z.shown(float(z.values[order[-1]]))}"
     return around(figure, title, note + best if star else note.removesuffix("; "))
 
@@ -196,17 +197,6 @@ def best_word(metric: ShownValues) -> str:
 def _columns(count: int) -> int:
     """Panels in a row."""
     return min(count, 4 if count > 6 else 3)
-
-
-def _colour_bar(
-    figure: Figure, axes: Sequence[Axes], scale: Normalize, label: str, colours: str = COLOURS, *, extend: str
-) -> Colorbar:
-    bar = figure.colorbar(
-        ScalarMappable(scale, colours), ax=list(axes), shrink=0.9, aspect=28, pad=0.02, extend=extend, extendfrac=0.03
-    )
-    bar.set_label(label)
-    bar.outline.set_visible(False)
-    return bar
 
 
 def _signed(percent: float) -> str:

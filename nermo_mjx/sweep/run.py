@@ -29,12 +29,12 @@ from nermo_mjx.rollout import METRICS, Run, Simulator
 from nermo_mjx.rollout.run import too_many
 from nermo_mjx.runs.directory import RunDirectory, engine_of
 from nermo_mjx.runs.files import DirectoryError, WrongDirectory, parquet_bytes
-from nermo_mjx.runs.job import SILENT, Progress, Watch, resumable
+from nermo_mjx.runs.job import SILENT, JobFailed, Progress, Watch, resumable
 from nermo_mjx.runs.provenance import session
 from nermo_mjx.runs.rows import Runs
 from nermo_mjx.runs.tensorboard import TensorBoard, require_tensorboard
 from nermo_mjx.runs.text import to_json
-from nermo_mjx.runs.workers import LocalWorkers, TaskFailed, Workers, WorkersLost
+from nermo_mjx.runs.workers import LocalWorkers, TaskFailed, Workers
 from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.specs.walk import unread
 from nermo_mjx.sweep.comparing import better
@@ -75,10 +75,6 @@ from nermo_mjx.trust import only_reading
 _NO_MEMORY = re.compile("RESOURCE_EXHAUSTED|out of memory|failed to allocate", re.IGNORECASE)
 #: Rows that are taken from other directories at once, if they have no time series.
 _TAKEN: Final = 65_536
-
-
-class SweepError(RuntimeError):
-    """A sweep that cannot be finished; the message is one sentence that says why, and how to resume."""
 
 
 class Batch(NamedTuple):
@@ -230,7 +226,7 @@ class Work:
 
         Raises:
             SpecError: a parameter is refused.
-            SweepError: a simulation failed, or all workers are lost.
+            JobFailed: a simulation failed, or all workers are lost.
             OtherCode: other code made the rows that are there.
             DirectoryError: a batch cannot be written.
         """
@@ -280,12 +276,10 @@ class Work:
                 if full
                 else ("run the same command again when it is fixed")
             )
-            raise SweepError(
+            raise JobFailed(
                 f"{rows} failed: {type(error).__name__}{f': {reason}' if reason else ''}. What is finished is kept in "
                 f"{self.out}: {remedy}."
             ) from error
-        except WorkersLost as lost:
-            raise SweepError(lost.kept_in(self.out)) from None
 
     def _tell(self, current: float = 0.0) -> None:
         """Report the progress, with the simulated time that the batches at work have done [s]."""
@@ -453,7 +447,7 @@ def run_sweep(
         SpecError: the sweep is wrong; nothing has been written.
         OtherCode: other code, another model or another engine made rows of the directory.
         DirectoryError: the directory holds something else, is in use, or cannot be written.
-        SweepError: a simulation failed, or all workers are lost; what is finished is kept.
+        JobFailed: a simulation failed, or all workers are lost; what is finished is kept.
         Interrupted: Ctrl-C or SIGTERM; the same call resumes.
     """
     sweep = Sweep.of(spec)
