@@ -391,9 +391,39 @@ def landscape_content(tuning: Tuning, points: pa.Table, lines: Sequence[Slice]) 
     5 % agree.
     """
     notes = {key.decode(): value.decode() for key, value in (points.schema.metadata or {}).items()}
+    parameters = {}
+    for line in lines:
+        tuned, good = line.tuned, line.value[line.ok]
+        judged = [secants for secants in line.secants if secants.share in JUDGED]
+        known = all(len(secants.secant) for secants in judged)
+        parameters[tuned.name] = {
+            "unit": tuning.parameters[tuned.name].unit,
+            "bounds": [tuned.low, tuned.high],
+            "start": tuned.start,
+            "from": float(line.x[0]),
+            "to": float(line.x[-1]),
+            "points": len(line.x),
+            "fell": int((~line.ok).sum()),
+            "lowest": float(good.min()) if len(good) else math.nan,
+            "lowest_at": float(line.x[np.nanargmin(line.value)]) if len(good) else math.nan,
+            "highest": float(good.max()) if len(good) else math.nan,
+            "ripple": line.ripple,
+            "widths": [
+                {
+                    "share": secants.share,
+                    "width": secants.width,
+                    "secants": len(secants.secant),
+                    "median_relative_error": secants.error,
+                    "sign_agreement": secants.sign_agreement,
+                    "ripple": secants.ripple,
+                }
+                for secants in line.secants
+            ],
+            "follows": all(s.error <= ERROR and s.sign_agreement >= SIGNS for s in judged) if known else None,
+        }
     return {
         "objective": [written(term) for term in tuning.objective.terms],
-        "parameters": {line.tuned.name: _about(tuning, line) for line in lines},
+        "parameters": parameters,
         "evaluations": points.num_rows,
         "batch": int(notes["batch"]),
         "precision": notes["precision"],
@@ -472,38 +502,6 @@ def report_text(content: Mapping[str, Any]) -> str:
         f"- Machine: {listed(content['machine'])}",
     ]
     return "\n".join(lines).rstrip() + "\n"
-
-
-def _about(tuning: Tuning, line: Slice) -> dict[str, Any]:
-    tuned, good = line.tuned, line.value[line.ok]
-    widths = [
-        {
-            "share": secants.share,
-            "width": secants.width,
-            "secants": len(secants.secant),
-            "median_relative_error": secants.error,
-            "sign_agreement": secants.sign_agreement,
-            "ripple": secants.ripple,
-        }
-        for secants in line.secants
-    ]
-    judged = [secants for secants in line.secants if secants.share in JUDGED]
-    known = all(len(secants.secant) for secants in judged)
-    return {
-        "unit": tuning.parameters[tuned.name].unit,
-        "bounds": [tuned.low, tuned.high],
-        "start": tuned.start,
-        "from": float(line.x[0]),
-        "to": float(line.x[-1]),
-        "points": len(line.x),
-        "fell": int((~line.ok).sum()),
-        "lowest": float(good.min()) if len(good) else math.nan,
-        "lowest_at": float(line.x[np.nanargmin(line.value)]) if len(good) else math.nan,
-        "highest": float(good.max()) if len(good) else math.nan,
-        "ripple": line.ripple,
-        "widths": widths,
-        "follows": all(s.error <= ERROR and s.sign_agreement >= SIGNS for s in judged) if known else None,
-    }
 
 
 def _percent(share: float) -> str:
@@ -711,18 +709,13 @@ def _draw_slopes(ax: Axes, line: Slice, x: ShownValues) -> None:
         ax.plot(centre, value, "D", ms=3.0 + 1.1 * i, zorder=5 - 0.1 * i, **look)
         drawn.append(value)
     ax.axhline(0.0, color=MUTED, lw=0.8, zorder=1)
-    _cut(ax, slope[np.isfinite(slope)], np.concatenate(drawn))
-    legend(ax)
-
-
-def _cut(ax: Axes, slope: np.ndarray, secants: np.ndarray) -> None:
-    """Leave out what lies so far off that the slope could not be seen, and say how much that is."""
-    low, high = np.quantile(slope, [0.02, 0.98])
-    room = _CUT * max(high - low, 1e-9 + 1e-3 * abs(low))
-    everything = np.concatenate([slope, secants])
+    # What lies so far off that the slope could not be seen is left out, and counted.
+    known = slope[np.isfinite(slope)]
+    low, high = np.quantile(known, [0.02, 0.98])
+    room, everything = _CUT * max(high - low, 1e-9 + 1e-3 * abs(low)), np.concatenate([known, *drawn])
     inside = everything[(everything >= low - room) & (everything <= high + room)]
     margin = 0.06 * (np.ptp(inside) or 1.0)
     ax.set_ylim(min(inside.min(), 0.0) - margin, max(inside.max(), 0.0) + margin)
-    outside = len(everything) - len(inside)
-    if outside:
+    if outside := len(everything) - len(inside):
         corner(ax, f"{outside} outside", 1.0)
+    legend(ax)

@@ -193,7 +193,13 @@ def objective_figure(traces: Traces) -> Figure:
     lowest[np.isinf(lowest)] = np.nan
     axes[0].step(traces.iterations, lowest, where="post", color=INK, lw=1.1, ls=(0, (4, 2)))
     axes[0].set_ylabel("objective [1]")
-    _cut(axes[0], value)
+    # Values so far above the rest that nothing else would be visible are cut off.
+    good = value[np.isfinite(value)]
+    low, high = np.min(good), np.quantile(good, 0.9)
+    top = max(high + 2.0 * (high - low), low + 1.05 * (np.nan_to_num(value[0, 0], nan=low) - low))
+    if high > low and good.max() > top:
+        axes[0].set_ylim(low - 0.05 * (top - low), top)
+        corner(axes[0], f"{int((good > top).sum())} higher", 1, "top")
     label: str | None = "fell"
     for each, style in start_styles(traces).items():
         fell = traces.iterations[~traces.ok[:, each]]
@@ -315,16 +321,6 @@ def _draw_starts(ax: Axes, traces: Traces, values: np.ndarray) -> None:
     for start, style in start_styles(traces).items():
         own = marker if style["lw"] > 1 else {}
         ax.plot(traces.iterations, values[:, start], **style, **own)
-
-
-def _cut(ax: Axes, values: np.ndarray) -> None:
-    """Cut off values so far above the rest that nothing else would be visible."""
-    good = values[np.isfinite(values)]
-    low, high = np.min(good), np.quantile(good, 0.9)
-    top = max(high + 2.0 * (high - low), low + 1.05 * (np.nan_to_num(values[0, 0], nan=low) - low))
-    if high > low and good.max() > top:
-        ax.set_ylim(low - 0.05 * (top - low), top)
-        corner(ax, f"{int((good > top).sum())} higher", 1, "top")
 
 
 def _draw_bounds(ax: Axes, traces: Traces, tuned: Tuned, values: np.ndarray) -> None:
@@ -491,12 +487,16 @@ _COVERED: Final = 0.97
 
 def path_figure(traces: Traces, background: Background | None = None) -> Figure:
     """The paths over the first two tuned parameters, or of a single one its objective."""
-    return _plane(traces, background) if len(traces.tuning.tuned) > 1 else _line(traces, background)
+    beneath = ""
+    if background is not None:
+        rest = len(traces.tuning.tuned) - len(background.axes)
+        beneath = f"landscape: {background.walks}" + (", the other parameters as in the best point" if rest else "")
+    return (_plane if len(traces.tuning.tuned) > 1 else _line)(traces, background, beneath)
 
 
-def _plane(traces: Traces, background: Background | None) -> Figure:
+def _plane(traces: Traces, background: Background | None, beneath: str) -> Figure:
     x, y = traces.tuning.tuned[:2]
-    note = f"ring: start; dot: end; star: best; {_beneath(traces, background) or 'colour: objective'}"
+    note = f"ring: start; dot: end; star: best; {beneath or 'colour: objective'}"
     figure = page(f"Path over {x.name} and {y.name}", 6.9, 5.4, note)
     ax = figure.subplots()
     ax.set_facecolor("white" if background is None else MISSING)
@@ -508,7 +508,13 @@ def _plane(traces: Traces, background: Background | None) -> Figure:
     spans = [float(np.ptp(pair)) for pair in ends]
     paths = [traces.in_shown_unit(each.name, traces.unwrapped(each)) for each in (x, y)]
     for start in traces.drawn():
-        path, copies = [path[:, start] for path in paths], _copies(traces, paths, ends, start)
+        path, turns = [path[:, start] for path in paths], []
+        for tuned, values, (low, high) in zip((x, y), path, ends, strict=True):
+            first, last = (
+                math.floor((end - low) / (high - low)) * tuned.periodic for end in (values.min(), values.max())
+            )
+            turns.append(range(first, last + 1))
+        copies = list(itertools.product(*turns))  # so that all pieces of the path lie within the bounds
         _draw_path(ax, path, copies, spans, "thin" if background is None else "best" if start == traces.best[1] else "")
     best = [float(traces.in_shown_unit(each.name, traces.column(each.name)[traces.best])) for each in (x, y)]
     star(ax, best[0], best[1], 230, 1.2)
@@ -519,11 +525,10 @@ def _plane(traces: Traces, background: Background | None) -> Figure:
     return figure
 
 
-def _line(traces: Traces, background: Background | None) -> Figure:
+def _line(traces: Traces, background: Background | None, beneath: str) -> Figure:
     """The objective over the only parameter: the landscape as a line, and the points that each start visited."""
     (each,) = traces.tuning.tuned
-    parts = ("dots: evaluations, larger towards the end; star: best", _beneath(traces, background))
-    note = "; ".join(filter(None, parts))
+    note = "; ".join(filter(None, ("dots: evaluations, larger towards the end; star: best", beneath)))
     figure = page(f"Objective over {each.name} (lower is better)", 7.2, 4.0, note)
     ax = figure.subplots()
     if background is not None:
@@ -542,15 +547,6 @@ def _line(traces: Traces, background: Background | None) -> Figure:
     horizontal_grid(ax)
     legend(ax)
     return figure
-
-
-def _beneath(traces: Traces, background: Background | None) -> str:
-    """What the landscape is; nothing without one."""
-    if background is None:
-        return ""
-    text = f"landscape: {background.walks}"
-    rest = len(traces.tuning.tuned) - len(background.axes)
-    return text + (", the other parameters as in the best point" if rest else "")
 
 
 def _draw_background(figure: Figure, ax: Axes, traces: Traces, background: Background) -> None:
@@ -585,16 +581,6 @@ def _draw_values(figure: Figure, ax: Axes, traces: Traces) -> None:
     colour_bar(figure, ax, points, _LABEL, aspect=28)
     ax.grid(color=GRID, lw=0.8)
     ax.set_axisbelow(True)
-
-
-def _copies(traces: Traces, paths: list[np.ndarray], ends: list[np.ndarray], start: int) -> list[tuple[int, ...]]:
-    """Whole turns by which a path is shifted so that all its pieces lie within the bounds."""
-    turns = []
-    for tuned, path, (low, high) in zip(traces.tuning.tuned, paths, ends, strict=False):
-        reach = (path[:, start].min(), path[:, start].max())
-        first, last = (math.floor((end - low) / (high - low)) * tuned.periodic for end in reach)
-        turns.append(range(first, last + 1))
-    return list(itertools.product(*turns))
 
 
 def _draw_path(
@@ -774,12 +760,13 @@ def render_video(
 
     def caption(point: Mapping[str, Any]) -> list[str]:
         """What the objective reads, and below it the parameters, as figures show them."""
-        read = {name: point["metrics"][name] for name in tuning.objective.metrics}
-        texts = (
-            [_text(name, known[name].unit, value) for name, value in part.items()]
-            for part in (read, point["parameters"])
-        )
-        return [", ".join(part) for part in texts]
+        lines = []
+        for part in ({name: point["metrics"][name] for name in tuning.objective.metrics}, point["parameters"]):
+            quantities = [shown(name, known[name].unit, np.asarray(value)) for name, value in part.items()]
+            numbers = [f"{float(each.values):.3g}" if np.isfinite(each.values) else "–" for each in quantities]
+            texts = zip(part, numbers, (each.unit for each in quantities), strict=True)
+            lines.append(", ".join(" ".join(text).rstrip() for text in texts))
+        return lines
 
     titles = ("Start", f"Best, iteration {best['iteration']}{where}")
     model = tuning.setup.load().model
@@ -790,9 +777,3 @@ def render_video(
     report = None if progress is None else lambda done, frames: progress(done / frames)
     look: dict[str, Any] = {"width": WIDTH, "height": HEIGHT, "camera": CAMERA}
     return render_side_by_side(panes, model, path, fps=FPS, speed=SPEED, progress=report, **look)
-
-
-def _text(name: str, unit: str, value: float) -> str:
-    quantity = shown(name, unit, np.asarray(value))
-    number = f"{float(quantity.values):.3g}" if np.isfinite(value) else "–"
-    return f"{name} {number} {quantity.unit}".rstrip()
