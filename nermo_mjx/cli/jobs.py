@@ -707,12 +707,13 @@ def train_command(
             training, out, engine=engine, progress=tell, warn=watch.warn, accept_new_code=accept_new_code,
             tensorboard=tensorboard, evaluating=lambda share: watch.progress(Progress(share, what="evaluation")),
         )  # fmt: skip
-        exported = result.policy.with_suffix(".onnx") if onnx and result.policy is not None else None
-        if exported is not None:
+        exported = None
+        if onnx and result.policy is not None:
             from nermo_mjx.learn.onnx import export
             from nermo_mjx.learn.policy import load_policy
             from nermo_mjx.runs.files import replace_file
 
+            exported = result.policy.with_suffix(".onnx")
             replace_file(exported, export(load_policy(result.policy)))
     return {
         "out": result.out,

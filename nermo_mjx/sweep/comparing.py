@@ -484,7 +484,9 @@ def _compare(
     order = [np.lexsort((side.seed, at)) for side, at in zip(kept, variant, strict=True)]
     keys = [np.stack([at[index], side.seed[index]]) for side, at, index in zip(kept, variant, order, strict=True)]
     once = keys[0].shape[1] == np.unique(keys[0], axis=1).shape[1]
-    if not (once and np.array_equal(*keys)):  # a seed is on one side alone: each variant has a cell of either side
+    if not (
+        once and np.array_equal(keys[0], keys[1])
+    ):  # a seed is on one side alone: each variant has a cell of either side
         cell, values = np.concatenate([variant[0], variant[1] + len(both)]), np.concatenate([-numbers[0], numbers[1]])
         owner = np.tile(np.arange(len(both)), 2)
     else:  # runs with the same seed are paired: what they share cancels in the difference
@@ -888,9 +890,9 @@ def _by_groups(
             ax.set_ylabel(f"difference [{'%' if relative else numbers.unit or 1}]")
         ax.set_xlabel(across.label if isinstance(across, ShownValues) else spoken(x))
     for metric in metrics:  # the same scale for all of its panels
-        of_metric = [ax for ax, (_, drawn_one) in zip(page.axes.ravel(), drawn, strict=False) if drawn_one == metric]
-        ends = [ax.get_ylim() for ax in of_metric]
-        for ax in of_metric:
+        alike = [ax for ax, (_, name) in zip(page.axes.ravel(), drawn, strict=False) if name == metric]
+        ends = [ax.get_ylim() for ax in alike]
+        for ax in alike:
             ax.set_ylim(min(low for low, _ in ends), max(high for _, high in ends))
     handles = [
         _mark(SERIES[i % len(SERIES)], f"{spoken(series)} {_text(value)}") for i, value in enumerate(each) if series

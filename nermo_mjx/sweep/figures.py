@@ -109,8 +109,8 @@ def heat_maps(
                 look["bbox"] = {"boxstyle": "round,pad=0.2", "fc": "white", "alpha": 0.75, "lw": 0}
                 ax.annotate(_signed(candidates[i, j]), (xs[i], ys[j]), (-apart if left else apart, 0), **look)
     columns = _columns(len(axes))
-    for i, ax in enumerate(axes):  # labels at the outside of the panels only
-        bottom, left = i + columns >= len(axes), i % columns == 0
+    for place, ax in enumerate(axes):  # labels at the outside of the panels only
+        bottom, left = place + columns >= len(axes), place % columns == 0
         ax.tick_params(labelbottom=bottom, labelleft=left)
         ax.set(xlabel=x.label if bottom else "", ylabel=y.label if left else "")
     bar = colour_bar(figure, axes, ScalarMappable(scale, colours), z.label, extend=extend, **_BAR)

@@ -304,11 +304,11 @@ def check_together(doc: Document, sweep: Sweep) -> None:
     if not sweep.axes and sweep.sampler not in ("grid", "rows"):
         doc.fail(("sample",), f"is {sweep.sampler}, but 'vary' names no parameter to sample.")
     check_keep(doc, sweep.keep, sweep.metrics)
-    rows = sweep.variants * sweep.repeats
-    if rows > LARGEST_SWEEP:
+    runs = sweep.variants * sweep.repeats
+    if runs > LARGEST_SWEEP:
         doc.fail(
             (section,),
-            f"makes {rows:,} runs; allowed are {LARGEST_SWEEP:,}: take fewer values, or a sampler "
+            f"makes {runs:,} runs; allowed are {LARGEST_SWEEP:,}: take fewer values, or a sampler "
             "such as sample: {sobol: 4096}.",
         )
     tried: dict[str, Mapping[str, np.ndarray]] = {"randomize": {draw.name: draw.tried() for draw in sweep.draws}}
@@ -316,8 +316,10 @@ def check_together(doc: Document, sweep: Sweep) -> None:
         tried["vary"] = {axis.name: axis.tried(grid=sweep.sampler == "grid") for axis in sweep.axes}
     for setup in {(each.gait, each.routing): each for each in setups}.values():
         check_workspace(doc, setup, sweep.fixed, tried)
-    for at, walk in enumerate(sweep.structures if sweep.rows is not None else ()):
-        given = {name: column[sweep.rows.structure == at] for name, column in sweep.rows.values.items()}
+    if (rows := sweep.rows) is None:
+        return
+    for at, walk in enumerate(sweep.structures):
+        given = {name: column[rows.structure == at] for name, column in rows.values.items()}
         given = {name: column for name, column in given.items() if unread(walk.setup, name) is None}
         try:
             walk.setup.check(walk.setup.world(walk.constants | given))
