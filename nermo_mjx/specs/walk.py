@@ -364,13 +364,31 @@ def read_walk(doc: Document, fields: WalkFields) -> dict[str, Any]:
     try:
         setup = Setup(**choices)
         check_code(setup)
-    except ParameterError as error:
-        _refuse_setup(doc, choices, str(error))
+    except ParameterError as error:  # about the field that it names
+        field, _, rest = str(error).partition(" ")
+        if field.startswith("schedule"):
+            doc.fail(("schedule", *(int(part) - 1 for part in field.split(".")[1:])), rest)
+        if field not in choices:
+            doc.fail(("pilot", "waypoints", "points"), f"is refused: {error}")
+        allowed = re.findall(r"'([^']+)'", rest.partition("allowed")[2])
+        hint = "" if "did you mean" in rest else did_you_mean(str(choices[field]), allowed)
+        doc.fail((field,), rest.rstrip(".") + (hint or "."))
     values = pilot_options(given, pilot, options)
     parameters = all_parameters(setup)
     for name, value in fields.set.items():
         check_value(doc, ("set", name), name, parameters[name], value)
-    return {"setup": setup, "run": _read_run(doc, fields.run, values), "fixed": fields.set, "pilot": values}
+    length = {name: getattr(fields.run, name) for name in doc.data.get("run", ())}
+    try:
+        run = Run(**length, distance=values.get("distance"))  # the pilot's distance is one of its ends
+    except ParameterError as error:
+        subject, _, message = str(error).partition(" ")
+        key = subject.removeprefix("run.")
+        doc.fail(("pilot", "straight", key) if key == "distance" else ("run", key), message)
+    # Defaults are written out: for a run at 1 Hz, seconds equal cycles.
+    warmup, end = (float(each) for each in run.seconds(1.0))
+    names = ("duration", "warmup") if run.duration is not None else ("cycles", "warmup_cycles")
+    run = dataclasses.replace(run, **dict(zip(names, (end, warmup), strict=True)))
+    return {"setup": setup, "run": run, "fixed": fields.set, "pilot": values}
 
 
 def read_schedule(doc: Document, given: list[SwitchFields]) -> tuple[Switch, ...]:
@@ -395,33 +413,6 @@ def pilot_options(given: Any, pilot: str, options: Any) -> dict[str, Any]:
     """The options of a pilot, in the order of the file: what a directory holds is known by it."""
     values = {key: getattr(options, key) for key in given[pilot] or ()} if isinstance(given, dict) else {}
     return values | {key: _SIDES[side] for key, side in values.items() if isinstance(side, str)}
-
-
-def _refuse_setup(doc: Document, choices: Mapping[str, Any], message: str) -> NoReturn:
-    """Report a setup's errors for the field that they name."""
-    field, _, rest = message.partition(" ")
-    if field.startswith("schedule"):
-        doc.fail(("schedule", *(int(part) - 1 for part in field.split(".")[1:])), rest)
-    if field not in choices:
-        doc.fail(("pilot", "waypoints", "points"), f"is refused: {message}")
-    allowed = re.findall(r"'([^']+)'", rest.partition("allowed")[2])
-    hint = "" if "did you mean" in rest else did_you_mean(str(choices[field]), allowed)
-    doc.fail((field,), rest.rstrip(".") + (hint or "."))
-
-
-def _read_run(doc: Document, fields: RunFields | None, pilot: Mapping[str, Any]) -> Run:
-    """Length and warm-up of each run; the pilot's distance is one of its ends."""
-    values = {name: getattr(fields, name) for name in doc.data.get("run", ())}
-    try:
-        run = Run(**values, distance=pilot.get("distance"))
-    except ParameterError as error:
-        subject, _, message = str(error).partition(" ")
-        key = subject.removeprefix("run.")
-        doc.fail(("pilot", "straight", key) if key == "distance" else ("run", key), message)
-    # Defaults are written out: for a run at 1 Hz, seconds equal cycles.
-    warmup, length = (float(each) for each in run.seconds(1.0))
-    names = ("duration", "warmup") if run.duration is not None else ("cycles", "warmup_cycles")
-    return dataclasses.replace(run, **dict(zip(names, (length, warmup), strict=True)))
 
 
 # ---

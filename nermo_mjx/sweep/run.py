@@ -711,7 +711,12 @@ def forecast(
         check_source(source, sweep)
     notes: list[str] = []
     folder = None if out is None else Path(out)
-    begun = _begun(folder, sweep, extend)
+    begun = None
+    if folder is not None and (folder / "sweep.yaml").exists():
+        begun = Sweep.from_directory(folder)
+        if begun.digest() != sweep.digest() and ((why := refusal(begun, sweep)) or not extend):
+            hint = why or f"{differences(begun, sweep)}; --extend would extend it"
+            raise WrongDirectory(f"{folder} holds the results of another sweep: {hint}.")
     wanted = engine if engine != "auto" else (engine_of(folder) if folder is not None else None) or "auto"
     runs = resolve_engine(wanted)
     size = (begun.chunk if begun is not None else None) or chunk or sweep.chunk
@@ -789,16 +794,3 @@ def measured_rate(sweep: Sweep, engine: str) -> float:
     began = time.perf_counter()
     result = simulator.run(values, run)
     return float(result.steps * _MEASURED_WORLDS / (time.perf_counter() - began))
-
-
-def _begun(folder: Path | None, sweep: Sweep, extend: bool) -> Sweep | None:
-    """The sweep that a directory contains, if it can be extended to this one."""
-    if folder is None or not (folder / "sweep.yaml").exists():
-        return None
-    begun = Sweep.from_directory(folder)
-    if begun.digest() != sweep.digest():
-        why = refusal(begun, sweep)
-        if why or not extend:
-            hint = why or f"{differences(begun, sweep)}; --extend would extend it"
-            raise WrongDirectory(f"{folder} holds the results of another sweep: {hint}.")
-    return begun
