@@ -559,10 +559,7 @@ def _tuning_rows(result: TuningResult) -> list[list[str]]:
     rows = []
     for name, kind in names.items():
         ends = start[kind][name], best[kind][name]
-        change, tuning = ends[1] - ends[0], result.tuning
-        if name in tuning.names and tuning.bounds.periodic[place := tuning.names.index(name)]:  # the shorter way around
-            period = float(tuning.bounds.high[place] - tuning.bounds.low[place])
-            change -= period * round(change / period)
+        change = _shortest(result.tuning, name, ends[1] - ends[0])
         (before, after, change), unit = _shown(result.tuning, name, (*ends, change))
         rows.append([name, *_cells(before, after, change), *_again(result, name, kind), unit])
     ends = start["objective"], best["objective"]
@@ -579,6 +576,14 @@ def _again(result: TuningResult, name: str, kind: str = "") -> list[str]:
         number = None if found is None else _shown(result.tuning, name, (found,))[0][0] if kind else found
         cells.append("" if number is None else _digits(number))
     return cells
+
+
+def _shortest(tuning: Tuning, name: str, change: float) -> float:
+    """A change of a parameter; for a periodic one, the shorter way around."""
+    if name not in tuning.names or not tuning.bounds.periodic[place := tuning.names.index(name)]:
+        return change
+    period = float(tuning.bounds.high[place] - tuning.bounds.low[place])
+    return change - period * round(change / period)
 
 
 def _cells(before: float, after: float, change: float) -> list[str]:

@@ -193,13 +193,7 @@ def objective_figure(traces: Traces) -> Figure:
     lowest[np.isinf(lowest)] = np.nan
     axes[0].step(traces.iterations, lowest, where="post", color=INK, lw=1.1, ls=(0, (4, 2)))
     axes[0].set_ylabel("objective [1]")
-    # Values so far above the rest that nothing else would be visible are cut off.
-    good = value[np.isfinite(value)]
-    low, high = np.min(good), np.quantile(good, 0.9)
-    top = max(high + 2.0 * (high - low), low + 1.05 * (np.nan_to_num(value[0, 0], nan=low) - low))
-    if high > low and good.max() > top:
-        axes[0].set_ylim(low - 0.05 * (top - low), top)
-        corner(axes[0], f"{int((good > top).sum())} higher", 1, "top")
+    _cut(axes[0], value)
     label: str | None = "fell"
     for each, style in start_styles(traces).items():
         fell = traces.iterations[~traces.ok[:, each]]
@@ -321,6 +315,16 @@ def _draw_starts(ax: Axes, traces: Traces, values: np.ndarray) -> None:
     for start, style in start_styles(traces).items():
         own = marker if style["lw"] > 1 else {}
         ax.plot(traces.iterations, values[:, start], **style, **own)
+
+
+def _cut(ax: Axes, values: np.ndarray) -> None:
+    """Cut off values so far above the rest that nothing else would be visible."""
+    good = values[np.isfinite(values)]
+    low, high = np.min(good), np.quantile(good, 0.9)
+    top = max(high + 2.0 * (high - low), low + 1.05 * (np.nan_to_num(values[0, 0], nan=low) - low))
+    if high > low and good.max() > top:
+        ax.set_ylim(low - 0.05 * (top - low), top)
+        corner(ax, f"{int((good > top).sum())} higher", 1, "top")
 
 
 def _draw_bounds(ax: Axes, traces: Traces, tuned: Tuned, values: np.ndarray) -> None:
