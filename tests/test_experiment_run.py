@@ -411,7 +411,7 @@ def test_accepted_code_goes_on_and_the_report_tells_the_rows_apart(fakes, tmp_pa
     said = []
     run_experiment("turning", tmp_path, video=False)
     as_version(monkeypatch, "9.9.9")
-    options = {"video": False, "accept_new_code": True, "notify": said.append}
+    options = {"video": False, "accept_new_code": True, "watch": Watch(warn=said.append)}
     result = run_experiments(["turning", "maze"], tmp_path, **options)
     assert [each.kept for each in result.results] == [True, False]
     assert re.match(r"turning: kept as run on .* by other code \(nermo-mjx .*, not 9\.9\.9\); --again", said[0])

@@ -196,11 +196,17 @@ def figures(
         raise ParameterError(f"color is {color!r}, a parameter: name x and y, too.")
     asked = None if sweep is None else sweep.comparison
     found = findings(results, asked, color or LEADING, notify or (lambda _: None))
-    usual = figures_of(results, color or LEADING, remark)
-    if (first := next(usual, None)) is None:
-        why = "all its parameters have one value" if results.well.any() else "no run succeeded"
-        raise DirectoryError(f"there is nothing to draw of {out}: {why}.")
-    return itertools.chain([first], usual, *(drawn for *_, drawn in found))
+
+    def usual() -> Figures:  # each is drawn when it is asked for, in the style that holds then
+        some = False
+        for named in figures_of(results, color or LEADING, remark):
+            some = True
+            yield named
+        if not some:
+            why = "all its parameters have one value" if results.well.any() else "no run succeeded"
+            raise DirectoryError(f"there is nothing to draw of {out}: {why}.")
+
+    return itertools.chain(usual(), *(drawn for *_, drawn in found))
 
 
 def chosen_figure(
