@@ -346,7 +346,7 @@ def test_batches_are_as_even_as_they_can_be(tmp_path, monkeypatch):
     problem, wanted = FakeProblem(TUNING), plan(TUNING, 5, 1.0)
     with RunDirectory(tmp_path, "landscape") as held:
         runs = Runs(tmp_path, "a", held=held)
-        count = landscape.evaluate(runs, TUNING, problem, wanted, lambda *_: None, {}, "code")
+        count = landscape.evaluate(runs, TUNING, problem, wanted, SILENT, {}, "code")
     sizes = {size for size, _ in problem.batches}
     assert len(sizes) == 1
     assert len(wanted) <= sum(size for size, _ in problem.batches) < len(wanted) + len(problem.batches)
