@@ -22,7 +22,7 @@ from sweep_fake import SPEC, FakeSimulator
 from tune_fake import SPEC as TUNING
 from tune_fake import FakeProblem
 
-from nermo_mjx.runs import ray_workers, stamp
+from nermo_mjx.runs import Watch, ray_workers, stamp
 from nermo_mjx.runs.workers import TaskFailed, WorkersLost
 
 #: A tuning from as many starts as three workers do not share evenly.
@@ -57,15 +57,15 @@ def nodes(out, log):
 
     def disturb(progress):
         """After a third of the rows one node is killed, after two thirds another one comes."""
-        if progress.rows_done >= 12 and len(others) == 2:
+        if progress.done >= 12 and len(others) == 2:
             cluster.remove_node(others.pop(), allow_graceful=False)
-        if progress.rows_done >= 24 and len(others) == 1:
+        if progress.done >= 24 and len(others) == 1:
             others.extend([cluster.add_node(num_cpus=1), None])
 
     simulator = LoggingSimulator(delay=0.3, log=log)
     try:
         with ray_workers.RayWorkers(cluster.address, said.append) as workers:
-            result = run_sweep(SPEC, out, chunk=1, workers=workers, simulator=simulator, progress=disturb)
+            result = run_sweep(SPEC, out, chunk=1, workers=workers, simulator=simulator, watch=Watch(disturb))
     finally:
         cluster.shutdown()
     print(json.dumps({"complete": result.complete, "said": said, "chunks_run": result.chunks_run}))
@@ -84,13 +84,13 @@ def tune(out, log):
 
     def disturb(progress):
         """After three iterations one node is killed."""
-        if progress.iteration >= 3 and len(others) == 2:
+        if progress.done >= 4 and len(others) == 2:
             cluster.remove_node(others.pop(), allow_graceful=False)
 
     try:
         with ray_workers.RayWorkers(cluster.address, said.append) as workers:
             problem = FakeProblem(tuning, delay=0.5, log=log)
-            result = run_tuning(tuning, out, problem=problem, workers=workers, progress=disturb)
+            result = run_tuning(tuning, out, problem=problem, workers=workers, watch=Watch(disturb))
     finally:
         cluster.shutdown()
     print(json.dumps({"said": said, "iterations": result.iterations_run}))
@@ -111,7 +111,7 @@ def experiments(out):
     try:
         with ray_workers.RayWorkers(cluster.address) as workers:
             result = run_experiments(["balance", "body"], out, engine="c", quick=True, bodies=3, workers=workers,
-                                     progress=lambda what, share: done.append(what))  # fmt: skip
+                                     watch=Watch(lambda now: done.append(now.what)))  # fmt: skip
     finally:
         cluster.shutdown()
     print(json.dumps({"names": [each.name for each in result.results], "done": sorted(set(done))}))

@@ -72,11 +72,12 @@ class FakeSimulator:
 
 
 if __name__ == "__main__":  # search_fake.py OUT LOG
-    from nermo_mjx.optimize import SearchInterrupted, run_search
+    from nermo_mjx.optimize import run_search
+    from nermo_mjx.runs import Interrupted
 
     Path(sys.argv[2]).write_text("")
     try:
         run_search(SPEED, sys.argv[1], simulator=FakeSimulator(delay=0.1, log=sys.argv[2]))
-    except SearchInterrupted as stopped:
+    except Interrupted as stopped:
         print(stopped, flush=True)
         os._exit(3)

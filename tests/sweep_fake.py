@@ -79,16 +79,17 @@ def part_of(out, row):
 
 def work(out, log="", chunk=4, delay=0.0, hold_at=None):
     """A process to be killed: runs the sweep, and ends as the command does."""
-    from nermo_mjx.sweep import SweepError, SweepInterrupted, run_sweep
+    from nermo_mjx.runs import Interrupted, JobFailed
+    from nermo_mjx.sweep import run_sweep
 
     try:
         simulator = FakeSimulator(delay=delay, log=log, hold_at=hold_at)
         run_sweep(SPEC, out, chunk=chunk, simulator=simulator)
         code = 0
-    except SweepInterrupted as stopped:
+    except Interrupted as stopped:
         print(stopped, flush=True)
         code = 3
-    except SweepError as error:
+    except JobFailed as error:
         print(error, flush=True)
         code = 1
     sys.stdout.flush()

@@ -27,7 +27,7 @@ from experiment_fake import Fake
 from nermo_mjx import Recording, load_robot
 from nermo_mjx.cli import choices, main, options
 from nermo_mjx.cli.progress import COMPILING, Progress, duration
-from nermo_mjx.runs import RunDirectory
+from nermo_mjx.runs import RunDirectory, job
 from nermo_mjx.runs.text import plain
 from nermo_mjx.version import __version__
 
@@ -454,10 +454,10 @@ def identified(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     asked: dict[str, Any] = {}
 
     def identify(
-        wanted: identification.Search, engine: str, memory: Any, progress: Callable[[float], None], workers: Any
+        wanted: identification.Search, engine: str, memory: Any, watch: job.Watch, workers: Any
     ) -> identification.Identified:
         asked.update(vars(wanted))
-        progress(1.0)
+        watch.progress(job.Progress(1.0))
         defaults = Setup().defaults()
         names = [name for free in ensemble.FREE_IN["exact"].values() for name in free.names]
         figures = dict.fromkeys(identification.TARGETS, (1.1, 0.5))

@@ -9,8 +9,9 @@ import pytest
 from experiment_fake import RUN, Fake
 
 from nermo_mjx.experiments import plots, run
-from nermo_mjx.experiments.run import EXPERIMENTS, Directory, ExperimentError, run_experiment, run_experiments
+from nermo_mjx.experiments.run import EXPERIMENTS, Directory, run_experiment, run_experiments
 from nermo_mjx.robot import ParameterError
+from nermo_mjx.runs import JobFailed
 from nermo_mjx.runs.workers import WorkersLost
 
 #: A body walks as much faster than 70 mm/s as its friction says (see `experiment_fake`): 80 mm/s are published, so that
@@ -150,7 +151,7 @@ def test_workers_that_are_lost_leave_the_experiments_that_are_done(fakes, tmp_pa
 
     former = run_experiment("maze", tmp_path, bodies=4, seed=4, video=False)
     former.table.write_text("damaged")
-    with pytest.raises(ExperimentError, match=r"no node came within 300 s\. What is finished is kept in .*same"):
+    with pytest.raises(JobFailed, match=r"no node came within 300 s\. What is finished is kept in .*same"):
         run_experiments(("maze", "turning"), tmp_path, bodies=4, video=False, workers=Lost())
     assert Directory(tmp_path).load("maze") is not None
     assert Directory(tmp_path).load("maze", bodies=True) is None, "those of other settings are none of these results"

@@ -17,15 +17,13 @@ from nermo_mjx.experiments.report import number, published_text
 from nermo_mjx.experiments.run import (
     EXPERIMENTS,
     Directory,
-    ExperimentError,
-    ExperimentsInterrupted,
     Shot,
     run_experiment,
     run_experiments,
     shoot,
 )
 from nermo_mjx.robot import ParameterError
-from nermo_mjx.runs import DirectoryError, OtherCode, RunDirectory, codes_of
+from nermo_mjx.runs import DirectoryError, Interrupted, JobFailed, OtherCode, RunDirectory, Watch, codes_of
 from nermo_mjx.runs.files import TEMPORARY, WrongDirectory
 from nermo_mjx.view import RecordingError, VideoError
 
@@ -174,7 +172,7 @@ def test_what_is_done_is_not_run_again(fakes, tmp_path):
     said = []
     run_experiment("turning", tmp_path, video=False)
     before = (tmp_path / "results" / "turning.parquet").read_bytes()
-    result = run_experiment("turning", tmp_path, video=False, notify=said.append)
+    result = run_experiment("turning", tmp_path, video=False, watch=Watch(warn=said.append))
     assert len(fakes["turning"].asked) == 1
     assert result.kept
     assert (tmp_path / "results" / "turning.parquet").read_bytes() == before
@@ -231,7 +229,7 @@ def test_a_damaged_table_or_a_lost_recording_is_run_again(fakes, tmp_path):
 
 def test_a_failure_half_way_keeps_what_is_done(fakes, tmp_path):
     fakes["balance"].error = RecordingError("the feet came off.")
-    with pytest.raises(ExperimentError, match=r"^balance failed: the feet came off\. What was done before is kept in"):
+    with pytest.raises(JobFailed, match=r"^balance failed: the feet came off\. What was done before is kept in"):
         run_experiments(NAMES, tmp_path, video=False)
     assert list(report_of(tmp_path)["experiments"]) == ["straight-line", "turning"]
     assert not fakes["maze"].asked
@@ -249,7 +247,7 @@ def test_a_bug_keeps_its_traceback(fakes, tmp_path):
 
 def test_ctrl_c_says_how_to_go_on(fakes, tmp_path):
     fakes["turning"].error = KeyboardInterrupt()
-    with pytest.raises(ExperimentsInterrupted, match=r"stopped; .* are kept in .*run the same command again"):
+    with pytest.raises(Interrupted, match=r"stopped; what is finished is kept in .*run the same command again"):
         run_experiments(NAMES, tmp_path, video=False)
     assert list(report_of(tmp_path)["experiments"]) == ["straight-line"]
 
@@ -313,7 +311,7 @@ def test_a_users_file_in_the_way_is_moved_aside_with_a_sentence(fakes, tmp_path)
     run_experiment("turning", tmp_path, video=False)
     (tmp_path / "plots" / "turning-speed.png").write_text("painted over")
     (tmp_path / "recordings" / "turning-trt-0.8-hz-with-spine.npz").write_text("another walk")
-    run_experiment("turning", tmp_path, video=False, again=True, notify=said.append)
+    run_experiment("turning", tmp_path, video=False, again=True, watch=Watch(warn=said.append))
     assert said == [
         "turning: Files in the way were not as this program wrote them: moved aside in "
         f"{tmp_path}, to recordings/turning-trt-0.8-hz-with-spine.npz.aside-1 and 1 more."
@@ -328,10 +326,10 @@ def test_a_report_that_a_user_has_written_on_is_moved_aside_with_a_sentence(fake
     said = []
     run_experiment("turning", tmp_path, video=False)
     report = (tmp_path / "report.md").read_text()
-    run_experiment("turning", tmp_path, video=False, notify=said.append)
+    run_experiment("turning", tmp_path, video=False, watch=Watch(warn=said.append))
     assert not any("moved aside" in sentence for sentence in said)
     (tmp_path / "report.md").write_text("my remarks")
-    run_experiment("turning", tmp_path, video=False, notify=said.append)
+    run_experiment("turning", tmp_path, video=False, watch=Watch(warn=said.append))
     assert f"moved aside in {tmp_path}, to report.md.aside-1." in said[-1]
     assert (tmp_path / "report.md.aside-1").read_text() == "my remarks"
     assert (tmp_path / "report.md").read_text() == report
@@ -413,7 +411,7 @@ def test_accepted_code_goes_on_and_the_report_tells_the_rows_apart(fakes, tmp_pa
     said = []
     run_experiment("turning", tmp_path, video=False)
     as_version(monkeypatch, "9.9.9")
-    options = {"video": False, "accept_new_code": True, "notify": said.append}
+    options = {"video": False, "accept_new_code": True, "watch": Watch(warn=said.append)}
     result = run_experiments(["turning", "maze"], tmp_path, **options)
     assert [each.kept for each in result.results] == [True, False]
     assert re.match(r"turning: kept as run on .* by other code \(nermo-mjx .*, not 9\.9\.9\); --again", said[0])
@@ -459,7 +457,7 @@ def test_settings_reach_the_experiment(fakes, tmp_path):
     heard = []
     run_experiment(
         "maze", tmp_path, engine="c", profiles=["as_published"], repeats=2, seed=5, values={"contact.friction": 0.8},
-        video=False, progress=lambda what, share: heard.append((what, share)),
+        video=False, watch=Watch(lambda done: heard.append((done.what, done.fraction))),
     )  # fmt: skip
     (asked,) = fakes["maze"].asked
     assert asked.but(progress=None) == Settings(("as_published",), 2, 5, False, {"contact.friction": 0.8}, engine="c")
@@ -519,7 +517,7 @@ def test_a_machine_that_cannot_draw_makes_no_video_and_says_so(fakes, tmp_path, 
 
     monkeypatch.setattr("nermo_mjx.experiments.run.shoot", shoot)
     said = []
-    result = run_experiment("maze", tmp_path, notify=said.append)
+    result = run_experiment("maze", tmp_path, watch=Watch(warn=said.append))
     note = "There is no video of maze. MuJoCo cannot draw on this machine."
     assert said == [note] == list(result.notes)
     assert note in (tmp_path / "report.md").read_text()

@@ -12,7 +12,7 @@ from nermo_mjx.experiments.ensemble import ALL, FREE, TOLERANCE, UNCERTAIN, name
 from nermo_mjx.experiments.identification import CASES, START, TARGETS, Search, figures, identify, objective
 from nermo_mjx.robot.quantity import ParameterError, quantities
 from nermo_mjx.rollout import Setup
-from nermo_mjx.runs import DirectoryError, OtherCode, RunDirectory, codes_of
+from nermo_mjx.runs import DirectoryError, JobFailed, OtherCode, RunDirectory, Watch, codes_of
 from nermo_mjx.runs.files import WrongDirectory
 from nermo_mjx.runs.workers import WorkersLost
 
@@ -238,7 +238,7 @@ def test_who_walks_the_candidates_and_when_does_not_matter(pretended, tmp_path):
 
 def test_workers_that_are_lost_leave_what_they_walked(pretended, tmp_path):
     settings = {**SMALL, "bodies": 0, "engine": "c"}
-    with pytest.raises(WorkersLost, match=r"no node came within 300 s\. What is finished is kept in .*same command"):
+    with pytest.raises(JobFailed, match=r"no node came within 300 s\. What is finished is kept in .*same command"):
         identification.run_identification(tmp_path / "lost", **settings, workers=Backwards(lost_after=2))
     assert pretended.calls == 2
     identification.run_identification(tmp_path / "lost", **settings)
@@ -251,7 +251,7 @@ def test_a_users_files_in_the_way_are_moved_aside_with_a_sentence(pretended, tmp
     said = []
     (tmp_path / "identification.md").write_text("my plan")
     (tmp_path / "ensemble.csv").write_text("my bodies")
-    identification.run_identification(tmp_path, engine="c", **SMALL, bodies=32, sweeps=5, notify=said.append)
+    identification.run_identification(tmp_path, engine="c", **SMALL, bodies=32, sweeps=5, watch=Watch(warn=said.append))
     assert (tmp_path / "identification.md.aside-1").read_text() == "my plan"
     assert (tmp_path / "ensemble.csv.aside-1").read_text() == "my bodies"
     assert said == [

@@ -15,6 +15,7 @@ from nermo_mjx.optimize.tuning_directory import landscape_status
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.runs import RunDirectory
 from nermo_mjx.runs.files import WrongDirectory
+from nermo_mjx.runs.job import SILENT, Watch
 from nermo_mjx.runs.rows import Runs, part_files
 from nermo_mjx.sweep import SpecError
 
@@ -34,10 +35,10 @@ class Staircase(FakeProblem):
         return Evaluation(found.value + jnp.asarray(stairs), found.gradient, found.metrics, found.ok)
 
 
-def measure(out, kind=FakeProblem, change=None, points=41, span=1.0, warn=None, accept=False, **of_problem):
+def measure(out, kind=FakeProblem, change=None, points=41, span=1.0, watch=SILENT, accept=False, **of_problem):
     tuning = Tuning.from_dict(SPEC | (change or {}))
     problem = kind(tuning, **of_problem)
-    more = {"points": points, "span": span, "warn": warn, "accept_new_code": accept}
+    more = {"points": points, "span": span, "watch": watch, "accept_new_code": accept}
     return run_landscape(tuning, out, problem=problem, **more), problem
 
 
@@ -134,7 +135,7 @@ def test_an_interrupted_landscape_is_gone_on_with(tmp_path, smooth):
     damaged = part_files(tmp_path)[1]
     damaged.write_text("damaged")
     said = []
-    result, problem = measure(tmp_path, warn=said.append)
+    result, problem = measure(tmp_path, watch=Watch(warn=said.append))
     assert [size for size, _ in problem.batches] == [53, 53, 53]
     assert result.evaluated == 262 - 106
     assert result.table.equals(smooth[0].table)
@@ -315,11 +316,11 @@ def test_figures_have_a_tangent_at_each_point_and_a_bar_for_each_secant(smooth):
 
 def test_a_report_that_a_user_has_written_on_is_moved_aside_with_a_sentence(tmp_path):
     said = []
-    measure(tmp_path, points=5, warn=said.append)
-    measure(tmp_path, points=5, warn=said.append)
+    measure(tmp_path, points=5, watch=Watch(warn=said.append))
+    measure(tmp_path, points=5, watch=Watch(warn=said.append))
     assert not said, "what the program wrote itself is replaced without a word"
     (tmp_path / "report.md").write_text("my thoughts")
-    measure(tmp_path, points=5, warn=said.append)
+    measure(tmp_path, points=5, watch=Watch(warn=said.append))
     assert (tmp_path / "report.md.aside-1").read_text() == "my thoughts"
     assert said == [
         f"A file in the way was not as this program wrote it: moved aside in {tmp_path}, to report.md.aside-1."
@@ -345,7 +346,7 @@ def test_batches_are_as_even_as_they_can_be(tmp_path, monkeypatch):
     problem, wanted = FakeProblem(TUNING), plan(TUNING, 5, 1.0)
     with RunDirectory(tmp_path, "landscape") as held:
         runs = Runs(tmp_path, "a", held=held)
-        count = landscape.evaluate(runs, TUNING, problem, wanted, lambda *_: None, {}, "code")
+        count = landscape.evaluate(runs, TUNING, problem, wanted, SILENT, {}, "code")
     sizes = {size for size, _ in problem.batches}
     assert len(sizes) == 1
     assert len(wanted) <= sum(size for size, _ in problem.batches) < len(wanted) + len(problem.batches)

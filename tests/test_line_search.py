@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 from tune_fake import SPEC, FakeProblem, Three
 
-from nermo_mjx.optimize import Tuning, TuningInterrupted, run_tuning
+from nermo_mjx.optimize import Tuning, run_tuning
 from nermo_mjx.optimize.estimators import Smoothed, estimate
 from nermo_mjx.optimize.methods import initial_state
 from nermo_mjx.optimize.optimizers import LineSearch, Optimizer
 from nermo_mjx.optimize.problems import SimulatedProblem, WalkProblem
 from nermo_mjx.optimize.tuning_run import costs_of, tuner_of
 from nermo_mjx.robot.quantity import ParameterError
+from nermo_mjx.runs import Interrupted
 from nermo_mjx.specs.reading import SpecError
 
 AVERAGED = {"smoothed": {"samples": 4, "sigma": 0.1, "normalized": True}}
@@ -79,7 +80,7 @@ def test_the_first_iteration_is_the_given_start(whole):
 @pytest.mark.parametrize("stop_at", [0, 5, 6])
 def test_a_stopped_search_ends_with_the_same_numbers(whole, stop_at, tmp_path):
     """Bit for bit, also where it was stopped between the gradient and the walks along it."""
-    with pytest.raises(TuningInterrupted):
+    with pytest.raises(Interrupted):
         run(SEARCH, tmp_path, stop_at=stop_at)
     rest, problem = run(SEARCH, tmp_path)
     assert len(problem.batches) == 14 - 2 * (stop_at // 2)

@@ -101,7 +101,7 @@ def test_a_driver_that_is_killed_goes_on_from_what_it_wrote(tmp_path, number):
         time.sleep(0.05)
     process.send_signal(number)
     _, log = process.communicate(timeout=60)
-    assert ("SweepInterrupted: stopped; what is finished is kept" in log) == (number == signal.SIGTERM), log[-3000:]
+    assert ("Interrupted: stopped; what is finished is kept" in log) == (number == signal.SIGTERM), log[-3000:]
     kept = len(list(tmp_path.glob("out/results/*.parquet")))
     assert told(started("driver", tmp_path / "out", tmp_path / "log"))["chunks_run"] == 36 - kept
     assert read_table(tmp_path / "out").equals(undisturbed)

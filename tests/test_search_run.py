@@ -14,7 +14,8 @@ import pyarrow.parquet as pq
 import pytest
 from search_fake import ATLAS, BEST, FALLS, FRONT, SPEED, WALK, FakeSimulator, walk
 
-from nermo_mjx.optimize import SearchFailed, SearchInterrupted, run_search
+from nermo_mjx.optimize import run_search
+from nermo_mjx.runs import Interrupted, JobFailed, Watch
 from nermo_mjx.runs.files import DirectoryError
 from nermo_mjx.runs.rows import part_files
 from nermo_mjx.specs.reading import SpecError
@@ -73,7 +74,7 @@ def test_constraints_hold_at_the_best_point(tmp_path):
 
 def test_nothing_within_the_constraints_is_said(tmp_path):
     spec = SPEED | {"budget": 12, "subject_to": {"roll_std": {"max": 0.001}}}
-    with pytest.raises(SearchFailed, match="no point of this search walked to its end within its constraints"):
+    with pytest.raises(JobFailed, match="no point of this search walked to its end within its constraints"):
         run_search(spec, tmp_path / "out", simulator=FakeSimulator())
 
 
@@ -133,7 +134,7 @@ def test_the_same_search_gives_the_same_numbers(spec, tmp_path):
 def test_a_search_that_is_stopped_goes_on_with_the_same_numbers(spec, tmp_path):
     """Stopped in its sixth batch; nothing that is stored is simulated again."""
     run_search(spec, tmp_path / "whole", simulator=(whole := FakeSimulator()))
-    with pytest.raises(SearchInterrupted, match="nermo-mjx search"):
+    with pytest.raises(Interrupted, match="nermo-mjx search"):
         run_search(spec, tmp_path / "out", simulator=FakeSimulator(stop_at=5))
     run_search(spec, tmp_path / "out", simulator=(rest := FakeSimulator()))
     assert rest.batches == whole.batches[5:]
@@ -180,7 +181,7 @@ def test_a_damaged_batch_is_run_again(tmp_path):
     content[len(content) // 3] ^= 1
     path.write_bytes(content)
     said = []
-    run_search(SPEED, tmp_path / "out", simulator=(fake := FakeSimulator()), warn=said.append)
+    run_search(SPEED, tmp_path / "out", simulator=(fake := FakeSimulator()), watch=Watch(warn=said.append))
     assert fake.batches == [12]
     assert numbers(tmp_path / "out") == before
     assert said == [f"{path} is damaged; it is kept in results.aside, and its runs are made again."]
@@ -203,7 +204,7 @@ def test_a_directory_keeps_the_size_of_its_batches(tmp_path):
 
 
 def test_a_simulation_that_fails_keeps_what_is_done(tmp_path):
-    with pytest.raises(SearchFailed, match=r"batch 1 of .* failed: OSError: no luck\. What is finished is kept"):
+    with pytest.raises(JobFailed, match=r"batch 1 of .* failed: OSError: no luck\. What is finished is kept"):
         run_search(SPEED, tmp_path / "out", simulator=FakeSimulator(fail_at=2, error=OSError("no luck.")))
     assert len(list((tmp_path / "out/results").iterdir())) == 1
 
@@ -211,7 +212,7 @@ def test_a_simulation_that_fails_keeps_what_is_done(tmp_path):
 def test_no_walk_of_a_first_batch_is_no_end(tmp_path):
     """If everything falls, an atlas keeps searching, and finally reports that it found nothing."""
     spec = ATLAS | {"vary": WALK["vary"] | {"frequency": {"uniform": [1.41, 1.5]}}, "budget": 48}
-    with pytest.raises(SearchFailed, match="no point"):
+    with pytest.raises(JobFailed, match="no point"):
         run_search(spec, tmp_path / "out", simulator=(fake := FakeSimulator()))
     assert fake.batches == [16, 16, 16]
 

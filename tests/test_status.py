@@ -20,9 +20,9 @@ from tune_fake import FakeProblem
 from nermo_mjx.bench.results import RESULTS, append
 from nermo_mjx.experiments import identification, plots
 from nermo_mjx.experiments.identification import CASES
-from nermo_mjx.experiments.run import EXPERIMENTS, ExperimentsInterrupted, run_experiments
+from nermo_mjx.experiments.run import EXPERIMENTS, run_experiments
 from nermo_mjx.optimize import Tuning, run_landscape, run_tuning
-from nermo_mjx.runs import RunDirectory, codes_of, stamp
+from nermo_mjx.runs import Interrupted, RunDirectory, codes_of, stamp
 from nermo_mjx.runs.rows import part_files
 from nermo_mjx.sweep import run_sweep
 
@@ -131,7 +131,7 @@ def test_experiments_are_complete_when_all_that_was_asked_for_is_there(
 ) -> None:
     monkeypatch.setattr("sys.argv", ["/usr/bin/nermo-mjx", "experiment", "all", "--out", "elsewhere", "--no-video"])
     fakes["maze"].error = KeyboardInterrupt()
-    with pytest.raises(ExperimentsInterrupted):
+    with pytest.raises(Interrupted):
         run_experiments(["turning", "maze"], tmp_path, engine="c", video=False)
     content = said(tmp_path)
     assert known(content) == ("experiments", None, 18, False)
@@ -153,7 +153,7 @@ def test_an_experiment_that_was_killed_while_it_drew_is_not_complete(
 
     with monkeypatch.context() as drawing:
         drawing.setattr(plots, "figures_of", killed)
-        with pytest.raises(ExperimentsInterrupted):
+        with pytest.raises(Interrupted):
             run_experiments(["turning"], tmp_path, engine="c", video=False)
     assert known(said(tmp_path)) == ("experiments", None, 18, False)
     assert "turning is not finished." in status(tmp_path).stdout

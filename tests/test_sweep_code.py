@@ -11,8 +11,8 @@ from sweep_fake import SPEC, FakeSimulator
 
 from nermo_mjx.physics import resolve_engine
 from nermo_mjx.rollout import Setup
-from nermo_mjx.runs import OtherCode, code, codes_of, stamp
-from nermo_mjx.sweep import Sweep, SweepInterrupted, run_sweep
+from nermo_mjx.runs import Interrupted, OtherCode, Watch, code, codes_of, stamp
+from nermo_mjx.sweep import Sweep, run_sweep
 from nermo_mjx.sweep.table import columns_of
 
 
@@ -25,7 +25,7 @@ def newer(monkeypatch):
 @pytest.fixture
 def begun(tmp_path):
     """A directory with two of four chunks."""
-    with pytest.raises(SweepInterrupted):
+    with pytest.raises(Interrupted):
         run_sweep(SPEC, tmp_path, chunk=9, simulator=FakeSimulator(stop_at=2))
     return tmp_path
 
@@ -58,7 +58,7 @@ def test_rows_of_another_version_are_not_mixed_without_a_word(begun, newer):
 def test_accepted_code_keeps_what_is_there_and_tells_the_rows_apart(begun, newer):
     """Two chunks of each; later the same code resumes without being accepted again."""
     newer()
-    with pytest.raises(SweepInterrupted):
+    with pytest.raises(Interrupted):
         run_sweep(SPEC, begun, simulator=FakeSimulator(stop_at=1), accept_new_code=True)
     simulator = FakeSimulator()
     result = run_sweep(SPEC, begun, simulator=simulator)
@@ -88,9 +88,9 @@ def test_auto_is_the_engine_that_a_directory_was_begun_with(tmp_path, monkeypatc
 
     monkeypatch.setattr("nermo_mjx.sweep.simulating.Simulator", Noted)
     for engine in ("mjx", "auto"):
-        with pytest.raises(SweepInterrupted):
+        with pytest.raises(Interrupted):
             run_sweep(SPEC, tmp_path / "begun", chunk=9, engine=engine)
-    with pytest.raises(SweepInterrupted):
+    with pytest.raises(Interrupted):
         run_sweep(SPEC, tmp_path / "new", chunk=9)
     assert engines == ["mjx", "mjx", resolve_engine("auto")]
 
@@ -119,7 +119,7 @@ def test_rows_made_with_other_defaults_are_kept_and_not_used(begun, monkeypatch)
         patch.setattr(Setup, "defaults", lambda self: defaults(self) | {"stride": 0.123})
         patch.setattr(Sweep, "digest", lambda self: "beef")
         said = []
-        result = run_sweep(SPEC, begun, simulator=FakeSimulator(), warn=said.append)
+        result = run_sweep(SPEC, begun, simulator=FakeSimulator(), watch=Watch(warn=said.append))
         assert said == [f"{begun} has parts of another job, or made with other defaults: now in former."]
         assert {path.name: path.read_bytes() for path in begun.glob("former/results/*")} == kept
         assert result.chunks_run == result.table.num_rows / 9 == 4

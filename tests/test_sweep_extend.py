@@ -11,13 +11,12 @@ from click.testing import CliRunner
 from sweep_fake import FakeSimulator, part_of
 
 from nermo_mjx.cli import main
-from nermo_mjx.runs import OtherCode, code
+from nermo_mjx.runs import Interrupted, OtherCode, Watch, code
 from nermo_mjx.runs.directory import RunDirectory
 from nermo_mjx.sweep import (
     DirectoryError,
     SpecError,
     Sweep,
-    SweepInterrupted,
     merge_sweeps,
     read_table,
     run_sweep,
@@ -163,7 +162,7 @@ def test_an_interrupted_extension_goes_on_without_being_named_again(tmp_path):
     """As any sweep: the same command, or that with DIR/sweep.yaml."""
     small, large, _ = EXTENSIONS["another value"]
     run_sweep(small, tmp_path, chunk=2, simulator=FakeSimulator())
-    with pytest.raises(SweepInterrupted):
+    with pytest.raises(Interrupted):
         run_sweep(large, tmp_path, simulator=FakeSimulator(stop_at=1), extend=True)
     run_sweep(tmp_path / "sweep.yaml", tmp_path, simulator=FakeSimulator())
     assert read_table(tmp_path).equals(run_sweep(large, tmp_path / "whole", simulator=FakeSimulator()).table)
@@ -245,7 +244,9 @@ def test_rows_are_taken_from_another_directory(tmp_path):
     before = {path: path.read_bytes() for path in source.rglob("*") if path.is_file()}
     said, simulator = [], Counting()
     large = changed(vary={"frequency": [0.5, 0.7, 0.9, 1.1], **FRICTION})
-    result = run_sweep(large, tmp_path / "out", chunk=8, use=[source], simulator=simulator, warn=said.append)
+    result = run_sweep(
+        large, tmp_path / "out", chunk=8, use=[source], simulator=simulator, watch=Watch(warn=said.append)
+    )
     assert simulator.rows == 8 - 4
     assert said == [f"{damaged} is damaged; its runs are not used."]
     assert result.table.equals(run_sweep(large, tmp_path / "whole", simulator=FakeSimulator()).table)

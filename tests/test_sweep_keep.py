@@ -17,8 +17,9 @@ from sweep_fake import SPEC, FakeSimulator, part_of
 from nermo_mjx import Recording, Run, Setup, load_robot
 from nermo_mjx.rollout import Saving, Series
 from nermo_mjx.rollout.saving import all_signals, chosen_signals
+from nermo_mjx.runs import Interrupted, Watch
 from nermo_mjx.runs.files import DirectoryError
-from nermo_mjx.sweep import SpecError, Sweep, SweepInterrupted, read_table, run_sweep, series
+from nermo_mjx.sweep import SpecError, Sweep, read_table, run_sweep, series
 from nermo_mjx.sweep.replay import replay_row
 from nermo_mjx.sweep.results import Results, status
 from nermo_mjx.sweep.series import kept_rows
@@ -68,7 +69,7 @@ def test_series_stand_beside_the_table_a_row_a_sample(tmp_path: Path) -> None:
 
 def test_a_stopped_sweep_goes_on_to_the_same_series(tmp_path: Path) -> None:
     run_sweep(SAVED, tmp_path / "whole", chunk=5, simulator=Saver())
-    with pytest.raises(SweepInterrupted):
+    with pytest.raises(Interrupted):
         run_sweep(SAVED, tmp_path / "part", chunk=5, simulator=Saver(stop_at=3))
     assert len(list(tmp_path.glob("part/series/*"))) == 3
     for shard in ((0, 2), (1, 2)):
@@ -99,7 +100,7 @@ def test_runs_without_their_series_are_made_again(tmp_path: Path, damage: str) -
     else:
         file.write_bytes(file.read_bytes().replace(b"gyro_x", b"gyro_y", 1))
     damaged, told = file.read_bytes() if file.exists() else b"", []
-    result = run_sweep(SAVED, tmp_path, simulator=Saver(), warn=told.append)
+    result = run_sweep(SAVED, tmp_path, simulator=Saver(), watch=Watch(warn=told.append))
     assert result.chunks_run == 1
     assert len(told) == 1
     assert f"{part} has no time series, or damaged ones; it is kept in results.aside" in told[0]
@@ -227,7 +228,7 @@ KEPT: dict[str, Any] = {
 def test_kept_rows_are_recorded_once_and_again_if_they_are_lost(tmp_path: Path) -> None:
     """When the table is complete, by whichever command asks; `keep` may be another one then."""
     told: list[str] = []
-    result = run_sweep(KEPT, tmp_path, engine="c", warn=told.append)
+    result = run_sweep(KEPT, tmp_path, engine="c", watch=Watch(warn=told.append))
     best = int(np.argmax(read_table(tmp_path).column("speed").to_numpy()))
     (file,) = result.recordings
     assert (told, file) == ([], tmp_path / "recordings" / f"row-{best:06d}.npz")
@@ -257,7 +258,7 @@ def test_a_stopped_sweep_records_what_is_missing(tmp_path: Path, monkeypatch: py
 
     with monkeypatch.context() as patch:
         patch.setattr("nermo_mjx.sweep.series.replay_row", stopped)
-        with pytest.raises(SweepInterrupted, match="run the same command again"):
+        with pytest.raises(Interrupted, match="run the same command again"):
             run_sweep(spec, tmp_path, engine="c")
     (file,) = (tmp_path / "recordings").iterdir()
     first = file.stat().st_mtime_ns
@@ -270,7 +271,7 @@ def test_a_stopped_sweep_records_what_is_missing(tmp_path: Path, monkeypatch: py
 def test_a_replay_that_gives_other_numbers_says_so(tmp_path: Path) -> None:
     """A table in closed form is not what the robot does."""
     told: list[str] = []
-    run_sweep(KEPT, tmp_path, simulator=FakeSimulator(engine="c"), warn=told.append)
+    run_sweep(KEPT, tmp_path, simulator=FakeSimulator(engine="c"), watch=Watch(warn=told.append))
     (sentence,) = told
     assert sentence.startswith("row 2 as it is recorded: The metrics differ from the table's (engine c), most of all ")
     assert Recording.load(tmp_path / "recordings" / "row-000002.npz").metadata["compared"] in sentence

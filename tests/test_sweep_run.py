@@ -16,7 +16,8 @@ import pytest
 from sweep_fake import AMPLITUDES, FREQUENCIES, SPEC, FakeSimulator, speed
 
 from nermo_mjx.robot import identified
-from nermo_mjx.sweep import SpecError, Sweep, SweepInterrupted, read_table, run_sweep
+from nermo_mjx.runs import Interrupted, Watch
+from nermo_mjx.sweep import SpecError, Sweep, read_table, run_sweep
 from nermo_mjx.sweep.table import meta
 
 
@@ -63,7 +64,7 @@ def test_a_stopped_sweep_goes_on_and_gives_the_same_table(tmp_path, reference, n
 
 def test_ctrl_c_says_how_to_go_on(tmp_path, reference):
     """KeyboardInterrupt leaves finished chunks and an instruction; the same call resumes."""
-    with pytest.raises(SweepInterrupted, match=r"run the same command again, or: nermo-mjx sweep"):
+    with pytest.raises(Interrupted, match=r"run the same command again, or: nermo-mjx sweep"):
         run_sweep(SPEC, tmp_path, chunk=10, simulator=FakeSimulator(stop_at=2))
     simulator = FakeSimulator()
     assert run_sweep(SPEC, tmp_path, chunk=10, simulator=simulator).table.equals(reference.table)
@@ -130,15 +131,15 @@ def test_wrong_options_are_refused_before_anything_is_written(tmp_path, given, m
 
 def test_progress_grows_to_one_and_counts_what_was_resumed(tmp_path):
     """A resumed sweep starts where it was; the fraction never falls."""
-    with pytest.raises(SweepInterrupted):
+    with pytest.raises(Interrupted):
         run_sweep(SPEC, tmp_path, chunk=9, simulator=FakeSimulator(stop_at=2))
     seen = []
-    run_sweep(SPEC, tmp_path, simulator=FakeSimulator(), progress=seen.append)
+    run_sweep(SPEC, tmp_path, simulator=FakeSimulator(), watch=Watch(seen.append))
     fractions = [report.fraction for report in seen]
     assert fractions == sorted(fractions)
     assert fractions[0] > 0
     assert fractions[-1] == pytest.approx(1.0)
-    assert (seen[0].resumed, seen[0].rows, seen[-1].rows_done) == (18, 36, 36)
+    assert (seen[0].resumed, seen[0].total, seen[-1].done) == (18, 36, 36)
     assert len(set(fractions)) > 4  # within chunks, too
 
 

@@ -13,12 +13,12 @@ from sweep_fake import SPEC, FakeSimulator
 
 from nermo_mjx import read_table, run_sweep
 from nermo_mjx.cli import main
-from nermo_mjx.sweep import SweepInterrupted
+from nermo_mjx.runs import Interrupted
 
 
 def two_sessions(out: Path) -> dict[str, float]:
     """A sweep that is stopped and resumed; the numbers in its final table."""
-    with pytest.raises(SweepInterrupted):
+    with pytest.raises(Interrupted):
         run_sweep(SPEC, out, chunk=9, simulator=FakeSimulator(stop_at=2, falls_above=0.1), tensorboard=True)
     run_sweep(SPEC, out, chunk=9, simulator=FakeSimulator(falls_above=0.1), tensorboard=True)
     table = read_table(out)

@@ -22,10 +22,10 @@ import search_fake
 from nermo_mjx import Run, Setup, Simulator, all_metrics, all_parameters, load_robot
 from nermo_mjx.cli import main
 from nermo_mjx.optimize import Tuning, run_search
-from nermo_mjx.optimize.search_run import SearchFailed
 from nermo_mjx.optimize.tuning_run import costs_of
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.rollout.setup import TAKEN
+from nermo_mjx.runs import JobFailed
 from nermo_mjx.sweep import Sweep
 
 BOUND = (Path(__file__).parents[1] / "docs" / "howto" / "controllers" / "bound.py").read_text()
@@ -404,9 +404,7 @@ def test_an_objective_that_is_nan_is_told_after_the_first_batch(tmp_path: Path, 
             return result
 
     simulator = Straight()
-    with pytest.raises(
-        SearchFailed, match=r"turning_radius is NaN in all .* walks of the first batch .*NaN if straight"
-    ):
+    with pytest.raises(JobFailed, match=r"turning_radius is NaN in all .* walks of the first batch .*NaN if straight"):
         run_search(search_fake.WALK | aim | {"budget": 120, "batch": 12}, tmp_path, simulator=simulator)
     assert sum(simulator.batches) <= 24, "its first batch is twice as large"
 

@@ -18,7 +18,7 @@ from nermo_mjx.optimize import Tuning, run_tuning
 from nermo_mjx.optimize.history import empty_log
 from nermo_mjx.optimize.methods import initial_state
 from nermo_mjx.optimize.tuning_directory import Directory
-from nermo_mjx.runs import DirectoryError, OtherCode
+from nermo_mjx.runs import DirectoryError, OtherCode, Watch
 from nermo_mjx.runs.checkpoints import KEPT
 from nermo_mjx.runs.files import WrongDirectory
 
@@ -130,7 +130,7 @@ def test_a_damaged_checkpoint_falls_back_to_the_one_before(done, damage):
     """If the newest is damaged in any way, it is moved aside, the iteration is repeated, and the result is the same."""
     damage(done.out, steps(done.out)[-1])
     before, said = content(done.out / "checkpoints" / "7"), []
-    result, problem = tune(done.out, warn=said.append)
+    result, problem = tune(done.out, watch=Watch(warn=said.append))
     assert len(problem.batches) == 1
     assert same(result, done)
     assert steps(done.out) == list(range(8 - KEPT, 8))
@@ -146,7 +146,7 @@ def test_all_damaged_begins_again(done):
     for step in steps(done.out):
         cut(done.out, step)
     said = []
-    result, problem = tune(done.out, warn=said.append)
+    result, problem = tune(done.out, watch=Watch(warn=said.append))
     assert len(problem.batches) == 7
     assert same(result, done)
     for step in (5, 6, 7):
@@ -174,12 +174,12 @@ def test_a_full_disk_is_one_sentence(tmp_path, capfd):
     tuning, problem = Tuning.from_dict(SPEC), FakeProblem(Tuning.from_dict(SPEC))
 
     def fill(progress):
-        if progress.iteration == 2:
+        if progress.done == 3:
             resource.setrlimit(resource.RLIMIT_FSIZE, (3000, limits[1]))
 
     try:
         with pytest.raises(DirectoryError, match=r"cannot write in .*: File too large\. What is finished is kept"):
-            run_tuning(tuning, tmp_path, problem=problem, progress=fill)
+            run_tuning(tuning, tmp_path, problem=problem, watch=Watch(fill))
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
         signal.signal(signal.SIGXFSZ, handler)

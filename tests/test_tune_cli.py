@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import re
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ import nermo_mjx
 from nermo_mjx.cli import jobs
 from nermo_mjx.cli.progress import Progress, Stages
 from nermo_mjx.optimize import Tuning
-from nermo_mjx.runs import codes_of, stamp
+from nermo_mjx.runs import Watch, codes_of, stamp
 
 
 @pytest.fixture
@@ -189,9 +190,8 @@ def test_a_tuning_counts_its_evaluations_and_names_the_best(
 
     stream, tuning = io.StringIO(), Tuning.from_dict(SPEC)
     shown(monkeypatch, stream)
-    with Stages(False, compiles=lambda what: False) as stages:
-        display = jobs._Display(stages, tuning)
-        run_tuning(tuning, tmp_path, progress=display.report, drawing=stages.share)
+    with Stages("tune", "evaluations", False, lambda _: False, partial(jobs._tuning_so_far, tuning)) as stages:
+        run_tuning(tuning, tmp_path, watch=Watch(stages.show))
     lines = stream.getvalue().splitlines()
     assert len(lines) == 9
     assert lines[-1].startswith("engine c: ")  # what was found is walked again
@@ -204,8 +204,8 @@ def test_a_tuning_counts_its_evaluations_and_names_the_best(
     stream.truncate(0)
     fakes["options"] = {"stop_at": 0}
     longer = Tuning.from_dict(SPEC | {"iterations": 12})
-    with Stages(False, compiles=lambda what: False) as stages, pytest.raises(KeyboardInterrupt):
-        run_tuning(longer, tmp_path, progress=jobs._Display(stages, longer).report)
+    with Stages("tune", "evaluations", False, lambda _: False) as stages, pytest.raises(KeyboardInterrupt):
+        run_tuning(longer, tmp_path, watch=Watch(stages.show))
     assert "tune: 54%, 7 of 13 evaluations" in stream.getvalue(), "a resumed one starts where it was"
 
 

@@ -7,9 +7,9 @@ import pytest
 from test_tune_run import lasting, tune
 from tune_fake import SPEC, FakeProblem
 
-from nermo_mjx.optimize import Tuning, TuningInterrupted, load_tuning, read_history, run_tuning, tuning_directory
+from nermo_mjx.optimize import Tuning, load_tuning, read_history, run_tuning, tuning_directory
 from nermo_mjx.optimize.tuning_figures import figures
-from nermo_mjx.runs import OtherCode, codes_of, kind_of
+from nermo_mjx.runs import Interrupted, OtherCode, Watch, codes_of, kind_of
 from nermo_mjx.runs.files import WrongDirectory
 
 pytestmark = pytest.mark.compiles
@@ -52,7 +52,7 @@ def test_other_code_is_refused_until_it_is_accepted(tmp_path, other_code):
     with pytest.raises(OtherCode, match=r"nermo-mjx .*, not 9\.9\.9; .*--accept-new-code"):
         tune(tmp_path, FEW | {"iterations": 3})
     assert (read_history(tmp_path).num_rows, load_tuning(tmp_path).iterations) == (2, 1)
-    with pytest.raises(TuningInterrupted):
+    with pytest.raises(Interrupted):
         tune(tmp_path, FEW | {"iterations": 3}, accept_new_code=True, stop_at=1)
     result, _ = tune(tmp_path, FEW | {"iterations": 3})
     second = list(codes_of(tmp_path))[1]
@@ -71,7 +71,7 @@ def test_a_finished_tuning_is_drawn_again_by_any_code(tmp_path, other_code):
 
 def test_a_directory_without_an_iteration_is_any_codes(tmp_path, other_code):
     """What was stopped before its first row is begun by a new version without being asked."""
-    with pytest.raises(TuningInterrupted):
+    with pytest.raises(Interrupted):
         tune(tmp_path, FEW, stop_at=0)
     other_code()
     result, _ = tune(tmp_path, FEW)
@@ -90,14 +90,14 @@ def test_a_users_own_file_is_kept_aside(tmp_path):
     (tmp_path / "best.json").write_text("mine, too")
     tuning = dataclasses.replace(Tuning.from_file(spec), iterations=2)
     said = []
-    run_tuning(tuning, tmp_path, problem=FakeProblem(tuning), warn=said.append)
+    run_tuning(tuning, tmp_path, problem=FakeProblem(tuning), watch=Watch(warn=said.append))
     assert (tmp_path / "tuning.yaml.aside-1").read_text() == text
     assert (tmp_path / "best.json.aside-1").read_text() == "mine, too"
     assert sorted(said) == [
         f"{tmp_path / 'best.json'} is of another history; it is kept as best.json.aside-1.",
         f"{spec} is of another history; it is kept as tuning.yaml.aside-1.",
     ]
-    run_tuning(tuning, tmp_path, problem=FakeProblem(tuning), warn=said.append)
+    run_tuning(tuning, tmp_path, problem=FakeProblem(tuning), watch=Watch(warn=said.append))
     assert len(said) == 2
 
 

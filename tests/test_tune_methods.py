@@ -13,10 +13,10 @@ from click.testing import CliRunner
 from tune_fake import BEST, SPEC, FakeProblem, speed
 
 from nermo_mjx.cli import main
-from nermo_mjx.optimize import Tuning, TuningInterrupted, run_tuning
+from nermo_mjx.optimize import Tuning, run_tuning
 from nermo_mjx.optimize.problems import SimulatedProblem
 from nermo_mjx.optimize.tuning_run import costs_of
-from nermo_mjx.runs import codes_of
+from nermo_mjx.runs import Interrupted, codes_of
 from nermo_mjx.specs.reading import SpecError
 
 PLAIN = {key: value for key, value in SPEC.items() if key not in ("optimizer", "starts")}
@@ -117,7 +117,7 @@ def test_falls_cost_a_generation_nothing_but_themselves(tmp_path: Path) -> None:
 def test_a_stopped_tuning_ends_with_the_same_numbers(spec, tmp_path: Path) -> None:
     tuning = Tuning.from_dict(spec)
     whole = run_tuning(spec, tmp_path / "a", problem=FakeProblem(tuning))
-    with pytest.raises(TuningInterrupted):
+    with pytest.raises(Interrupted):
         run_tuning(spec, tmp_path / "b", problem=FakeProblem(tuning, stop_at=4))
     rest = run_tuning(spec, tmp_path / "b", problem=(fake := FakeProblem(tuning)))
     assert len(fake.batches) == tuning.iterations + 1 - 4

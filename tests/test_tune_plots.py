@@ -18,7 +18,6 @@ from nermo_mjx.optimize import (
     Objective,
     Term,
     Tuning,
-    TuningInterrupted,
     load_tuning,
     read_history,
     run_tuning,
@@ -30,6 +29,7 @@ from nermo_mjx.optimize.tuning_figures import MOST_STARTS, Background, Traces, f
 from nermo_mjx.plotting.files import write_figures
 from nermo_mjx.plotting.style import STYLE
 from nermo_mjx.robot.quantity import ParameterError
+from nermo_mjx.runs import Interrupted
 from nermo_mjx.view import offscreen
 
 pytestmark = pytest.mark.draws
@@ -468,7 +468,7 @@ def test_an_old_video_does_not_outlive_its_best(finished, tmp_path):
     """A resumed tuning moves it aside first: if stopped, the directory does not show a video of another point."""
     shutil.copytree(finished.out, tmp_path / "out")
     (tmp_path / "out" / "video.mp4").write_text("of iteration 6")
-    with pytest.raises(TuningInterrupted):
+    with pytest.raises(Interrupted):
         tune(tmp_path / "out", {"plots": False, "iterations": 8}, stop_at=0)
     assert not (tmp_path / "out" / "video.mp4").exists()
     assert (tmp_path / "out" / "video.mp4.aside-1").read_text() == "of iteration 6"

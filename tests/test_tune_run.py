@@ -16,8 +16,10 @@ import pytest
 from sweep_fake import FakeSimulator
 from tune_fake import BEST, SPEC, FakeProblem, FakeWalker, Three
 
-from nermo_mjx.optimize import Tuning, TuningFailed, TuningInterrupted, load_tuning, read_history, run_tuning
+from nermo_mjx.optimize import Tuning, load_tuning, read_history, run_tuning
 from nermo_mjx.optimize.methods import Tuner, initial_state
+from nermo_mjx.runs import JobFailed
+from nermo_mjx.runs.job import SILENT, Interrupted, Watch
 from nermo_mjx.runs.workers import TaskFailed, WorkersLost
 from nermo_mjx.sweep import DirectoryError, Sweep, run_sweep
 
@@ -31,11 +33,11 @@ ESTIMATORS = {
 }
 
 
-def tune(out, change=None, warn=None, accept_new_code=False, **of_problem):
+def tune(out, change=None, watch=SILENT, accept_new_code=False, **of_problem):
     """Run `SPEC` with changes on the fake problem; the result and the problem."""
     tuning = Tuning.from_dict(SPEC | (change or {}))
     problem = FakeProblem(tuning, **of_problem)
-    return run_tuning(tuning, out, problem=problem, warn=warn, accept_new_code=accept_new_code), problem
+    return run_tuning(tuning, out, problem=problem, watch=watch, accept_new_code=accept_new_code), problem
 
 
 def lasting(table):
@@ -179,7 +181,7 @@ def test_workers_that_are_lost_leave_what_is_done(tmp_path):
             raise WorkersLost("no node came within 300 s.")
 
     tuning = Tuning.from_dict(SPEC)
-    with pytest.raises(TuningFailed, match=r"no node came within 300 s\. What is finished is kept in .*same command"):
+    with pytest.raises(JobFailed, match=r"no node came within 300 s\. What is finished is kept in .*same command"):
         run_tuning(tuning, tmp_path, problem=FakeProblem(tuning), workers=Lost())
 
 
@@ -241,7 +243,7 @@ def test_a_start_that_falls_goes_back_towards_its_best_point(tmp_path):
 
 def test_nothing_that_walks_is_an_error_at_once(tmp_path):
     """All worlds fall at all starts: no iteration could change that. Another tuning may take the directory."""
-    with pytest.raises(TuningFailed, match="no world of iteration 0 walked"):
+    with pytest.raises(JobFailed, match="no world of iteration 0 walked"):
         tune(tmp_path, falls=lambda points: jnp.ones(len(points), bool))
     assert not (tmp_path / "best.json").exists()
     assert tune(tmp_path, {"seed": 9})[0].best["complete"]
@@ -273,7 +275,7 @@ def test_a_problem_that_says_ok_to_nan_is_not_believed():
 def test_an_interrupted_tuning_goes_on_bit_for_bit(tmp_path, noisy, stop_at):
     """Stopped in any iteration, the same call resumes and ends with the same state and history."""
     change = {"estimator": ESTIMATORS["mixture"]}
-    with pytest.raises(TuningInterrupted, match=r"run the same command again, or: nermo-mjx tune"):
+    with pytest.raises(Interrupted, match=r"run the same command again, or: nermo-mjx tune"):
         tune(tmp_path, change, stop_at=stop_at)
     if stop_at:
         assert read_history(tmp_path).num_rows == 2 * stop_at
@@ -424,18 +426,18 @@ def test_a_sweep_runs_the_tuned_gait(tmp_path, reference):
 
 def test_progress_tells_how_far_and_how_good(tmp_path, reference):
     """One report before the first evaluation, one after each; a resumed tuning starts where it was."""
-    with pytest.raises(TuningInterrupted):
+    with pytest.raises(Interrupted):
         tune(tmp_path, stop_at=3)
     tuning, seen = Tuning.from_dict(SPEC), []
-    run_tuning(tuning, tmp_path, problem=FakeProblem(tuning), progress=seen.append)
-    assert [report.iteration for report in seen] == [3, 3, 4, 5, 6]
-    assert {report.iterations for report in seen} == {6}
+    run_tuning(tuning, tmp_path, problem=FakeProblem(tuning), watch=Watch(seen.append))
+    assert [(report.what, report.done) for report in seen] == [("", done) for done in (3, 4, 5, 6, 7)]
+    assert {report.total for report in seen} == {7}
     assert {report.resumed for report in seen} == {3}
     best = [report.best for report in seen[1:]]
     assert best == sorted(best, reverse=True)
     assert best[-1] == reference.best["objective"]
-    assert set(seen[-1].metrics) == {"speed", "roll_std"}
-    assert seen[-1].simulated_seconds == reference.best["simulated_seconds"]
+    assert set(seen[-1].numbers) == {"objective", "speed", "roll_std", "simulated_seconds"}
+    assert seen[-1].numbers["simulated_seconds"] == reference.best["simulated_seconds"]
 
 
 # --- the end

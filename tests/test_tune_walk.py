@@ -11,6 +11,7 @@ from nermo_mjx.optimize import read_history, run_tuning
 from nermo_mjx.optimize.problems import Reference, WalkProblem
 from nermo_mjx.optimize.tuning import Tuning
 from nermo_mjx.rollout import Run
+from nermo_mjx.runs import Watch
 
 pytestmark = pytest.mark.slow
 
@@ -88,11 +89,11 @@ def test_a_tuning_that_was_stopped_ends_as_one_that_was_not(tuned, problem, tmp_
     """Bit for bit, gradients included."""
 
     def stop(progress):
-        if progress.iteration == after and progress.value is not None:
+        if progress.done == after + 1 and progress.numbers:
             raise _Stopped
 
     with pytest.raises(_Stopped):
-        run_tuning(SPEC, tmp_path, problem=problem, progress=stop)
+        run_tuning(SPEC, tmp_path, problem=problem, watch=Watch(stop))
     run_tuning(SPEC, tmp_path, problem=problem)
     _, whole = tuned
     again = read_history(tmp_path)

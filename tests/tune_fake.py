@@ -146,12 +146,13 @@ def _glide(pace, seconds):
 
 
 if __name__ == "__main__":  # a process to be killed: tune_fake.py OUT LOG
-    from nermo_mjx.optimize import TuningInterrupted, run_tuning
+    from nermo_mjx.optimize import run_tuning
+    from nermo_mjx.runs import Interrupted
 
     Path(sys.argv[2]).write_text("")
     try:
         run_tuning(SPEC, sys.argv[1], problem=FakeProblem(Tuning.from_dict(SPEC), log=sys.argv[2], hold_at=3))
-    except TuningInterrupted as stopped:
+    except Interrupted as stopped:
         print(stopped, flush=True)
         os._exit(3)
 

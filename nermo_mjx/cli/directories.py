@@ -20,7 +20,6 @@ from nermo_mjx.cli.output import Failure, WrongUse, print_json, print_table, std
 from nermo_mjx.trust import one_line
 
 if TYPE_CHECKING:
-    from nermo_mjx.runs import CodeStamp
     from nermo_mjx.runs.status import Status
     from nermo_mjx.sweep.comparing import Comparison
     from nermo_mjx.sweep.sensitivity import Sensitivity
@@ -127,24 +126,15 @@ def status_command(path: Path, as_json: bool, quiet: bool) -> None:
         print_json({"kind": kind.name, "rows": status.rows, "rows_done": status.rows_done,
                     "code": [*codes] or status.code, "engine": status.engine, "complete": status.complete})  # fmt: skip
     elif not quiet:
-        click.echo(f"{path}: {kind.called}, {_amount(status)}")
-        for name, text in (*_made(status, codes), *_worked(sessions), *(("note", note) for note in status.notes)):
+        of_all = f" of {status.rows:,}" if status.rows is not None and not status.complete else ""
+        amount = f"{status.rows_done:,}{of_all} {status.unit}, {'complete' if status.complete else 'not complete'}"
+        click.echo(f"{path}: {kind.called}, {amount}")
+        named = [f"{name}: {code}" for name, code in codes.items()] or [", ".join(status.code) or "not known"]
+        made = [("engine", status.engine or "not known"), *(("code", each) for each in named)]
+        for name, text in (*made, *_worked(sessions), *(("note", note) for note in status.notes)):
             click.echo(f"{name:<8} {one_line(text)}")
         click.echo(f"{'figures' if status.complete and ' plot ' in status.command else 'resume':<8} {status.command}"
                    if status.command else "resume   with the command that started it, not recorded here")  # fmt: skip
-
-
-def _amount(status: Status) -> str:
-    known = status.rows is not None and not status.complete
-    of_all = f" of {status.rows:,}" if known else ""
-    return f"{status.rows_done:,}{of_all} {status.unit}, {'complete' if status.complete else 'not complete'}"
-
-
-def _made(status: Status, codes: Mapping[str, CodeStamp]) -> Iterator[tuple[str, str]]:
-    yield "engine", status.engine or "not known"
-    yield from (("code", f"{name}: {stamp}") for name, stamp in codes.items())
-    if not codes:
-        yield "code", ", ".join(status.code) or "not known"
 
 
 def _worked(sessions: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, str]]:
@@ -314,7 +304,12 @@ def _print_comparison(found: Comparison) -> None:
         print_table(f"{other} minus {found.base}", [("metric", "left"), ("unit", "left"), *columns], rows)
         for metric in found.drawn if found.groups else ():
             lines = [row for row in found.rows(other, grouped=True) if row["metric"] == metric]
-            cells = [[*(_text(row[name]) for name in found.groups), *_cells(row), _failed(row)] for row in lines]
+            cells = []
+            for row in lines:
+                failed = row["failed_base"], row["failed_other"]
+                group = [f"{each:.6g}" if isinstance(each, float) else str(each) for each in map(row.get, found.groups)]
+                lost = "{} and {} fell or were lost".format(*failed) if any(failed) else ""
+                cells.append([*group, *_cells(row), lost])
             heads = [(name, "right") for name in found.groups]
             title = f"{metric} [{_unit(lines[0])}]: {other} minus {found.base}" if lines else metric
             print_table(title, [*heads, *columns, ("", "left")], cells)
@@ -346,15 +341,6 @@ def _unit(row: Mapping[str, Any]) -> str:
     from nermo_mjx.plotting.shown import shown
 
     return shown(row["metric"], row["metric_unit"], []).unit or "1"
-
-
-def _failed(row: Mapping[str, Any]) -> str:
-    base, other = row["failed_base"], row["failed_other"]
-    return f"{base} and {other} fell or were lost" if base or other else ""
-
-
-def _text(value: Any) -> str:
-    return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
 SENSITIVITY_EPILOG = """\b

@@ -14,25 +14,18 @@ import click
 
 from nermo_mjx.cli import options
 from nermo_mjx.cli.choices import EXPERIMENT_PROFILES, EXPERIMENTS
-from nermo_mjx.cli.options import FileKind, assigned
+from nermo_mjx.cli.options import LISTED, FileKind, assigned
 from nermo_mjx.cli.output import WrongUse, print_json, print_table, sayer, stdout_reserved
-from nermo_mjx.cli.progress import Progress, Stages, duration
+from nermo_mjx.cli.progress import Stages, duration
 
 if TYPE_CHECKING:
     from nermo_mjx.experiments.run import ExperimentsResult
     from nermo_mjx.learn.cost import Cost as TrainingCost
     from nermo_mjx.learn.run import TrainingProgress, TrainingResult
-    from nermo_mjx.optimize import (
-        LandscapeResult,
-        Search,
-        SearchProgress,
-        SearchResult,
-        Tuning,
-        TuningProgress,
-        TuningResult,
-    )
+    from nermo_mjx.optimize import LandscapeResult, Search, SearchResult, Tuning, TuningResult
     from nermo_mjx.optimize.search_run import Cost as SearchCost
     from nermo_mjx.optimize.tuning_run import MethodCost
+    from nermo_mjx.runs.job import Progress, Watch
     from nermo_mjx.runs.workers import Workers
     from nermo_mjx.sweep import Sweep, SweepResult
     from nermo_mjx.sweep.run import Forecast
@@ -71,12 +64,20 @@ def _job(
 
 @contextlib.contextmanager
 def _working(
-    name: str, unit: str, quiet: bool, workers: str = "local", address: str | None = None
-) -> Iterator[tuple[Progress, Callable[[str], None] | None, Workers]]:
-    """While a job works: its display, what says a sentence about it, and its workers; prints of libraries are moved."""
-    say, progress = sayer(name, quiet), Progress(name, unit, quiet=quiet, compiles=workers == "local")
-    with stdout_reserved(), options.crew(workers, address, say) as crew, progress:
-        yield progress, say, crew
+    name: str,
+    unit: str,
+    quiet: bool,
+    workers: str = "local",
+    address: str | None = None,
+    compiles: Callable[[str], bool] | None = None,
+    known: Callable[[Progress], str] = lambda _: "",
+) -> Iterator[tuple[Watch, Workers]]:
+    """While a job works: its display, see `Stages`, and its workers; prints of libraries are moved."""
+    from nermo_mjx.runs.job import Watch
+
+    shown = Stages(name, unit, quiet, compiles or (lambda _: workers == "local"), known)
+    with stdout_reserved(), options.crew(workers, address, shown.say) as crew, shown:
+        yield Watch(shown.show, shown.say), crew
 
 
 def _print_places(out: Path, places: Mapping[str, str | Path | None], width: int = 8) -> None:
@@ -178,11 +179,8 @@ def sweep_command(
             for name, places in sweep.partly_read().items():
                 read = f"{len(places)} of {len(sweep.structures)} structures"
                 say(f"{name} is varied in {read}: the others do not read it.")
-    with _working("sweep", "runs", quiet, workers, ray_address) as (progress, say, crew):
-        result = run_sweep(
-            sweep, out, **how, warn=say, workers=crew,
-            progress=lambda done: progress.share(done.fraction, done.rows_done, done.rows),
-        )  # fmt: skip
+    with _working("sweep", "runs", quiet, workers, ray_address) as (watch, crew):
+        result = run_sweep(sweep, out, **how, watch=watch, workers=crew)
     return sweep_fields(out, result), lambda: print_sweep(result)
 
 
@@ -293,7 +291,7 @@ Examples:
     click.argument("sources", metavar="DIR DIR...", nargs=-1, required=True, type=click.Path(path_type=Path)),
     options.accept_new_code,
 )
-def merge_command(sources: tuple[Path, ...], out: Path, accept_new_code: bool, quiet: bool, **_: Any) -> Outcome:
+def merge_command(sources: tuple[Path, ...], out: Path, accept_new_code: bool, quiet: bool, as_json: bool) -> Outcome:
     """Merge the rows of several sweeps into one directory.
 
     The sweeps may differ in what they vary, and in their repeats; what is
@@ -301,10 +299,10 @@ def merge_command(sources: tuple[Path, ...], out: Path, accept_new_code: bool, q
     and the given directories are only read. A row that is in several is taken
     from the first of them.
     """
-    with stdout_reserved():
+    with _working("merge", "runs", quiet, compiles=lambda _: False) as (watch, _):
         from nermo_mjx.sweep import merge_sweeps
 
-        result = merge_sweeps(sources, out, accept_new_code=accept_new_code, warn=sayer("merge", quiet))
+        result = merge_sweeps(sources, out, accept_new_code=accept_new_code, watch=watch)
 
     def show() -> None:
         print_sweep(result)
@@ -364,44 +362,44 @@ def search_command(
     if dry_run:
         print_json({"cost": dataclasses.asdict(cost)}) if as_json else _print_search_cost(cost)
         return None
-    with _working("search", "evaluations", quiet, workers, ray_address) as (progress, say, crew):
-        result = run_search(
-            search, out, engine=engine, warn=say, workers=crew, accept_new_code=accept_new_code,
-            progress=lambda done: _show_search(progress, search, done),
-        )  # fmt: skip
+    known = functools.partial(_search_so_far, search)
+    with _working("search", "evaluations", quiet, workers, ray_address, known=known) as (watch, crew):
+        result = run_search(search, out, engine=engine, watch=watch, workers=crew, accept_new_code=accept_new_code)
     fields = ("out", "best", "evaluations_run", "recordings", "plots")
     content = {name: getattr(result, name) for name in fields}
     return content, lambda: _print_search(result)
 
 
-def _show_search(progress: Progress, search: Search, done: SearchProgress) -> None:
-    """How far the search is, and what it has found by now."""
-    total = search.evaluations or None
-    known = f"{done.filled:,} cells" if done.filled is not None else ""
-    if not known and done.best is not None:
-        known = f"best {_objective(search, done.best)}"
-    count = None if total is None else min(done.evaluations, total)
-    progress.share(done.fraction, count, total, known)
-
-
-def _objective(search: Search, cost: float) -> str:
-    """An objective as people read it: a metric with its unit, where it is one metric."""
+def _search_so_far(search: Search, done: Progress) -> str:
+    """What a search has found: cells of an atlas, or its objective, where it is one metric with its unit."""
+    if "cells" in done.numbers:
+        return f"{done.numbers['cells']:,.0f} cells"
+    if (cost := done.best) is None:
+        return ""
     from nermo_mjx.plotting.shown import shown
     from nermo_mjx.rollout import METRICS
 
     term = search.aim.objective.terms[0]
     if len(search.aim.objective.terms) > 1 or term.aim == "hold":
-        return f"{cost:.4g}"
+        return f"best {cost:.4g}"
     value = cost * term.scale / term.weight * (-1.0 if term.aim == "maximize" else 1.0)
     quantity = shown(term.metric, METRICS[term.metric].unit, value)
-    return f"{term.metric} {quantity.shown(float(quantity.values))}"
+    return f"best {term.metric} {quantity.shown(float(quantity.values))}"
 
 
 def _print_search(result: SearchResult) -> None:
-    best, search = result.best, result.search
+    from nermo_mjx.plotting.shown import shown
+    from nermo_mjx.rollout import METRICS
+
+    best, search, rows = result.best, result.search, []
+    for kind, names in (("parameters", search.names), ("metrics", search.aim.metrics)):
+        for name in names:
+            about: Any = search.sweep.parameters[name] if kind == "parameters" else METRICS[name]
+            quantity = shown(name, about.unit, best[kind][name])
+            rows.append([name, f"{float(quantity.values) + 0.0:.4g}", quantity.unit])
     columns = [("", "left"), ("best", "right"), ("", "left")]
     middle = "In the middle of the front" if search.aim.pareto else "Best"
-    print_table(f"{middle}: row {best['row']}", columns, list(_search_rows(result)))
+    print_table(f"{middle}: row {best['row']}", columns, rows)
     effort = f"{best['evaluations']:,} evaluations, {duration(best['simulated_seconds'])} simulated"
     click.echo(f"{effort}; {best['failed']:,} fell" if best["failed"] else effort)
     if "front" in best:
@@ -413,19 +411,6 @@ def _print_search(result: SearchResult) -> None:
     places |= {"records": "recordings"} if result.recordings else {}
     places |= {"plots": "plots"} if result.plots else {}
     _print_places(result.out, places)
-
-
-def _search_rows(result: SearchResult) -> Any:
-    """Every parameter, and every metric that the search aims at."""
-    from nermo_mjx.plotting.shown import shown
-    from nermo_mjx.rollout import METRICS
-
-    parameters = result.search.sweep.parameters
-    for kind, names in (("parameters", result.search.names), ("metrics", result.search.aim.metrics)):
-        for name in names:
-            about: Any = parameters[name] if kind == "parameters" else METRICS[name]
-            quantity = shown(name, about.unit, result.best[kind][name])
-            yield [name, f"{float(quantity.values) + 0.0:.4g}", quantity.unit]
 
 
 def _print_search_cost(cost: SearchCost) -> None:
@@ -499,20 +484,13 @@ def tune_command(
         else:
             click.echo("\n".join(_told(costs)))
         return None
-    with stdout_reserved():
+    known, compiles = functools.partial(_tuning_so_far, tuning), lambda what: what in ("tune", "landscape")
+    with _working("tune", "evaluations", quiet, workers, ray_address, compiles, known) as (watch, crew):
         from nermo_mjx.optimize import run_tuning
 
-        with (
-            Stages(quiet, compiles=lambda what: what in ("tune", "landscape")) as stages,
-            options.crew(workers, ray_address, stages.say) as crew,
-        ):
-            display = _Display(stages, tuning)
-            result = run_tuning(
-                tuning, out, progress=display.report, drawing=stages.share, warn=stages.say,
-                accept_new_code=accept_new_code, workers=crew,
-            )  # fmt: skip
-            for note in result.pictures.notes:
-                stages.say(note)
+        result = run_tuning(tuning, out, watch=watch, accept_new_code=accept_new_code, workers=crew)
+        for note in result.pictures.notes:
+            watch.warn(note)
     pictures = result.pictures
     content = {name: getattr(result, name) for name in ("out", "iterations_run", "start", "best")}
     content |= {"plots": list(pictures.plots), "video": pictures.video, "notes": list(pictures.notes)}
@@ -531,29 +509,16 @@ def _told(costs: list[MethodCost]) -> list[str]:
     return lines
 
 
-class _Display:
-    """Passes a tuning's progress to the display."""
-
-    def __init__(self, stages: Stages, tuning: Tuning) -> None:
-        self._stages, self._tuning = stages, tuning
-        self._begun = False
-
-    def report(self, progress: TuningProgress) -> None:
-        """Show the tuning's progress; there is one more evaluation than steps."""
-        total = progress.iterations + 1
-        done = min(progress.iteration + 1 if self._begun else progress.resumed, total)
-        self._begun = True
-        self._stages.part("tune", "evaluations").share(done / total, done, total, self._known(progress))
-
-    def _known(self, progress: TuningProgress) -> str:
-        """The best objective so far, and the metrics of this iteration's best point."""
-        if progress.best is None:
-            return ""
-        parts = [f"best {progress.best:.4g}"]
-        for name in self._tuning.objective.metrics[:_NAMED]:
-            if name in progress.metrics:
-                parts.append(_number_and_unit(self._tuning, name, progress.metrics[name]))
-        return ", ".join(parts)
+def _tuning_so_far(tuning: Tuning, done: Progress) -> str:
+    """The best objective so far, and the metrics of this iteration's best point."""
+    if done.best is None:
+        return ""
+    parts = [f"best {done.best:.4g}"]
+    for name in tuning.objective.metrics[:_NAMED]:
+        if name in done.numbers:
+            (number,), unit = _shown(tuning, name, (done.numbers[name],))
+            parts.append(f"{name} {number:.4g} {unit}".rstrip())
+    return ", ".join(parts)
 
 
 def _print_tuning(result: TuningResult) -> None:
@@ -566,8 +531,14 @@ def _print_tuning(result: TuningResult) -> None:
     print_table(f"Iteration {best['iteration']}{where} is the best", columns, _tuning_rows(result))
     wall = result.history.column("wall_seconds")[-1].as_py()
     effort = f"{duration(best['simulated_seconds'])} simulated, gradients at their cost, in {duration(wall)}"
-    if again:
-        click.echo(_walked_again(again))
+    if again:  # what the columns of the engine c mean
+        walked = [again[point] or {"walks_ok": 0} for point in _AGAIN]
+        fell = sum(again["walks"] - each["walks_ok"] for each in walked)
+        fallen = f", of which {fell} were not completed" if fell else ""
+        many = "1 walk" if again["walks"] == 1 else f"means of {again['walks']} walks from unseen starts"
+        ends = again["best"] if again["walks"] > 1 else None
+        apart = f"; the best gave {ends['lowest']:.4g} to {ends['highest']:.4g}" if ends else ""
+        click.echo(f"Engine {again['engine']}: {many}{fallen}{apart}.")
     click.echo(f"{best['iterations']} iterations ({effort})")
     if best["stopped"]:
         click.echo(best["stopped"])
@@ -607,22 +578,9 @@ def _again(result: TuningResult, name: str, kind: str = "") -> list[str]:
     return cells
 
 
-def _walked_again(again: Mapping[str, Any]) -> str:
-    """The meaning of the columns of the engine `c`."""
-    fell = sum(again["walks"] - (each or {"walks_ok": 0})["walks_ok"] for each in (again[point] for point in _AGAIN))
-    fallen = f", of which {fell} were not completed" if fell else ""
-    many = "1 walk" if again["walks"] == 1 else f"means of {again['walks']} walks from unseen starts"
-    best = again["best"]
-    apart = f"; the best gave {best['lowest']:.4g} to {best['highest']:.4g}" if best and again["walks"] > 1 else ""
-    return f"Engine {again['engine']}: {many}{fallen}{apart}."
-
-
 def _shortest(tuning: Tuning, name: str, change: float) -> float:
     """A change of a parameter; for a periodic one, the shorter way around."""
-    if name not in tuning.names:
-        return change
-    place = tuning.names.index(name)
-    if not tuning.bounds.periodic[place]:
+    if name not in tuning.names or not tuning.bounds.periodic[place := tuning.names.index(name)]:
         return change
     period = float(tuning.bounds.high[place] - tuning.bounds.low[place])
     return change - period * round(change / period)
@@ -634,11 +592,6 @@ def _cells(before: float, after: float, change: float) -> list[str]:
 
 def _digits(value: float) -> str:
     return f"{value + 0.0:.4g}" if math.isfinite(value) else "-"
-
-
-def _number_and_unit(tuning: Tuning, metric: str, value: float) -> str:
-    (number,), unit = _shown(tuning, metric, (value,))
-    return f"{metric} {number:.4g} {unit}".rstrip()
 
 
 def _shown(tuning: Tuning, name: str, values: tuple[float, ...]) -> tuple[list[float], str]:
@@ -682,10 +635,8 @@ def landscape_command(
     with stdout_reserved():
         from nermo_mjx.optimize import run_landscape
 
-    with _working("landscape", "walks", quiet) as (progress, say, _):
-        result = run_landscape(
-            spec, out, points=points, span=span, progress=progress.count, warn=say, accept_new_code=accept_new_code
-        )
+    with _working("landscape", "walks", quiet) as (watch, _):
+        result = run_landscape(spec, out, points=points, span=span, watch=watch, accept_new_code=accept_new_code)
     return {"out": result.out, "evaluated": result.evaluated, **result.content}, lambda: _print_landscape(result)
 
 
@@ -749,16 +700,26 @@ def train_command(
             cost = cost_of(training, engine)
         print_json({"cost": dataclasses.asdict(cost)}) if as_json else _print_training_cost(cost)
         return None
-    with stdout_reserved():
+    with _working("train", "steps", quiet, known=_training_so_far) as (watch, _):
         from nermo_mjx.learn.run import run_training
+        from nermo_mjx.runs.job import Progress
 
-        with Stages(quiet, compiles=lambda what: True) as stages:
-            result = run_training(
-                training, out, engine=engine, progress=lambda done: _show_training(stages, done), warn=stages.say,
-                tensorboard=tensorboard, evaluating=lambda share: stages.share("evaluation", share),
-                accept_new_code=accept_new_code,
-            )  # fmt: skip
-        exported = _export(result) if onnx else None
+        def tell(done: TrainingProgress) -> None:
+            share = min(1.0, done.steps / done.total)
+            watch.progress(Progress(share, done.steps, done.total, numbers=done.numbers))
+
+        result = run_training(
+            training, out, engine=engine, progress=tell, warn=watch.warn, accept_new_code=accept_new_code,
+            tensorboard=tensorboard, evaluating=lambda share: watch.progress(Progress(share, what="evaluation")),
+        )  # fmt: skip
+        exported = None
+        if onnx and result.policy is not None:
+            from nermo_mjx.learn.onnx import export
+            from nermo_mjx.learn.policy import load_policy
+            from nermo_mjx.runs.files import replace_file
+
+            exported = result.policy.with_suffix(".onnx")
+            replace_file(exported, export(load_policy(result.policy)))
     return {
         "out": result.out,
         **result.summary,
@@ -769,25 +730,10 @@ def train_command(
     }, lambda: _print_training(result, exported)
 
 
-def _show_training(stages: Stages, done: TrainingProgress) -> None:
-    """Show the training's progress, and the results of its last episodes."""
-    known = [f"{name} {done.numbers[name]:.3g}" for name in ("return", "reward")
-             if math.isfinite(done.numbers.get(name, math.nan))]  # fmt: skip
-    stages.part("train", "steps").share(
-        min(1.0, done.steps / done.total), min(done.steps, done.total), done.total, ", ".join(known)
-    )
-
-
-def _export(result: TrainingResult) -> Path | None:
-    from nermo_mjx.learn.onnx import export
-    from nermo_mjx.learn.policy import load_policy
-    from nermo_mjx.runs.files import replace_file
-
-    if result.policy is None:
-        return None
-    path = result.policy.with_suffix(".onnx")
-    replace_file(path, export(load_policy(result.policy)))
-    return path
+def _training_so_far(done: Progress) -> str:
+    """The results of the last episodes."""
+    known = {name: done.numbers.get(name, math.nan) for name in ("return", "reward")}
+    return ", ".join(f"{name} {value:.3g}" for name, value in known.items() if math.isfinite(value))
 
 
 def _print_training(result: TrainingResult, exported: Path | None) -> None:
@@ -860,9 +806,8 @@ _WIDEST = 72
     options.engine,
 )
 def experiment_command(
-    name: str, out: Path, profile: str, repeats: int | None, seed: int, bodies: int | None, quick: bool,
-    no_video: bool, again: bool, controller: str | None, workers: str, ray_address: str | None, accept_new_code: bool,
-    assignments: tuple[str, ...], engine: str, as_json: bool, quiet: bool,
+    name: str, out: Path, profile: str, no_video: bool, workers: str, ray_address: str | None,
+    assignments: tuple[str, ...], as_json: bool, quiet: bool, **how: Any,
 ) -> Outcome | None:  # fmt: skip
     """Run a published experiment, or all of them, and compare.
 
@@ -873,32 +818,20 @@ def experiment_command(
     --workers ray distributes experiments, and batches of bodies, over the
     machines of a cluster, which need no access to DIR.
     """
-    with stdout_reserved():
+    with _working("experiment", "", quiet, workers, ray_address, lambda what: "," not in what) as (watch, crew):
         from nermo_mjx.experiments.run import run_experiments
+        from nermo_mjx.robot.quantity import quantities
+        from nermo_mjx.rollout.setup import WorldParameters
 
-        values = _body_values(assignments)
-        with (
-            Stages(quiet, compiles=lambda what: "," not in what) as stages,
-            options.crew(workers, ray_address, stages.say) as crew,
-        ):
-            result = run_experiments(
-                EXPERIMENTS if name == ALL else [name], out, engine=engine, repeats=repeats, seed=seed, quick=quick,
-                profiles=EXPERIMENT_PROFILES if profile == "all" else (profile,), values=values, controller=controller,
-                bodies=bodies, video=not no_video, again=again, accept_new_code=accept_new_code,
-                progress=stages.share, notify=stages.say, workers=crew,
-            )  # fmt: skip
+        # Their ranges are checked with the other settings.
+        values = assigned(assignments, dict(quantities(WorldParameters)), LISTED)
+        profiles = EXPERIMENT_PROFILES if profile == "all" else (profile,)
+        result = run_experiments(
+            EXPERIMENTS if name == ALL else [name], out, profiles=profiles, values=values, video=not no_video,
+            watch=watch, workers=crew, **how,
+        )  # fmt: skip
     run = {each.name: {"kept": each.kept} for each in result.results}
     return {"out": result.out, "run": run, **result.report}, lambda: _print_experiments(result)
-
-
-def _body_values(assignments: tuple[str, ...]) -> dict[str, float]:
-    """Parameters by name; their ranges are checked with the other settings."""
-    from nermo_mjx.robot.quantity import quantities
-    from nermo_mjx.rollout.setup import WorldParameters
-
-    known = dict(quantities(WorldParameters))
-    unknown = "is not a parameter; `nermo-mjx sweep --list-parameters` prints all."
-    return assigned(assignments, known, unknown)
 
 
 def _print_experiments(result: ExperimentsResult) -> None:
@@ -973,8 +906,8 @@ def identify_command(
     with stdout_reserved():
         from nermo_mjx.experiments.identification import run_identification
 
-    with _working("identify", "", quiet, workers, ray_address) as (progress, say, crew):
-        content = run_identification(out, engine=engine, **settings, progress=progress.share, notify=say, workers=crew)
+    with _working("identify", "", quiet, workers, ray_address) as (watch, crew):
+        content = run_identification(out, engine=engine, **settings, watch=watch, workers=crew)
     return {"out": out, **content}, lambda: _print_identification(content, out)
 
 

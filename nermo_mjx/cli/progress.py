@@ -7,9 +7,12 @@ import sys
 import threading
 import time
 from collections.abc import Callable
-from typing import IO, Any
+from typing import IO, TYPE_CHECKING, Any
 
 import click
+
+if TYPE_CHECKING:
+    from nermo_mjx.runs.job import Progress as JobProgress
 
 COMPILING = "compiling, once per machine"
 #: Seconds without any progress after which a first compilation is the reason; a cached program starts sooner.
@@ -125,15 +128,25 @@ class Progress:
 
 
 class Stages:
-    """One display after another, for a job in several parts; a context manager.
+    """The display of a job, and of its parts one after another; a context manager.
 
     Args:
+        name: of the job.
+        unit: what it counts, "runs".
         quiet: show nothing.
-        compiles: whether the parts of a name compile something at first.
+        compiles: whether a part (the job itself is called as it is) compiles something at first.
+        known: what else to show of a progress.
     """
 
-    def __init__(self, quiet: bool, compiles: Callable[[str], bool]) -> None:
-        self._quiet, self._compiles = quiet, compiles
+    def __init__(
+        self,
+        name: str,
+        unit: str,
+        quiet: bool,
+        compiles: Callable[[str], bool],
+        known: Callable[[JobProgress], str] = lambda _: "",
+    ) -> None:
+        self._name, self._unit, self._quiet, self._compiles, self._known = name, unit, quiet, compiles, known
         self._what = ""
         self._shown = contextlib.ExitStack()
 
@@ -143,24 +156,22 @@ class Stages:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def part(self, what: str, unit: str = "") -> Progress:
-        """The display of a part, begun where another one was shown."""
+    def show(self, done: JobProgress) -> None:
+        """Show how far the job is, or its part, in a display that is begun where another one was shown."""
+        what = done.what or self._name
         if what != self._what:
             self.close()
             self._what = what
-            shown = Progress(what, unit, quiet=self._quiet, compiles=self._compiles(what))
+            shown = Progress(what, "" if done.what else self._unit, quiet=self._quiet, compiles=self._compiles(what))
             self._progress = self._shown.enter_context(shown)
-        return self._progress
-
-    def share(self, what: str, share: float) -> None:
-        """Report the progress of a part."""
-        self.part(what).share(share)
+        count = done.done if done.done is None or done.total is None else min(done.done, done.total)
+        self._progress.share(done.fraction, count, done.total, self._known(done))
 
     def say(self, sentence: str) -> None:
         """A sentence on a line of its own."""
         self.close()
         if not self._quiet:
-            click.echo(sentence, err=True)
+            click.echo(f"{self._name}: {sentence}", err=True)
 
     def close(self) -> None:
         """The end of what is shown."""

@@ -32,7 +32,7 @@ from nermo_mjx.files import MOST_ARRAYS, FileError, json_of, read_bytes
 from nermo_mjx.optimize.methods import strategy
 from nermo_mjx.physics.making import resolve_engine
 from nermo_mjx.plotting.files import Figures, write_figures
-from nermo_mjx.plotting.page import page
+from nermo_mjx.plotting.page import page as blank_page
 from nermo_mjx.plotting.style import BAND, BEST, LINE, MUTED, SHADE
 from nermo_mjx.plotting.style import MISSING as GREY
 from nermo_mjx.robot import ModelParameters, ParameterError
@@ -42,9 +42,10 @@ from nermo_mjx.runs import RunDirectory, Written, codes_of, engine_of, session
 from nermo_mjx.runs.code import CodeStamp, stamp
 from nermo_mjx.runs.directory import Session
 from nermo_mjx.runs.files import DirectoryError, append_line, clear_errors, content_of, stored_json
+from nermo_mjx.runs.job import SILENT, Progress, Watch, resumable
 from nermo_mjx.runs.status import Status, last_command
 from nermo_mjx.runs.text import MISSING, listed, table, to_json
-from nermo_mjx.runs.workers import LocalWorkers, TaskFailed, Workers, WorkersLost
+from nermo_mjx.runs.workers import LocalWorkers, TaskFailed, Workers
 from nermo_mjx.specs.reading import changes
 
 #: Where the search starts, by profile: the values of an earlier prototype of this robot, or the author's.
@@ -337,7 +338,7 @@ def identify(
     wanted: Search,
     engine: str = "auto",
     memory: CandidateFile | None = None,
-    progress: Callable[[float], None] | None = None,
+    watch: Watch = SILENT,
     workers: Workers | None = None,
 ) -> Identified:
     """Find the parameters whose straight-line speeds match the published ones best, then all within the tolerance.
@@ -345,7 +346,7 @@ def identify(
     Args:
         engine: of the simulations.
         memory: of earlier simulations, which are not repeated.
-        progress: called with the share done.
+        watch: is told the share done.
         workers: what simulates; by default this process. The numbers are the same: a task is a batch, and results are
             processed in the order of the batches.
 
@@ -362,8 +363,7 @@ def identify(
     def report() -> None:
         nonlocal done
         done += 1
-        if progress:
-            progress(done / batches)
+        watch.progress(Progress(done / batches))
 
     search = Candidates(workers, cases, free, population, memory, report)
     design = qmc.Sobol(len(free), rng=seed).random_base2((wanted.samples - 1).bit_length())[: wanted.samples]
@@ -397,8 +397,7 @@ def identify(
             costs = np.append(search.best, costs)
             weights = np.append(1.0, weights * len(weights)) / (1 + len(weights))
         several = ensemble.Bodies(values, costs, weights, tolerance, found)
-    if progress:
-        progress(1.0)
+    watch.progress(Progress(1.0))
 
     def with_residuals(found: Mapping[str, float]) -> dict[str, tuple[float, float]]:
         return {name: (value, float(TARGETS[name].residual(np.asarray(value)))) for name, value in found.items()}
@@ -431,8 +430,7 @@ def run_identification(
     *,
     engine: str = "auto",
     accept_new_code: bool = False,
-    progress: Callable[[float], None] | None = None,
-    notify: Callable[[str], None] | None = None,
+    watch: Watch = SILENT,
     workers: Workers | None = None,
     **wanted: Any,
 ) -> dict[str, Any]:
@@ -442,8 +440,7 @@ def run_identification(
         out: the directory.
         engine: of the simulations; `auto` is the one that the directory was started with, if any.
         accept_new_code: reuse candidates of other code; the file's `code` tells them apart.
-        progress: called with the share done.
-        notify: called with a message about conflicting files.
+        watch: is told the share done, and of conflicting files.
         workers: what simulates; by default this process. The result is the same.
         wanted: of `Search`.
 
@@ -454,19 +451,19 @@ def run_identification(
         ParameterError: wrong arguments, or a directory that holds an identification or a search with other settings.
         OtherCode: other code made the candidates that the directory holds.
         DirectoryError: the directory holds something else, is in use, or cannot be written.
-        WorkersLost: no worker is left; the same command resumes.
+        JobFailed: no worker is left; the same command resumes.
     """
     resolve_engine(engine)
     folder = Path(out)
     search = Search(**wanted)
     settings = dataclasses.asdict(search)
-    with RunDirectory(folder, "identification") as held, Written(held) as written:
+    with RunDirectory(folder, "identification") as held, Written(held) as written, resumable(folder):
         if content := _result(folder):
             if apart := changes(content["settings"], settings):
                 raise ParameterError(
                     f"{folder} holds an identification with another {', '.join(apart)}; choose another directory."
                 )
-            return _publish(written, content, notify)
+            return _publish(written, content, watch)
         if engine == "auto":
             engine = engine_of(folder) or engine
         code, defaults = Walking(resolve_engine(engine)).stamp(), WALKS.defaults()
@@ -478,28 +475,35 @@ def run_identification(
         begun = {name: settings[name] for name in ("samples", "generations", "population", "seed", "profile")}
         with clear_errors(folder):
             memory = CandidateFile(folder / FILE, begun | {"defaults": defaults}, code.id)
-        try:
-            identified = identify(search, code.engine, memory, progress, workers)
-        except WorkersLost as lost:
-            raise WorkersLost(lost.kept_in(folder)) from lost
+        identified = identify(search, code.engine, memory, watch, workers)
         made = {"model": code.model, "defaults": defaults, "codes": list(codes_of(folder))}
         content = {**_content(identified, search.profile), **made, **about, "wall_seconds": time.monotonic() - started}
         # The result first: whatever happens to the plots, the search is not lost.
         held.write(RESULT, to_json(content))
-        return _publish(written, content, notify)
+        return _publish(written, content, watch)
 
 
-def _publish(written: Written, content: dict[str, Any], notify: Callable[[str], None] | None) -> dict[str, Any]:
+def _publish(written: Written, content: dict[str, Any], watch: Watch) -> dict[str, Any]:
     """Create the rest of the directory from its result, which has `plots` when everything exists."""
     folder = written.held.out
     if content["ensemble"] and content["ensemble"]["size"]:
         written.write(folder / "ensemble.csv", ensemble.csv_text(content).encode())
     plots = write_figures(figures_of(content), folder / "plots", written.write)
     content = content | {"plots": [written.name(path) for path in plots]}
-    written.write(folder / "identification.md", _page(content).encode())
+    page = texts("report")["identification"].format(
+        **content,
+        target_table=table([name for name, _ in TARGET_HEADINGS], target_rows(content), "lrrrrr"),
+        parameter_table=table([name for name, _ in PARAMETER_HEADINGS], parameter_rows(content), "lrrll"),
+        ensemble_section=ensemble.ensemble_section(content),
+        pictures="".join(f"![{Path(p).stem}]({p})\n\n" for p in content["plots"] if p.endswith(".png")),
+        code_names=", ".join(content["codes"]),
+        version_names=listed(content["versions"]),
+        machine_names=listed(content["machine"]),
+    )
+    written.write(folder / "identification.md", page.encode())
     written.held.write(RESULT, to_json(content))
-    if notify and written.aside:
-        notify(written.sentence())
+    if written.aside:
+        watch.warn(written.sentence())
     return content
 
 
@@ -564,21 +568,6 @@ def parameter_rows(content: Mapping[str, Any]) -> list[list[str]]:
         default = ", ".join(dict.fromkeys(f"{value:g}" for value in free["default"]))
         rows.append([names, default, value, f"{free['low']:g} to {free['high']:g}", free["why"]])
     return rows
-
-
-def _page(content: Mapping[str, Any]) -> str:
-    """identification.md."""
-    targets = table([name for name, _ in TARGET_HEADINGS], target_rows(content), "lrrrrr")
-    return texts("report")["identification"].format(
-        **content,
-        target_table=targets,
-        parameter_table=table([name for name, _ in PARAMETER_HEADINGS], parameter_rows(content), "lrrll"),
-        ensemble_section=ensemble.ensemble_section(content),
-        pictures="".join(f"![{Path(p).stem}]({p})\n\n" for p in content["plots"] if p.endswith(".png")),
-        code_names=", ".join(content["codes"]),
-        version_names=listed(content["versions"]),
-        machine_names=listed(content["machine"]),
-    )
 
 
 def status(out: Path) -> Status:
@@ -679,7 +668,7 @@ def _result(out: Path) -> dict[str, Any] | None:
 
 def _search(content: Mapping[str, Any]) -> Figure:
     costs, end = np.asarray(content["costs"], float), content["objective"]
-    figure = page("Objective of every candidate, in the order tried", 7.0, 3.6)
+    figure = blank_page("Objective of every candidate, in the order tried", 7.0, 3.6)
     ax = figure.subplots()
     top = _SHOWN * max(end["start"], end["end"])
     ax.scatter(np.arange(len(costs)), np.minimum(costs, top), s=9, color=BAND, lw=0, label="candidate")
@@ -697,7 +686,7 @@ def _search(content: Mapping[str, Any]) -> Figure:
 
 def _residuals(content: Mapping[str, Any]) -> Figure:
     targets = content["targets"]
-    figure = page("Deviation from the published speeds", 7.0, 1.5 + 0.3 * len(targets))
+    figure = blank_page("Deviation from the published speeds", 7.0, 1.5 + 0.3 * len(targets))
     ax, y = figure.subplots(), np.arange(len(targets))
     for shift, key, colour, label in (
         (-0.18, "start_residual", BAND, "at the start"),

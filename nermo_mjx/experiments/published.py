@@ -241,7 +241,11 @@ def compare(outcome: Outcome, bodies: Outcome | None = None, chosen: Sequence[Fi
         values: dict[str, Any] = {profile: figure.measured(outcome, profile) for profile in PROFILES}
         own = values[figure.profile]
         spread = [figure.measured(each, figure.profile) for each in samples]
-        low, high = _interval(spread)
+        # Measured numbers, by order statistics (Weibull), which end at the extremes.
+        numbers = [float(value) for value in spread if value is not None and not isinstance(value, bool | str)]
+        tail, low, high = (1.0 - INTERVAL) / 2, None, None
+        if len(numbers) > 1:
+            low, high = np.quantile(numbers, [tail, 1.0 - tail], method="weibull").tolist()
         judged = figure.rule != "none" and any(value is not None for value in spread)
         lines.append(
             Line(
@@ -259,16 +263,6 @@ def compare(outcome: Outcome, bodies: Outcome | None = None, chosen: Sequence[Fi
             )
         )
     return lines
-
-
-def _interval(values: Sequence[Value]) -> tuple[float | None, float | None]:
-    """The 90 % interval of measured numbers, by order statistics (Weibull), which end at the extremes."""
-    numbers = [float(value) for value in values if value is not None and not isinstance(value, bool | str)]
-    if len(numbers) < 2:
-        return None, None
-    tail = (1.0 - INTERVAL) / 2
-    low, high = np.quantile(numbers, [tail, 1.0 - tail], method="weibull")
-    return float(low), float(high)
 
 
 def counts(lines: Sequence[Mapping[str, Any]]) -> dict[str, int]:

@@ -15,7 +15,6 @@ DIR/run.json                        which code made the rows (their column `code
 from __future__ import annotations
 
 import collections
-import contextlib
 import dataclasses
 import hashlib
 import json
@@ -44,9 +43,10 @@ from nermo_mjx.robot.quantity import choice
 from nermo_mjx.runs import CodeStamp, DirectoryError, RunDirectory, Written, codes_of, engine_of, session, stamp
 from nermo_mjx.runs.directory import Session, read_record, remove_leftovers
 from nermo_mjx.runs.files import clear_errors, parquet_bytes, parquet_table, replace_file, stored_json
+from nermo_mjx.runs.job import SILENT, JobFailed, Progress, Watch, resumable
 from nermo_mjx.runs.status import Status, last_command
 from nermo_mjx.runs.text import to_json
-from nermo_mjx.runs.workers import LocalWorkers, TaskFailed, Workers, WorkersLost
+from nermo_mjx.runs.workers import LocalWorkers, TaskFailed, Workers
 from nermo_mjx.view import RecordingError, VideoError, render, robot_of
 
 # --- the experiments by name
@@ -110,23 +110,21 @@ class Experiment:
         return figures(self.name) if self.own_figures is None else self.own_figures
 
 
-def _published(name: str, run: Callable[[Settings], Outcome], settable: frozenset[str], walks: bool) -> Experiment:
-    about = cases.texts("catalogue")[name]
-    return Experiment(name, run, settable, walks=walks, **about | {"shot": Shot(**about.get("shot", {}))})
+def _catalogue() -> Iterator[Experiment]:
+    for name, run, settable, walking in (
+        ("straight-line", walks.walk_line, cases.settable(walks.line_cases()), True),
+        ("turning", walks.walk_turns, cases.settable(walks.turn_cases()), True),
+        ("balance", balance.run, balance.SETTABLE, False),
+        ("maze", walks.walk_maze, cases.settable(walks.maze_cases()), True),
+        ("body", stands.run_body, stands.BODY_SETTABLE, False),
+        ("leg-stand", stands.run_leg, stands.STAND_SETTABLE, False),
+        ("spine-stand", stands.run_spine, stands.STAND_SETTABLE, False),
+    ):
+        about = cases.texts("catalogue")[name]
+        yield Experiment(name, run, settable, walks=walking, **about | {"shot": Shot(**about.get("shot", {}))})
 
 
-EXPERIMENTS: Final[dict[str, Experiment]] = {
-    name: _published(name, *how)
-    for name, how in {
-        "straight-line": (walks.walk_line, cases.settable(walks.line_cases()), True),
-        "turning": (walks.walk_turns, cases.settable(walks.turn_cases()), True),
-        "balance": (balance.run, balance.SETTABLE, False),
-        "maze": (walks.walk_maze, cases.settable(walks.maze_cases()), True),
-        "body": (stands.run_body, stands.BODY_SETTABLE, False),
-        "leg-stand": (stands.run_leg, stands.STAND_SETTABLE, False),
-        "spine-stand": (stands.run_spine, stands.STAND_SETTABLE, False),
-    }.items()
-}
+EXPERIMENTS: Final[dict[str, Experiment]] = {each.name: each for each in _catalogue()}
 
 # --- a directory: the results of each experiment, its settings, and how far it is
 
@@ -297,14 +295,6 @@ def images(out: Path) -> Figures:
 # --- a call
 
 
-class ExperimentError(RuntimeError):
-    """A failed experiment; the message names it and says what is kept."""
-
-
-class ExperimentsInterrupted(KeyboardInterrupt):
-    """Ctrl-C or SIGTERM; the message says how to resume."""
-
-
 @dataclasses.dataclass(frozen=True)
 class ExperimentResult:
     """The result of one experiment.
@@ -359,8 +349,7 @@ def run_experiments(
     video: bool = True,
     again: bool = False,
     accept_new_code: bool = False,
-    progress: Callable[[str, float], None] | None = None,
-    notify: Callable[[str], None] | None = None,
+    watch: Watch = SILENT,
     workers: Workers | None = None,
 ) -> ExperimentsResult:
     """Run experiments; each is stored when it finishes, and the report is rewritten after each.
@@ -382,17 +371,16 @@ def run_experiments(
         video: whether to make the videos.
         again: rerun and replace the directory's results of these experiments, regardless of the code that made them.
         accept_new_code: resume a directory that other code started; the tables' column `code` tells the rows apart.
-        progress: called with the current activity and its finished share.
-        notify: called with a message about anything unusual.
+        watch: is told what is at work (`Progress.what`) and its finished share, and anything unusual.
         workers: what simulates; by default this process, one experiment after the other, else
             `nermo_mjx.runs.ray_workers.RayWorkers`. The numbers are the same.
 
     Raises:
         ParameterError: wrong arguments, or a directory that holds one of them with other settings; nothing has run.
         OtherCode: other code made what the directory holds; nothing has run.
-        ExperimentError: an experiment failed, or all workers are lost; what was done before is kept.
+        JobFailed: an experiment failed, or all workers are lost; what was done before is kept.
         DirectoryError: the directory holds something else, is in use, or cannot be written.
-        ExperimentsInterrupted: Ctrl-C or SIGTERM; the same call resumes.
+        Interrupted: Ctrl-C or SIGTERM; the same call resumes.
     """
     chosen = [EXPERIMENTS[choice("experiment", name, EXPERIMENTS)] for name in dict.fromkeys(names)]
     if repeats is None:
@@ -415,14 +403,13 @@ def run_experiments(
                 raise ParameterError(f"{name} cannot be set for {each.name}, whose cases decide it or do not use it.")
     resolve_engine(engine)
     directory = Directory(out)
-    with RunDirectory(out, "experiments") as held, _stoppable(directory.out):
+    with RunDirectory(out, "experiments") as held, resumable(directory.out):
         for folder in ("results", "plots"):
             remove_leftovers(directory.out / folder)
         if engine == "auto" and not again:
             engine = engine_of(directory.out) or engine
         code = Simulation(resolve_engine(engine)).stamp()
-        tell, say = progress or (lambda *_: None), notify or (lambda _: None)
-        call = _Call(Written(held), directory, settings, code, drawn, again, video and not quick, tell, say)
+        call = _Call(Written(held), directory, settings, code, drawn, again, video and not quick, watch)
         # All are looked up before anything runs, so that an error costs no simulation.
         kept = {each.name: None if again else call.kept(each) for each in chosen}
         holds_rows = any((directory.out / "results").glob("*.parquet"))
@@ -438,16 +425,6 @@ def run_experiments(
                 left.remove(next(stored))
             results.append(call.finish(each, kept[each.name]))
         return ExperimentsResult(directory.out, tuple(results), directory.report(call.written))
-
-
-@contextlib.contextmanager
-def _stoppable(out: Path) -> Iterator[None]:
-    try:
-        yield
-    except KeyboardInterrupt:
-        raise ExperimentsInterrupted(
-            f"stopped; the experiments that are finished are kept in {out}. To resume, run the same command again."
-        ) from None
 
 
 # --- simulation: a worker's task is an experiment with its own body, or with a batch of identified ones
@@ -524,8 +501,7 @@ class _Call:
     bodies: Mapping[str, Mapping[str, np.ndarray]]
     again: bool
     video: bool
-    progress: Callable[[str, float], None]
-    notify: Callable[[str], None]
+    watch: Watch
 
     def kept(self, chosen: Experiment) -> Stored | None:
         """The directory's results of an experiment, if they match the request; raises otherwise."""
@@ -589,7 +565,7 @@ class _Call:
         def tell(key: int, share: float) -> None:
             part = parts[key]
             bodies = max(part.settings.body_count, 1)
-            self.progress(part.label, (part.before + share * bodies) / part.total)
+            self._tell(part.label, (part.before + share * bodies) / part.total)
 
         try:
             if parts:
@@ -600,7 +576,7 @@ class _Call:
                 several[key] = found
                 # Remote workers do not report progress.
                 done = sum(max(parts[k].settings.body_count, 1) for k in several)
-                self.progress(part.label, done / part.total)
+                self._tell(part.label, done / part.total)
                 if len(several) < sum(each.label == part.label for each in parts):
                     continue
                 seconds = sum(seconds for _, seconds in several.values())
@@ -608,8 +584,12 @@ class _Call:
                 about = sessions[part.label] | {"settings": self.settings.as_dict(), **made}
                 if part.bodies:
                     about |= {"bodies": part.bodies, "drawn": self.drawn}
-                    batches = [(several[k][0], parts[k].begin) for k in sorted(several)]
-                    self.directory.save(_joined(batches), about, self.written, bodies=True)
+                    batches = [(several[k][0].columns, parts[k].begin) for k in sorted(several)]
+                    columns = {name: np.concatenate([of[name] for of, _ in batches]) for name in batches[0][0]}
+                    # Each batch is numbered from the position of its first body.
+                    columns[BODY] = np.concatenate([of[BODY] + begin for of, begin in batches])
+                    outcome = dataclasses.replace(several[min(several)][0], columns=columns, recordings={})
+                    self.directory.save(outcome, about, self.written, bodies=True)
                     fresh.add(part.name)
                 else:
                     if part.name not in fresh and self._outdated(self.directory.load(part.name, bodies=True)):
@@ -621,11 +601,9 @@ class _Call:
             text = f"{parts[failed.key].name} failed: {error} What was done before is kept in {self.directory.out}."
             if isinstance(error, (ValueError, RuntimeError, OSError)) and not isinstance(error, ParameterError):
                 if type(error).__module__.startswith("nermo_mjx"):
-                    raise ExperimentError(text) from error
+                    raise JobFailed(text) from error
                 error.add_note(text)
             raise error from None
-        except WorkersLost as lost:
-            raise ExperimentError(lost.kept_in(self.directory.out)) from None
 
     def finish(self, chosen: Experiment, kept: Stored | None) -> ExperimentResult:
         """Everything derived from new or stored results."""
@@ -638,7 +616,7 @@ class _Call:
             made = codes_of(out).get(kept.about.get("code", ""))
             unlike = "" if made is None else made.unlike(self.code)
             other = " by code that is not known" if made is None else f" by other code ({unlike})" if unlike else ""
-            self.notify(f"{chosen.name}: kept as run on {kept.about['started']}{other}; --again reruns it.")
+            self.watch.warn(f"{chosen.name}: kept as run on {kept.about['started']}{other}; --again reruns it.")
         several = self.directory.load(chosen.name, bodies=True)
         lines = compare(stored.outcome, several.outcome if several else None, chosen.figures)
         if stored.about["settings"].get("controller"):  # reasons were found for the published controller
@@ -653,7 +631,7 @@ class _Call:
             **{name: former.get(name, []) for name in ("plots", "videos", "notes")},
         }
         self._publish(chosen, entry)
-        self.progress(f"{chosen.name}, plots", 0.0)
+        self._tell(f"{chosen.name}, plots", 0.0)
         plots = write_figures(figures_of(stored.outcome, lines), out / "plots", written.write)
         entry["plots"] = [written.name(plot) for plot in plots]
         old = [name for name in written.known if name.startswith(f"plots/{chosen.name}-")]
@@ -661,12 +639,15 @@ class _Call:
         entry["videos"], entry["notes"] = self._videos(chosen, stored.outcome, entry["videos"])
         self._publish(chosen, entry | {"finished": True})
         if written.aside:
-            self.notify(f"{chosen.name}: {written.sentence()}")
+            self.watch.warn(f"{chosen.name}: {written.sentence()}")
             written.aside.clear()
         videos = tuple(out / video["file"] for video in entry["videos"])
         files = (stored.table, tuple(plots), stored.recordings, videos)
         result = (chosen.name, out, stored.outcome, tuple(lines), *files)
         return ExperimentResult(*result, kept is not None, tuple(entry["notes"]))
+
+    def _tell(self, what: str, share: float) -> None:
+        self.watch.progress(Progress(share, what=what))
 
     def _publish(self, chosen: Experiment, entry: dict[str, Any]) -> None:
         """Store an experiment's entry, and the report of the whole directory."""
@@ -685,27 +666,15 @@ class _Call:
         path = self.directory.out / "videos" / f"{chosen.name}.mp4"
 
         def make(path: Path) -> float:
-            return shoot(outcome, chosen.shot, path, lambda share: self.progress(f"{chosen.name}, video", share))
+            return shoot(outcome, chosen.shot, path, lambda share: self._tell(f"{chosen.name}, video", share))
 
         try:
             speed = self.written.make(path, make)
         except (VideoError, RecordingError) as error:
             note = f"There is no video of {chosen.name}. {error}"
-            self.notify(note)
+            self.watch.warn(note)
             return [], [note]
         return [{"file": self.written.name(path), "shows": shows, "speed": speed}], []
-
-
-def _joined(batches: Sequence[tuple[Outcome, int]]) -> Outcome:
-    """Batches of bodies as one table without recordings, each numbered from the position of its first body."""
-    first = batches[0][0]
-    columns = {
-        name: np.concatenate(
-            [part.columns[name] + begin if name == BODY else part.columns[name] for part, begin in batches]
-        )
-        for name in first.columns
-    }
-    return dataclasses.replace(first, columns=columns, recordings={})
 
 
 #: A frame takes 0.1 to 0.15 s of one core without a graphics card, so that a video takes 25 s at most.

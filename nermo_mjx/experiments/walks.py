@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import functools
 import itertools
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any, Final
 
 import jax
@@ -162,9 +162,11 @@ def of_world(trace: History, world: int, values: Mapping[str, float], run: Run) 
     _, pitch, yaw = np.asarray(_attitude(trace.sensors["orientation"][world]), float)[inside].T
     spine = sensors["servo_angle"][:, SERVOS.index("spine")]
     stance = {limb: values["offset." + limb] for limb in LIMBS}
+    courses = folded(phase, np.unwrap(yaw)), folded(phase, spine)
+    still = min(map(np.ptp, courses)) < 1e-3  # [rad]
     return {
         **pitch_course(folded(phase, pitch), values["duty"], list(stance.values())),
-        "yaw_spine_correlation": _correlation(folded(phase, np.unwrap(yaw)), folded(phase, spine)),
+        "yaw_spine_correlation": float("nan") if still else float(np.corrcoef(*courses)[0, 1]),
         **rear_slip(phase, sensors["foot_force"], sensors["foot_velocity"], values["duty"], stance),
     }
 
@@ -217,13 +219,6 @@ def rear_slip(
             ways[part] += speed[chosen, i].sum(), chosen.sum()
     means = np.divide(ways[:, 0], ways[:, 1], out=np.full(3, np.nan), where=ways[:, 1] > 0)
     return dict(zip(_SLIP, means.tolist(), strict=True))
-
-
-def _correlation(one: np.ndarray, other: np.ndarray) -> float:
-    """Pearson correlation; NaN if one of them hardly moves [rad]."""
-    if min(np.ptp(one), np.ptp(other)) < 1e-3:
-        return float("nan")
-    return float(np.corrcoef(one, other)[0, 1])
 
 
 # --- turning: quarter circles and full lock over gait, frequency and strategy
@@ -289,10 +284,20 @@ def walk_turns(settings: Settings) -> Outcome:
             continue
         simulator = Simulator(settings.setup("quarter_circles", pilot=pilot), engine=settings.engine)
         defaults = simulator.setup.defaults()
-        batch = _mirrored_starts(cases.worlds(chosen, defaults, settings))
+        batch = cases.worlds(chosen, defaults, settings)
+        # Right turns are mirror images of left ones: they also start on the other pair of legs. Only trot and walking
+        # trot turn right, whose two diagonal pairs are half a cycle apart.
+        right = batch.labels["side"] == "right"
+        start = {name: np.where(right, -batch.values[name], batch.values[name]) for name in ("start.x", "start.yaw")}
+        start["start.phase"] = batch.values["start.phase"] + 0.5 * right
+        batch = Worlds(batch.labels, batch.values | start)
         values = batch.all_values(defaults)
         length = _turn_length(values, batch.labels["radius"])
-        result = simulator.run(batch.values, length, progress=_part(settings.progress, before, share))
+
+        def tell(done: float, before: float = before, share: float = share) -> None:
+            settings.progress(before + share * done) if settings.progress else None
+
+        result = simulator.run(batch.values, length, progress=tell)
         warmup, end = length.seconds(values["frequency"] / values["tracking.clock_ratio"])
         parts.append(_judged(cases.measured(batch, result), end - warmup, values["stance.max_stride"]))
         before += share
@@ -307,20 +312,6 @@ def walk_turns(settings: Settings) -> Outcome:
             recordings = _record(simulator, shown, settings, length_of, names)
     columns = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     return Outcome.of("turning", columns, recordings)
-
-
-def _mirrored_starts(batch: Worlds) -> Worlds:
-    """The batch, with right turns as the mirror images of left ones: they also start on the other pair of legs.
-
-    Only for trot and walking trot, whose two diagonal pairs are half a cycle apart.
-    """
-    right = batch.labels["side"] == "right"
-    start = {name: np.where(right, -batch.values[name], batch.values[name]) for name in ("start.x", "start.yaw")}
-    return Worlds(batch.labels, batch.values | start | {"start.phase": batch.values["start.phase"] + 0.5 * right})
-
-
-def _part(progress: Callable[[float], None] | None, before: float, share: float) -> Callable[[float], None] | None:
-    return None if progress is None else lambda done: progress(before + share * done)
 
 
 def _turn_length(values: Mapping[str, np.ndarray], radius: np.ndarray) -> Run:

@@ -36,7 +36,7 @@ from nermo_mjx.plotting.files import write_figures
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.runs import RunDirectory, session
 from nermo_mjx.runs.files import content_of, parquet_bytes, parquet_table
-from nermo_mjx.runs.interruption import Interruption, resumable
+from nermo_mjx.runs.job import Interruption, resumable
 from nermo_mjx.runs.tensorboard import TensorBoard, require_tensorboard
 from nermo_mjx.runs.text import to_json
 from nermo_mjx.runtime import compiler_options
@@ -117,10 +117,6 @@ def successes(evaluator: Evaluator, policy: Policy) -> dict[str, float]:
     return {scene: about[POLICY]["success"] for scene, about in summary_of(table).items()}
 
 
-class TrainingInterrupted(KeyboardInterrupt):
-    """Ctrl-C or SIGTERM; the message says how to resume."""
-
-
 @dataclasses.dataclass(frozen=True)
 class TrainingProgress:
     """Progress of a training.
@@ -193,7 +189,7 @@ def run_training(
     Raises:
         SpecError: the training is wrong; nothing has been written.
         DirectoryError: the directory holds something else, is in use, or cannot be read or written.
-        TrainingInterrupted: Ctrl-C or SIGTERM; the same call resumes.
+        Interrupted: Ctrl-C or SIGTERM; the same call resumes.
     """
     training = Training.of(spec)
     if tensorboard:
@@ -201,7 +197,7 @@ def run_training(
     name = engine_for(training, engine)
     with (
         Directory(out, training, name, warn or (lambda _: None)) as directory,
-        resumable("train", directory.out / SPEC, TrainingInterrupted) as interruption,
+        resumable(directory.out, f"train {directory.out / SPEC}") as interruption,
         contextlib.ExitStack() as stack,
     ):
         worlds = environment or training.environment(name)

@@ -11,10 +11,10 @@ from nermo_mjx.optimize.history import read_history
 from nermo_mjx.optimize.landscape import LandscapeResult, run_landscape
 from nermo_mjx.optimize.objective import Evaluation, Objective, Problem, Term
 from nermo_mjx.optimize.search import Search
-from nermo_mjx.optimize.search_run import SearchFailed, SearchInterrupted, SearchProgress, SearchResult, run_search
+from nermo_mjx.optimize.search_run import SearchResult, run_search
 from nermo_mjx.optimize.tuning import Tuning
 from nermo_mjx.optimize.tuning_directory import load_tuning
-from nermo_mjx.optimize.tuning_run import TuningFailed, TuningInterrupted, TuningProgress, TuningResult, run_tuning
+from nermo_mjx.optimize.tuning_run import TuningResult, run_tuning
 
 __all__ = [
     "Evaluation",
@@ -22,15 +22,9 @@ __all__ = [
     "Objective",
     "Problem",
     "Search",
-    "SearchFailed",
-    "SearchInterrupted",
-    "SearchProgress",
     "SearchResult",
     "Term",
     "Tuning",
-    "TuningFailed",
-    "TuningInterrupted",
-    "TuningProgress",
     "TuningResult",
     "load_tuning",
     "read_history",

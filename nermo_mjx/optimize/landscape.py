@@ -18,7 +18,7 @@ import json
 import math
 import os
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -50,6 +50,7 @@ from nermo_mjx.runs.files import (
     parquet_table,
     stored_table,
 )
+from nermo_mjx.runs.job import SILENT, Interrupted, Progress, Watch
 from nermo_mjx.runs.rows import Runs, keys_of
 from nermo_mjx.runs.text import MISSING, listed, table, to_json
 from nermo_mjx.specs.described import write_described
@@ -269,7 +270,7 @@ def evaluate(
     tuning: Tuning,
     problem: Problem,
     plan: Plan,
-    progress: Callable[[int, int], None],
+    watch: Watch,
     about: Mapping[str, str],
     code: str,
 ) -> int:
@@ -280,12 +281,13 @@ def evaluate(
 
     Args:
         runs: what the directory holds.
-        progress: called with the points done, and all of them.
+        watch: is told the points done, and all of them.
         about: what to note in the metadata of each batch.
         code: short name of the code that evaluates here.
     """
-    size, missing = batch_size(len(plan)), np.setdiff1d(np.arange(len(plan)), runs.numbers)
-    progress(len(plan) - len(missing), len(plan))
+    total, size, missing = len(plan), batch_size(len(plan)), np.setdiff1d(np.arange(len(plan)), runs.numbers)
+    there = total - len(missing)
+    watch.progress(Progress(there / total, there, total, there))
     for first in range(0, len(missing), size):
         began, rows = time.perf_counter(), missing[first : first + size]
         # In double precision, but at the very points that are evaluated: a secant divides by their distance.
@@ -296,7 +298,8 @@ def evaluate(
         noted = {**about, "wall_seconds": seconds, "batch": str(size), "precision": str(np.asarray(batch.value).dtype)}
         values = {name: plan.points[rows, i] for i, name in enumerate(tuning.names)}
         runs.add(keys_of(runs.group, values, len(rows)), table.replace_schema_metadata(noted))
-        progress(len(plan) - len(missing) + first + len(rows), len(plan))
+        done = there + first + len(rows)
+        watch.progress(Progress(done / total, done, total, there))
     return len(missing)
 
 
@@ -388,9 +391,39 @@ def landscape_content(tuning: Tuning, points: pa.Table, lines: Sequence[Slice]) 
     5 % agree.
     """
     notes = {key.decode(): value.decode() for key, value in (points.schema.metadata or {}).items()}
+    parameters = {}
+    for line in lines:
+        tuned, good = line.tuned, line.value[line.ok]
+        judged = [secants for secants in line.secants if secants.share in JUDGED]
+        known = all(len(secants.secant) for secants in judged)
+        parameters[tuned.name] = {
+            "unit": tuning.parameters[tuned.name].unit,
+            "bounds": [tuned.low, tuned.high],
+            "start": tuned.start,
+            "from": float(line.x[0]),
+            "to": float(line.x[-1]),
+            "points": len(line.x),
+            "fell": int((~line.ok).sum()),
+            "lowest": float(good.min()) if len(good) else math.nan,
+            "lowest_at": float(line.x[np.nanargmin(line.value)]) if len(good) else math.nan,
+            "highest": float(good.max()) if len(good) else math.nan,
+            "ripple": line.ripple,
+            "widths": [
+                {
+                    "share": secants.share,
+                    "width": secants.width,
+                    "secants": len(secants.secant),
+                    "median_relative_error": secants.error,
+                    "sign_agreement": secants.sign_agreement,
+                    "ripple": secants.ripple,
+                }
+                for secants in line.secants
+            ],
+            "follows": all(s.error <= ERROR and s.sign_agreement >= SIGNS for s in judged) if known else None,
+        }
     return {
         "objective": [written(term) for term in tuning.objective.terms],
-        "parameters": {line.tuned.name: _about(tuning, line) for line in lines},
+        "parameters": parameters,
         "evaluations": points.num_rows,
         "batch": int(notes["batch"]),
         "precision": notes["precision"],
@@ -471,38 +504,6 @@ def report_text(content: Mapping[str, Any]) -> str:
     return "\n".join(lines).rstrip() + "\n"
 
 
-def _about(tuning: Tuning, line: Slice) -> dict[str, Any]:
-    tuned, good = line.tuned, line.value[line.ok]
-    widths = [
-        {
-            "share": secants.share,
-            "width": secants.width,
-            "secants": len(secants.secant),
-            "median_relative_error": secants.error,
-            "sign_agreement": secants.sign_agreement,
-            "ripple": secants.ripple,
-        }
-        for secants in line.secants
-    ]
-    judged = [secants for secants in line.secants if secants.share in JUDGED]
-    known = all(len(secants.secant) for secants in judged)
-    return {
-        "unit": tuning.parameters[tuned.name].unit,
-        "bounds": [tuned.low, tuned.high],
-        "start": tuned.start,
-        "from": float(line.x[0]),
-        "to": float(line.x[-1]),
-        "points": len(line.x),
-        "fell": int((~line.ok).sum()),
-        "lowest": float(good.min()) if len(good) else math.nan,
-        "lowest_at": float(line.x[np.nanargmin(line.value)]) if len(good) else math.nan,
-        "highest": float(good.max()) if len(good) else math.nan,
-        "ripple": line.ripple,
-        "widths": widths,
-        "follows": all(s.error <= ERROR and s.sign_agreement >= SIGNS for s in judged) if known else None,
-    }
-
-
 def _percent(share: float) -> str:
     if not math.isfinite(share):
         return MISSING
@@ -547,8 +548,7 @@ def run_landscape(
     problem: Problem | None = None,
     points: int = POINTS,
     span: float = 1.0,
-    progress: Callable[[int, int], None] | None = None,
-    warn: Callable[[str], None] | None = None,
+    watch: Watch = SILENT,
     accept_new_code: bool = False,
 ) -> LandscapeResult:
     """Measure whether a tuning's gradients can be trusted, on a line along each parameter through the given start.
@@ -564,8 +564,7 @@ def run_landscape(
         problem: replaces the simulation of the tuning (`nermo_mjx.optimize.problems.WalkProblem`).
         points: of each line, 5 or more.
         span: length of the lines as a fraction of the bounds, in (0, 1]; shorter lines lie about the start.
-        progress: called with the points done, and all of them.
-        warn: called with a message about each thing that is moved aside.
+        watch: is told the points done, and all of them, and what is moved aside.
         accept_new_code: reuse points that other code evaluated.
 
     Raises:
@@ -573,13 +572,14 @@ def run_landscape(
         ParameterError: points or span is not allowed.
         DirectoryError: the directory holds another landscape, is in use, or cannot be written; `OtherCode` if other
             code began it.
+        Interrupted: Ctrl-C; the same call resumes.
     """
     tuning = dataclasses.replace(Tuning.of(spec), method=Gradient())  # slopes are exact ones, however it is tuned
     if points < 5:
         raise ParameterError(f"points is {points}: allowed is 5 or more.")
     if not 0.0 < span <= 1.0:
         raise ParameterError(f"span is {span:g}: allowed is (0, 1].")
-    say = warn or (lambda _: None)
+    say = watch.warn
     with RunDirectory(out, "landscape") as held, clear_errors(held.out):
         wanted, chosen, evaluated = identity(tuning, points, span), plan(tuning, points, span), 0
         check_directory(held.out, wanted)
@@ -593,11 +593,10 @@ def run_landscape(
             held.note_session(here)
             about = {KEY: key(wanted), IDENTITY: json.dumps(wanted), "session": to_json(here).decode()}
             try:
-                report = progress or (lambda done, total: None)
-                evaluated = evaluate(runs, tuning, problem, chosen, report, about, made_by.id)
+                evaluated = evaluate(runs, tuning, problem, chosen, watch, about, made_by.id)
             except KeyboardInterrupt:
                 kept = f"{len(runs.numbers)} of {len(chosen)} walks are kept in {held.out}"
-                raise KeyboardInterrupt(f"stopped; {kept}: run the same command again to resume.") from None
+                raise Interrupted(f"stopped; {kept}: run the same command again to resume.") from None
         table = points_of(runs)
         held.write(TABLE, parquet_bytes(table))  # before anything that can still fail
         tuning = keep_recording(held, tuning, say)
@@ -710,18 +709,13 @@ def _draw_slopes(ax: Axes, line: Slice, x: ShownValues) -> None:
         ax.plot(centre, value, "D", ms=3.0 + 1.1 * i, zorder=5 - 0.1 * i, **look)
         drawn.append(value)
     ax.axhline(0.0, color=MUTED, lw=0.8, zorder=1)
-    _cut(ax, slope[np.isfinite(slope)], np.concatenate(drawn))
-    legend(ax)
-
-
-def _cut(ax: Axes, slope: np.ndarray, secants: np.ndarray) -> None:
-    """Leave out what lies so far off that the slope could not be seen, and say how much that is."""
-    low, high = np.quantile(slope, [0.02, 0.98])
-    room = _CUT * max(high - low, 1e-9 + 1e-3 * abs(low))
-    everything = np.concatenate([slope, secants])
+    # What lies so far off that the slope could not be seen is left out, and counted.
+    known = slope[np.isfinite(slope)]
+    low, high = np.quantile(known, [0.02, 0.98])
+    room, everything = _CUT * max(high - low, 1e-9 + 1e-3 * abs(low)), np.concatenate([known, *drawn])
     inside = everything[(everything >= low - room) & (everything <= high + room)]
     margin = 0.06 * (np.ptp(inside) or 1.0)
     ax.set_ylim(min(inside.min(), 0.0) - margin, max(inside.max(), 0.0) + margin)
-    outside = len(everything) - len(inside)
-    if outside:
+    if outside := len(everything) - len(inside):
         corner(ax, f"{outside} outside", 1.0)
+    legend(ax)

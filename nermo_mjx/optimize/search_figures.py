@@ -18,7 +18,7 @@ from nermo_mjx.optimize.search import Measure, Search, cells_of, elites_of
 from nermo_mjx.optimize.search_directory import SEARCH, Evaluations, atlas_progress, hypervolumes
 from nermo_mjx.optimize.tuning_figures import star
 from nermo_mjx.plotting.files import Figures
-from nermo_mjx.plotting.page import around, blank, page
+from nermo_mjx.plotting.page import around, blank, colour_bar, page
 from nermo_mjx.plotting.shown import ShownValues, shown
 from nermo_mjx.plotting.style import BAND, COLOURS, LINE, MUTED, colour_scale, horizontal_grid, set_scales
 from nermo_mjx.robot.quantity import ParameterError
@@ -193,11 +193,8 @@ def atlas(found: Evaluations) -> Figure:
         ax.remove()
     for ax, pair in zip(axes, pairs, strict=False):
         _map(ax, found, points, quantity, scale, pair, best)
-    bar = figure.colorbar(
-        ScalarMappable(scale, COLOURS), ax=axes[: len(pairs)], shrink=0.9, pad=0.02, extend=extend, extendfrac=0.03
-    )
-    bar.set_label(quantity.label)
-    bar.outline.set_visible(False)
+    bar = ScalarMappable(scale, COLOURS)
+    colour_bar(figure, axes[: len(pairs)], bar, quantity.label, shrink=0.9, extend=extend)
     return around(figure, title, note)
 
 

@@ -8,7 +8,7 @@ import dataclasses
 import math
 import os
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -28,7 +28,7 @@ from nermo_mjx.rollout.differentiable import cost
 from nermo_mjx.runs import RunDirectory, session
 from nermo_mjx.runs.code import CodeStamp
 from nermo_mjx.runs.directory import engine_of
-from nermo_mjx.runs.interruption import resumable
+from nermo_mjx.runs.job import SILENT, JobFailed, Progress, Watch, resumable
 from nermo_mjx.runs.rows import part_files
 from nermo_mjx.runs.workers import LocalWorkers, TaskFailed, Workers
 from nermo_mjx.runtime import cpu_count
@@ -70,33 +70,6 @@ def batch_points(search: Search, engine: str) -> int:
 PUBLISHED_EVERY: Final = 60.0
 
 
-class SearchInterrupted(KeyboardInterrupt):
-    """Ctrl-C or SIGTERM; the message says how to resume."""
-
-
-class SearchFailed(RuntimeError):
-    """A search that cannot continue; the message is one sentence that says why, and what to do."""
-
-
-@dataclasses.dataclass(frozen=True)
-class SearchProgress:
-    """Progress of a search.
-
-    Attributes:
-        fraction: share of the budget that is used up, 0 to 1.
-        evaluations: evaluated points.
-        resumed: of these, how many an earlier session evaluated.
-        best: objective of the best point so far, less is better; None without one, and of a front.
-        filled: filled cells of an atlas, or points of the front.
-    """
-
-    fraction: float
-    evaluations: int
-    resumed: int
-    best: float | None = None
-    filled: int | None = None
-
-
 @dataclasses.dataclass(frozen=True)
 class SearchResult:
     """A search's outcome.
@@ -127,9 +100,7 @@ def run_search(
     out: str | os.PathLike[str],
     *,
     engine: str = "auto",
-    progress: Callable[[SearchProgress], None] | None = None,
-    notify: Callable[[str], None] | None = None,
-    warn: Callable[[str], None] | None = None,
+    watch: Watch = SILENT,
     accept_new_code: bool = False,
     workers: Workers | None = None,
     simulator: SimulatorLike | None = None,
@@ -152,9 +123,7 @@ def run_search(
         spec: a `Search`, a dict with the fields of a search file, or the path of one.
         out: the directory; see `nermo_mjx.optimize.search_directory`.
         engine: engine of the simulator; "auto" is the one that the directory was started with, if it was.
-        progress: called from time to time with a `SearchProgress`.
-        notify: called with a message if something takes long (compilation).
-        warn: called with a message about what is damaged, and is run again.
+        watch: is told the progress, and what is damaged, and is run again.
         accept_new_code: resume a directory that other code or another engine started.
         workers: what simulates; by default this process, else `nermo_mjx.runs.ray_workers.RayWorkers`.
         simulator: replaces `Simulator(search.setup, engine)`.
@@ -164,25 +133,26 @@ def run_search(
         SpecError: the search is wrong; nothing has been written.
         DirectoryError: the directory holds something else, is in use, or cannot be written; `OtherCode` if other code
             made what it holds.
-        SearchFailed: a simulation failed, all workers are lost, or nothing walked; what is finished is kept.
-        SearchInterrupted: Ctrl-C or SIGTERM; the same call resumes.
+        JobFailed: a simulation failed, all workers are lost, or nothing walked; what is finished is kept.
+        Interrupted: Ctrl-C or SIGTERM; the same call resumes.
     """
     search = Search.of(spec)
     check_library(search.method)
     workers = LocalWorkers() if workers is None else workers
     with (
         RunDirectory(out, "search") as held,
-        resumable("search", held.out / SEARCH, SearchInterrupted, SearchFailed) as interruption,
+        resumable(held.out, f"search {held.out / SEARCH}") as interruption,
     ):
-        batches = Batches(held, search, lambda: batch_points(search, engine), warn or (lambda _: None))
+        watch = interruption.watched(watch)
+        batches = Batches(held, search, lambda: batch_points(search, engine), watch.warn)
         ran = engine_name(engine, simulator, engine_of(batches.out))
-        computer = SweepSimulator(search.sweep.structures, ran, simulator, notify)
-        loop = SearchLoop(batches, workers, computer, progress or (lambda _: None), interruption.check)
+        computer = SweepSimulator(search.sweep.structures, ran, simulator, watch.notify)
+        loop = SearchLoop(batches, workers, computer, watch)
         loop.run(gradients, accept_new_code)
         search = batches.search
         best = publish(batches, complete=True)
         if not best:
-            raise SearchFailed(
+            raise JobFailed(
                 f"{batches.out}: no point of this search walked to its end within its constraints: choose other "
                 "bounds, or looser constraints."
             )
@@ -201,16 +171,8 @@ class SearchLoop:
         best: the best objective so far; filled: filled cells of an atlas.
     """
 
-    def __init__(
-        self,
-        batches: Batches,
-        workers: Workers,
-        computer: SweepSimulator,
-        progress: Callable[[SearchProgress], None],
-        check: Callable[[], None],
-    ) -> None:
-        self._batches, self._workers, self._computer = batches, workers, computer
-        self._progress, self._check = progress, check
+    def __init__(self, batches: Batches, workers: Workers, computer: SweepSimulator, watch: Watch) -> None:
+        self._batches, self._workers, self._computer, self._watch = batches, workers, computer, watch
         self._search, self._size = batches.search, batches.search.batch or 1
         self.evaluated = self.evaluations = self._resumed = 0
         self.seconds = 0.0
@@ -262,12 +224,12 @@ class SearchLoop:
 
     def _report(self, share: float = 0.0) -> None:
         """Report how far all is; `share` of the next batch is done."""
-        self._check()
         search = self._search
         part = share * (search.reached(self._size, 0.0) if search.evaluations is not None else 0.0)
         fraction = min(1.0, search.reached(self.evaluations, self.seconds) + part)
-        filled = len(self._cells) if search.aim.measures else None
-        self._progress(SearchProgress(fraction, self.evaluations, self._resumed, self.best, filled))
+        cells = {"cells": float(len(self._cells))} if search.aim.measures else {}
+        done = Progress(fraction, self.evaluations, search.evaluations, self._resumed, best=self.best, numbers=cells)
+        self._watch.progress(done)
 
     def _simulate(self, batch: int, rows: Rows) -> Simulated:
         """All runs of a batch, in tasks of one size: nothing compiles twice, also where a population grows."""
@@ -287,7 +249,7 @@ class SearchLoop:
             if isinstance(failed.error, ParameterError):
                 raise SpecError(f"{named} is refused: {failed.error}") from failed.error
             reason = (str(failed.error).strip().splitlines() or [""])[0].rstrip(".")[:300]
-            raise SearchFailed(
+            raise JobFailed(
                 f"{named} failed: {type(failed.error).__name__}: {reason}. What is finished is kept: run the same "
                 "command again when it is fixed."
             ) from failed.error
@@ -305,7 +267,7 @@ class SearchLoop:
         for name in aim.metrics if well.any() and not self._measured else ():
             if not np.isfinite(metrics[name][well]).any():
                 about = self._search.sweep.metrics[name].doc
-                raise SearchFailed(
+                raise JobFailed(
                     f"{name} is NaN in all {well.sum()} walks of the first batch ({about}): ask for another metric, or "
                     "change the walk."
                 )

@@ -28,7 +28,7 @@ from nermo_mjx.optimize.objective import FURTHEST, TRAJECTORY_ERROR
 from nermo_mjx.optimize.tuning import Generations, Tuned, Tuning
 from nermo_mjx.optimize.tuning_directory import VIDEO, Directory, load_tuning
 from nermo_mjx.plotting.files import Figures, write_figures
-from nermo_mjx.plotting.page import page
+from nermo_mjx.plotting.page import colour_bar, page
 from nermo_mjx.plotting.shown import ShownValues, shown
 from nermo_mjx.plotting.style import (
     BAND,
@@ -47,6 +47,7 @@ from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.rollout import Run
 from nermo_mjx.runs import stamp
 from nermo_mjx.runs.files import DirectoryError, content_of, parquet_bytes, parquet_table
+from nermo_mjx.runs.job import Progress, Watch
 from nermo_mjx.sweep.simulating import SimulatorLike
 from nermo_mjx.sweep.table import Columns, meta
 from nermo_mjx.view import RecordingError, VideoError, check_video, recording_of
@@ -483,18 +484,23 @@ def key(tuning: Tuning, others: Mapping[str, float]) -> str:
 #: Lower is better, and brighter.
 _COLOURS: Final = f"{COLOURS}_r"
 _LEVELS: Final = 18
+_LABEL: Final = "objective, lower is better [1]"
 #: Share of the landscape's points covered by the colours; including the highest would reduce the contrast.
 _COVERED: Final = 0.97
 
 
 def path_figure(traces: Traces, background: Background | None = None) -> Figure:
     """The paths over the first two tuned parameters, or of a single one its objective."""
-    return _plane(traces, background) if len(traces.tuning.tuned) > 1 else _line(traces, background)
+    beneath = ""
+    if background is not None:
+        rest = len(traces.tuning.tuned) - len(background.axes)
+        beneath = f"landscape: {background.walks}" + (", the other parameters as in the best point" if rest else "")
+    return (_plane if len(traces.tuning.tuned) > 1 else _line)(traces, background, beneath)
 
 
-def _plane(traces: Traces, background: Background | None) -> Figure:
+def _plane(traces: Traces, background: Background | None, beneath: str) -> Figure:
     x, y = traces.tuning.tuned[:2]
-    note = f"ring: start; dot: end; star: best; {_beneath(traces, background) or 'colour: objective'}"
+    note = f"ring: start; dot: end; star: best; {beneath or 'colour: objective'}"
     figure = page(f"Path over {x.name} and {y.name}", 6.9, 5.4, note)
     ax = figure.subplots()
     ax.set_facecolor("white" if background is None else MISSING)
@@ -506,7 +512,13 @@ def _plane(traces: Traces, background: Background | None) -> Figure:
     spans = [float(np.ptp(pair)) for pair in ends]
     paths = [traces.in_shown_unit(each.name, traces.unwrapped(each)) for each in (x, y)]
     for start in traces.drawn():
-        path, copies = [path[:, start] for path in paths], _copies(traces, paths, ends, start)
+        path, turns = [path[:, start] for path in paths], []
+        for tuned, values, (low, high) in zip((x, y), path, ends, strict=True):
+            first, last = (
+                math.floor((end - low) / (high - low)) * tuned.periodic for end in (values.min(), values.max())
+            )
+            turns.append(range(first, last + 1))
+        copies = list(itertools.product(*turns))  # so that all pieces of the path lie within the bounds
         _draw_path(ax, path, copies, spans, "thin" if background is None else "best" if start == traces.best[1] else "")
     best = [float(traces.in_shown_unit(each.name, traces.column(each.name)[traces.best])) for each in (x, y)]
     star(ax, best[0], best[1], 230, 1.2)
@@ -517,11 +529,10 @@ def _plane(traces: Traces, background: Background | None) -> Figure:
     return figure
 
 
-def _line(traces: Traces, background: Background | None) -> Figure:
+def _line(traces: Traces, background: Background | None, beneath: str) -> Figure:
     """The objective over the only parameter: the landscape as a line, and the points that each start visited."""
     (each,) = traces.tuning.tuned
-    parts = ("dots: evaluations, larger towards the end; star: best", _beneath(traces, background))
-    note = "; ".join(filter(None, parts))
+    note = "; ".join(filter(None, ("dots: evaluations, larger towards the end; star: best", beneath)))
     figure = page(f"Objective over {each.name} (lower is better)", 7.2, 4.0, note)
     ax = figure.subplots()
     if background is not None:
@@ -542,15 +553,6 @@ def _line(traces: Traces, background: Background | None) -> Figure:
     return figure
 
 
-def _beneath(traces: Traces, background: Background | None) -> str:
-    """What the landscape is; nothing without one."""
-    if background is None:
-        return ""
-    text = f"landscape: {background.walks}"
-    rest = len(traces.tuning.tuned) - len(background.axes)
-    return text + (", the other parameters as in the best point" if rest else "")
-
-
 def _draw_background(figure: Figure, ax: Axes, traces: Traces, background: Background) -> None:
     """Filled contours; where the robot did not walk to the end, grey hatching shows through."""
     ax.add_patch(Rectangle((0, 0), 1, 1, transform=ax.transAxes, fc=MISSING, ec="white", hatch="////", lw=0, zorder=0))
@@ -569,7 +571,7 @@ def _draw_background(figure: Figure, ax: Axes, traces: Traces, background: Backg
     scale = PowerNorm(0.5, low, high)
     ax.contourf(x, y, shown, levels, cmap=_COLOURS, norm=scale, extend=cut, zorder=1)
     ax.contour(x, y, shown, levels[::2], colors="white", linewidths=0.5, linestyles="solid", alpha=0.45, zorder=2)
-    _bar(figure, ax, ScalarMappable(scale, _COLOURS), extend=cut, extendfrac=0.03)
+    colour_bar(figure, ax, ScalarMappable(scale, _COLOURS), _LABEL, aspect=28, extend=cut)
 
 
 def _draw_values(figure: Figure, ax: Axes, traces: Traces) -> None:
@@ -580,25 +582,9 @@ def _draw_values(figure: Figure, ax: Axes, traces: Traces) -> None:
     low, high = float(good.min()), float(np.quantile(good, _COVERED))
     scale = Normalize(low, high if high > low else low + 1e-9)
     points = ax.scatter(x[:, drawn], y[:, drawn], c=value[:, drawn], s=22, cmap=_COLOURS, lw=0, zorder=5, norm=scale)
-    _bar(figure, ax, points)
+    colour_bar(figure, ax, points, _LABEL, aspect=28)
     ax.grid(color=GRID, lw=0.8)
     ax.set_axisbelow(True)
-
-
-def _bar(figure: Figure, ax: Axes, colours: ScalarMappable, **more: Any) -> None:
-    bar = figure.colorbar(colours, ax=ax, aspect=28, pad=0.02, **more)
-    bar.set_label("objective, lower is better [1]")
-    bar.outline.set_visible(False)
-
-
-def _copies(traces: Traces, paths: list[np.ndarray], ends: list[np.ndarray], start: int) -> list[tuple[int, ...]]:
-    """Whole turns by which a path is shifted so that all its pieces lie within the bounds."""
-    turns = []
-    for tuned, path, (low, high) in zip(traces.tuning.tuned, paths, ends, strict=False):
-        reach = (path[:, start].min(), path[:, start].max())
-        first, last = (math.floor((end - low) / (high - low)) * tuned.periodic for end in reach)
-        turns.append(range(first, last + 1))
-    return list(itertools.product(*turns))
 
 
 def _draw_path(
@@ -685,7 +671,7 @@ class Pictures:
 def make_pictures(
     directory: Directory,
     simulator: Callable[[], SimulatorLike] | None,
-    drawing: Callable[[str, float], None],
+    watch: Watch,
     history: pa.Table,
     start: Mapping[str, Any],
     best: Mapping[str, Any],
@@ -695,18 +681,22 @@ def make_pictures(
     Args:
         directory: where they go.
         simulator: creates the simulator for them on first use; None: nothing is simulated.
-        drawing: called with what is being made, and the share of it.
+        watch: is told what is being made, and the share of it.
         history: the tuning's table.
         start, best: the point it began with and the best one, see `nermo_mjx.optimize.tuning_directory`.
     """
     tuning, out, notes = directory.tuning, directory.out, list[str]()
+
+    def drawing(what: str, share: float = 0.0) -> None:
+        watch.progress(Progress(share, what=what))
+
     plots: list[Path] = []
     if tuning.plots:
         background, others = None, off_grid(tuning, best["parameters"])
         if simulator is not None and has_background(tuning):
             table = read(out / LANDSCAPE, tuning, others)
             if table is None:
-                drawing("landscape", 0.0)
+                drawing("landscape")
                 try:
                     table = simulate(tuning, others, simulator(), lambda share: drawing("landscape", share))
                     directory.set_aside("of another best point, or damaged", LANDSCAPE)
@@ -716,13 +706,13 @@ def make_pictures(
                         f"There is no landscape behind the paths, because some of it cannot be walked: {error}"
                     )
             background = None if table is None else background_of(tuning, table)
-        drawing("plots", 0.0)
+        drawing("plots")
         plots = write_figures(figures_of(tuning, history, background), out / "plots")
     video = out / VIDEO if tuning.video and simulator is not None else None
     if video is not None and simulator is not None and not video.exists():
         try:
             check_video(tuning.setup.load().model, video, camera=CAMERA)  # before anything walks for it
-            drawing("video", 0.0)
+            drawing("video")
             render_video(tuning, start, best, simulator(), video, lambda share: drawing("video", share))
         except (VideoError, RecordingError) as error:
             video, notes = None, [*notes, f"There is no video. {error}"]
@@ -774,12 +764,13 @@ def render_video(
 
     def caption(point: Mapping[str, Any]) -> list[str]:
         """What the objective reads, and below it the parameters, as figures show them."""
-        read = {name: point["metrics"][name] for name in tuning.objective.metrics}
-        texts = (
-            [_text(name, known[name].unit, value) for name, value in part.items()]
-            for part in (read, point["parameters"])
-        )
-        return [", ".join(part) for part in texts]
+        lines = []
+        for part in ({name: point["metrics"][name] for name in tuning.objective.metrics}, point["parameters"]):
+            quantities = [shown(name, known[name].unit, np.asarray(value)) for name, value in part.items()]
+            numbers = [f"{float(each.values):.3g}" if np.isfinite(each.values) else "–" for each in quantities]
+            texts = zip(part, numbers, (each.unit for each in quantities), strict=True)
+            lines.append(", ".join(" ".join(text).rstrip() for text in texts))
+        return lines
 
     titles = ("Start", f"Best, iteration {best['iteration']}{where}")
     model = tuning.setup.load().model
@@ -790,9 +781,3 @@ def render_video(
     report = None if progress is None else lambda done, frames: progress(done / frames)
     look: dict[str, Any] = {"width": WIDTH, "height": HEIGHT, "camera": CAMERA}
     return render_side_by_side(panes, model, path, fps=FPS, speed=SPEED, progress=report, **look)
-
-
-def _text(name: str, unit: str, value: float) -> str:
-    quantity = shown(name, unit, np.asarray(value))
-    number = f"{float(quantity.values):.3g}" if np.isfinite(value) else "–"
-    return f"{name} {number} {quantity.unit}".rstrip()

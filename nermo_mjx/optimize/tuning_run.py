@@ -15,7 +15,7 @@ import numpy as np
 import pyarrow as pa
 
 from nermo_mjx.optimize.history import Log, empty_log, history_table, is_done
-from nermo_mjx.optimize.methods import GenerationTuner, Iterate, LineTuner, Tuner, TuneState
+from nermo_mjx.optimize.methods import GenerationTuner, LineTuner, Tuner, TuneState
 from nermo_mjx.optimize.objective import TRAJECTORY_ERROR, Problem
 from nermo_mjx.optimize.problems import SharedProblem, SimulatedProblem, WalkProblem, load_reference
 from nermo_mjx.optimize.tuning import METHODS, Differences, Generations, Gradient, Tuning
@@ -25,7 +25,7 @@ from nermo_mjx.robot import ParameterError
 from nermo_mjx.rollout import Simulator
 from nermo_mjx.rollout.differentiable import Rollout, choose_mode, cost
 from nermo_mjx.rollout.run import START_SPREAD
-from nermo_mjx.runs.interruption import resumable
+from nermo_mjx.runs.job import SILENT, JobFailed, Progress, Watch, resumable
 from nermo_mjx.runs.text import to_json
 from nermo_mjx.runs.workers import LocalWorkers, Workers
 from nermo_mjx.sweep.simulating import SimulatorLike, pace
@@ -81,36 +81,6 @@ def verified(tuning: Tuning, points: Mapping[str, Mapping[str, float]], simulato
     return found
 
 
-class TuningInterrupted(KeyboardInterrupt):
-    """Ctrl-C or SIGTERM; the message says how to resume."""
-
-
-class TuningFailed(RuntimeError):
-    """No robot walks, or no worker is left; the message says how to resume."""
-
-
-@dataclasses.dataclass(frozen=True)
-class TuningProgress:
-    """Progress of a tuning.
-
-    Attributes:
-        iteration, iterations: steps done and wanted. Before the first evaluation, `best` is None.
-        resumed: iterations that earlier sessions had done.
-        best: lowest objective so far; None while no robot walked to the end.
-        value: lowest objective among the points of this iteration; None if no robot walked to the end.
-        metrics: of that point, by name.
-        simulated_seconds: simulated so far, gradients at their cost in forward runs [s].
-    """
-
-    iteration: int
-    iterations: int
-    resumed: int
-    best: float | None = None
-    value: float | None = None
-    metrics: Mapping[str, float] = dataclasses.field(default_factory=dict)
-    simulated_seconds: float = 0.0
-
-
 @dataclasses.dataclass(frozen=True)
 class TuningResult:
     """A tuning's outcome.
@@ -142,9 +112,7 @@ def run_tuning(
     *,
     problem: Problem | None = None,
     simulator: SimulatorLike | None = None,
-    progress: Callable[[TuningProgress], None] | None = None,
-    drawing: Callable[[str, float], None] | None = None,
-    warn: Callable[[str], None] | None = None,
+    watch: Watch = SILENT,
     accept_new_code: bool = False,
     workers: Workers | None = None,
 ) -> TuningResult:
@@ -163,9 +131,8 @@ def run_tuning(
         simulator: replaces `Simulator(tuning.setup, "c")`, which walks what pictures show: the landscape behind
             the paths, and the video; and start and best, from starts that the tuning has not seen
             (`nermo_mjx.optimize.tuning_run`). None of this happens if only `problem` is given.
-        progress: called before the first evaluation and after each.
-        drawing: called with what is being drawn at the end, and its progress.
-        warn: called with a message about each thing that is moved aside.
+        watch: is told the progress before the first evaluation and after each, what is drawn at the end, and what is
+            moved aside.
         accept_new_code: resume a directory that other code started.
         workers: what evaluates the starts; by default this process, else `nermo_mjx.runs.ray_workers.RayWorkers`. With
             several workers numbers differ in their last digits from those of one.
@@ -174,20 +141,20 @@ def run_tuning(
         SpecError: the tuning is wrong; nothing has been written.
         DirectoryError: the directory holds something else, is in use, or cannot be read or written; `OtherCode` if
             other code, or other defaults, made what it holds.
-        TuningFailed: no robot walks to the end, or all workers are lost.
-        TuningInterrupted: Ctrl-C or SIGTERM; the same call resumes.
+        JobFailed: no robot walks to the end, or all workers are lost.
+        Interrupted: Ctrl-C or SIGTERM; the same call resumes.
     """
     tuning = Tuning.of(spec)
     with (
-        Directory(out, tuning, warn or (lambda _: None)) as directory,
-        resumable("tune", directory.out / TUNING, TuningInterrupted, TuningFailed) as interruption,
+        Directory(out, tuning, watch.warn) as directory,
+        resumable(directory.out, f"tune {directory.out / TUNING}") as interruption,
     ):
         state, log = directory.restore(accept=accept_new_code)
         resumed = 0 if log is None else len(log)
         goes_on = not is_done(tuning, log)
         code = directory.take_code(log, accept=accept_new_code) if goes_on else ""
-        report = progress or (lambda _: None)
-        report(TuningProgress(min(resumed, tuning.iterations), tuning.iterations, resumed))
+        total = tuning.iterations + 1
+        watch.progress(Progress(min(resumed, total) / total, min(resumed, total), total, resumed))
         if goes_on:
             shared = SharedProblem(tuning, problem or simulation_of(tuning), workers or LocalWorkers())
             tuner = tuner_of(tuning, shared, log)
@@ -200,7 +167,7 @@ def run_tuning(
             state, found = tuner.step(state)
             if found.lost.all() and not np.isfinite(state.best_value).any():
                 done = 0 if log is None else len(log)
-                raise TuningFailed(
+                raise JobFailed(
                     f"{directory.out}: no world of iteration {done} walked to its end, nor did one before: choose "
                     "other starts or bounds."
                 )
@@ -208,28 +175,36 @@ def run_tuning(
             log = before.extended(tuning, found, time.perf_counter() - began, code)
             with interruption.shielded():
                 best = directory.keep(state, log)
-            report(_reached(tuning, resumed, len(log), found, best))
+            numbers: dict[str, float] = {}
+            if np.isfinite(found.value).any():
+                at = int(np.nanargmin(found.value))
+                numbers = {name: float(column[at]) for name, column in found.metrics.items()}
+                numbers["objective"] = float(found.value[at])
+            if best is not None:
+                numbers["simulated_seconds"] = best["simulated_seconds"]
+            lowest, evaluated = None if best is None else best["objective"], min(len(log), total)
+            watch.progress(Progress(evaluated / total, evaluated, total, resumed, best=lowest, numbers=numbers))
         assert log is not None
         best = directory.publish(log)
         if best is None:
-            raise TuningFailed(
+            raise JobFailed(
                 f"{directory.out}: the robot walked to the end at no point of this tuning: choose other starts or "
                 "bounds."
             )
         start, history = start_of(tuning, log), history_table(tuning, log)
-        drawing, notes = drawing or (lambda what, share: None), tuple[str, ...]()
+        notes = tuple[str, ...]()
         walker: Callable[[], SimulatorLike] | None = None  # nothing is simulated beside a given problem
         if simulator is not None or problem is None:
             walker = functools.cache(lambda: simulator or Simulator(tuning.setup, "c"))
         if walker is not None:
-            drawing("engine c", 0.0)
+            watch.progress(Progress(0.0, what="engine c"))
             points = {"start": start["parameters"], "best": best["parameters"]}
             try:
                 best |= {"verified": verified(tuning, points, walker())}
                 directory.write("best.json", to_json(best))
             except ParameterError as error:
                 notes = (f"Start and best are not verified: {error}",)
-        pictures = make_pictures(directory, walker, drawing, history, start, best)
+        pictures = make_pictures(directory, walker, watch, history, start, best)
         pictures = dataclasses.replace(pictures, notes=(*notes, *pictures.notes))
         return TuningResult(directory.out, tuning, start, best, history, state, len(log) - resumed, pictures)
 
@@ -244,22 +219,6 @@ def tuner_of(tuning: Tuning, problem: Problem, log: Log | None = None) -> Tuner:
 def simulation_of(tuning: Tuning) -> Problem:
     """The simulation of a tuning; raises `ParameterError` where its recording does not fit."""
     return WalkProblem(tuning) if tuning.method.engine == "mjx" else SimulatedProblem(tuning)
-
-
-def _reached(tuning: Tuning, resumed: int, done: int, found: Iterate, best: Mapping[str, Any] | None) -> TuningProgress:
-    """The progress after `done` evaluations, the last of which gave `found`."""
-    value, metrics = found.value, found.metrics
-    alive = bool(np.isfinite(value).any())
-    at = int(np.nanargmin(value)) if alive else 0
-    return TuningProgress(
-        iteration=min(done - 1, tuning.iterations),
-        iterations=tuning.iterations,
-        resumed=resumed,
-        best=None if best is None else best["objective"],
-        value=float(value[at]) if alive else None,
-        metrics={name: float(column[at]) for name, column in metrics.items()} if alive else {},
-        simulated_seconds=0.0 if best is None else best["simulated_seconds"],
-    )
 
 
 # ---

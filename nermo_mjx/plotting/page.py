@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Sequence
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.cm import ScalarMappable
+from matplotlib.colorbar import Colorbar
 from matplotlib.figure import Figure
 
 from nermo_mjx.plotting.style import MUTED, SMALL
@@ -74,6 +76,14 @@ def around(figure: Figure, title: str, note: str, handles: Sequence[Artist] = ()
     engine = figure.get_layout_engine()
     engine.set(rect=(0, below / height, 1 - _EDGE / width, 1 - (below + above) / height), hspace=0.05, wspace=0.05)  # type: ignore[union-attr, call-arg]
     return figure
+
+
+def colour_bar(figure: Figure, axes: Any, colours: ScalarMappable, label: str, **look: Any) -> Colorbar:
+    """A colour bar beside axes, with its label and without a frame."""
+    bar = figure.colorbar(colours, ax=axes, **{"pad": 0.02, "extendfrac": 0.03} | look)
+    bar.set_label(label)
+    bar.outline.set_visible(False)
+    return bar
 
 
 def note_lines(note: str, width: float) -> list[str]:

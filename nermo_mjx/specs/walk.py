@@ -364,13 +364,31 @@ def read_walk(doc: Document, fields: WalkFields) -> dict[str, Any]:
     try:
         setup = Setup(**choices)
         check_code(setup)
-    except ParameterError as error:
-        _refuse_setup(doc, choices, str(error))
+    except ParameterError as error:  # about the field that it names
+        field, _, rest = str(error).partition(" ")
+        if field.startswith("schedule"):
+            doc.fail(("schedule", *(int(part) - 1 for part in field.split(".")[1:])), rest)
+        if field not in choices:
+            doc.fail(("pilot", "waypoints", "points"), f"is refused: {error}")
+        allowed = re.findall(r"'([^']+)'", rest.partition("allowed")[2])
+        hint = "" if "did you mean" in rest else did_you_mean(str(choices[field]), allowed)
+        doc.fail((field,), rest.rstrip(".") + (hint or "."))
     values = pilot_options(given, pilot, options)
     parameters = all_parameters(setup)
     for name, value in fields.set.items():
         check_value(doc, ("set", name), name, parameters[name], value)
-    return {"setup": setup, "run": _read_run(doc, fields.run, values), "fixed": fields.set, "pilot": values}
+    length = {name: getattr(fields.run, name) for name in doc.data.get("run", ())}
+    try:
+        run = Run(**length, distance=values.get("distance"))  # the pilot's distance is one of its ends
+    except ParameterError as error:
+        subject, _, message = str(error).partition(" ")
+        key = subject.removeprefix("run.")
+        doc.fail(("pilot", "straight", key) if key == "distance" else ("run", key), message)
+    # Defaults are written out: for a run at 1 Hz, seconds equal cycles.
+    warmup, end = (float(each) for each in run.seconds(1.0))
+    names = ("duration", "warmup") if run.duration is not None else ("cycles", "warmup_cycles")
+    run = dataclasses.replace(run, **dict(zip(names, (end, warmup), strict=True)))
+    return {"setup": setup, "run": run, "fixed": fields.set, "pilot": values}
 
 
 def read_schedule(doc: Document, given: list[SwitchFields]) -> tuple[Switch, ...]:
@@ -397,33 +415,6 @@ def pilot_options(given: Any, pilot: str, options: Any) -> dict[str, Any]:
     return values | {key: _SIDES[side] for key, side in values.items() if isinstance(side, str)}
 
 
-def _refuse_setup(doc: Document, choices: Mapping[str, Any], message: str) -> NoReturn:
-    """Report a setup's errors for the field that they name."""
-    field, _, rest = message.partition(" ")
-    if field.startswith("schedule"):
-        doc.fail(("schedule", *(int(part) - 1 for part in field.split(".")[1:])), rest)
-    if field not in choices:
-        doc.fail(("pilot", "waypoints", "points"), f"is refused: {message}")
-    allowed = re.findall(r"'([^']+)'", rest.partition("allowed")[2])
-    hint = "" if "did you mean" in rest else did_you_mean(str(choices[field]), allowed)
-    doc.fail((field,), rest.rstrip(".") + (hint or "."))
-
-
-def _read_run(doc: Document, fields: RunFields | None, pilot: Mapping[str, Any]) -> Run:
-    """Length and warm-up of each run; the pilot's distance is one of its ends."""
-    values = {name: getattr(fields, name) for name in doc.data.get("run", ())}
-    try:
-        run = Run(**values, distance=pilot.get("distance"))
-    except ParameterError as error:
-        subject, _, message = str(error).partition(" ")
-        key = subject.removeprefix("run.")
-        doc.fail(("pilot", "straight", key) if key == "distance" else ("run", key), message)
-    # Defaults are written out: for a run at 1 Hz, seconds equal cycles.
-    warmup, length = (float(each) for each in run.seconds(1.0))
-    names = ("duration", "warmup") if run.duration is not None else ("cycles", "warmup_cycles")
-    return dataclasses.replace(run, **dict(zip(names, (length, warmup), strict=True)))
-
-
 # ---
 # Values that are refused together, or by what is derived from them, are refused with the file's line.
 
@@ -448,8 +439,12 @@ def check_workspace(
     parameters = all_parameters(setup)
     parts = {"set": {name: np.array([value]) for name, value in fixed.items()}, **tried}
     sections = {name: section for section, names in parts.items() for name in names if not unread(setup, name)}
-    values = {name: _within(np.unique(parts[section][name]), parameters[name]) for name, section in sections.items()}
-    values = {name: column for name, column in values.items() if len(column)}
+    values: dict[str, np.ndarray] = {}
+    for name, section in sections.items():
+        column, about = np.unique(parts[section][name]), parameters[name]
+        # An open bound is only approached.
+        on_bound = (about.open_low & (column <= about.low)) | (about.open_high & (column >= about.high))
+        values |= {name: column[~on_bound]} if not on_bound.all() else {}
     constant = {name: column[0] for name, column in values.items() if len(column) == 1}
 
     def refuse(error: ParameterError, name: str, given: np.ndarray) -> NoReturn:
@@ -483,12 +478,6 @@ def check_workspace(
     if len(mesh) > 1 and (error := refusal(dict(zip(mesh, combined, strict=True)))) is not None:
         name = next(iter(mesh))
         refuse(error, name, mesh[name])
-
-
-def _within(column: np.ndarray, about: Quantity) -> np.ndarray:
-    """The values without those on an open bound, which is only approached."""
-    on_bound = (about.open_low & (column <= about.low)) | (about.open_high & (column >= about.high))
-    return column[~on_bound]
 
 
 # ---
@@ -527,38 +516,22 @@ def written_out(doc: Document) -> Document:
     data, lines = dict(doc.data), dict(doc.lines)
     for section in _SECTIONS:
         given = data.get(section)
-        if isinstance(given, dict) and any(map(is_pattern, given)):
-            origin = _origins(doc, section, given)
-            data[section] = {name: given[key] for name, key in origin.items()}
-            lines |= _lines(doc, section, origin)
-    return dataclasses.replace(doc, data=data, lines=lines)
-
-
-def _origins(doc: Document, section: str, given: dict[str, Any]) -> dict[str, str]:
-    """Each name, and the key of the file that it has its value from."""
-    origin: dict[str, str] = {}
-    for key in given:
-        if not is_pattern(key):
-            origin[key] = key
+        if not (isinstance(given, dict) and any(map(is_pattern, given))):
             continue
-        found = matches(key, NAMES.get())
-        if not found:
-            doc.fail((section, key), "matches no parameter (nermo-mjx sweep --list-parameters prints all).", key)
-        for name in found:
-            if name in origin and name not in given:
-                doc.fail((section, key), f"and '{origin[name]}' both match {name}: give it one source.", key)
-            if name not in given:
-                origin[name] = key
-    return origin
-
-
-def _lines(doc: Document, section: str, origin: dict[str, str]) -> dict[FieldPath, int]:
-    """The line numbers under a pattern, for each name that it matches."""
-    moved: dict[FieldPath, int] = {}
-    below: dict[str, list[FieldPath]] = {}
-    for path in doc.lines:
-        if len(path) > 1 and path[0] == section:
-            below.setdefault(str(path[1]), []).append(path)
-    for name, key in origin.items():
-        moved |= {(section, name, *path[2:]): doc.lines[path] for path in below.get(key, ())}
-    return moved
+        origin: dict[str, str] = {}  # of each name, the key of the file that it has its value from
+        for key in given:
+            found = matches(key, NAMES.get()) if is_pattern(key) else [key]
+            if not found:
+                doc.fail((section, key), "matches no parameter (nermo-mjx sweep --list-parameters prints all).", key)
+            for name in found if is_pattern(key) else ():
+                if name in origin and name not in given:
+                    doc.fail((section, key), f"and '{origin[name]}' both match {name}: give it one source.", key)
+            origin |= {name: key for name in found if name == key or name not in given}
+        data[section] = {name: given[key] for name, key in origin.items()}
+        below: dict[str, list[FieldPath]] = {}
+        for path in doc.lines:
+            if len(path) > 1 and path[0] == section:
+                below.setdefault(str(path[1]), []).append(path)
+        for name, key in origin.items():
+            lines |= {(section, name, *path[2:]): doc.lines[path] for path in below.get(key, ())}
+    return dataclasses.replace(doc, data=data, lines=lines)

@@ -4,7 +4,7 @@ from nermo_mjx.runs.files import DirectoryError
 from nermo_mjx.runs.provenance import machine, versions
 from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.sweep.results import Results, read_table
-from nermo_mjx.sweep.run import SweepError, SweepInterrupted, SweepProgress, SweepResult, merge_sweeps, run_sweep
+from nermo_mjx.sweep.run import SweepResult, merge_sweeps, run_sweep
 from nermo_mjx.sweep.sampling import Rows, Sample, sample
 from nermo_mjx.sweep.spec import Sweep
 from nermo_mjx.sweep.table import summarize
@@ -16,9 +16,6 @@ __all__ = [
     "Sample",
     "SpecError",
     "Sweep",
-    "SweepError",
-    "SweepInterrupted",
-    "SweepProgress",
     "SweepResult",
     "machine",
     "merge_sweeps",

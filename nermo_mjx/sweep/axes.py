@@ -143,7 +143,8 @@ def read_axis(doc: Document, name: str, given: AxisForm, about: Quantity, *, gri
         if not numbers:
             doc.fail(path, "is an empty list, so the grid is empty: give at least one value.", name)
         if len(set(numbers)) < len(numbers):
-            doc.fail(path, f"lists {_first_repeat(numbers):g} twice: every variant would be run twice.", name)
+            twice = next(number for i, number in enumerate(numbers) if number in numbers[:i])
+            doc.fail(path, f"lists {twice:g} twice: every variant would be run twice.", name)
         check_value(doc, path, name, about, numbers)
         return Axis(name, form, tuple(numbers))
     if grid and len(numbers) != 3:
@@ -180,10 +181,6 @@ def read_draw(doc: Document, name: str, given: DrawForm, about: Quantity) -> Dra
     return Draw(name, form, (a, b), about.low, about.high)
 
 
-def _first_repeat(numbers: list[float]) -> float:
-    return next(number for i, number in enumerate(numbers) if number in numbers[:i])
-
-
 def _between(a: float, b: float, share: np.ndarray, *, log: bool) -> np.ndarray:
     value = a * (b / a) ** share if log else a + (b - a) * share
     return np.clip(value, min(a, b), max(a, b))
@@ -191,7 +188,7 @@ def _between(a: float, b: float, share: np.ndarray, *, log: bool) -> np.ndarray:
 
 # ---
 # Saltelli's design: the sample from which Sobol indices are found, by SALib, whose designs and estimators match each
-# # other, and which provides the intervals.
+# other, and which provides the intervals.
 
 
 _MOST_POINTS = 2**20

@@ -94,14 +94,22 @@ def two_tables(base: Source, other: Source) -> tuple[list[Arm], list[str]]:
         notes += said
     if arms[0].name == arms[1].name:
         arms = [dataclasses.replace(arm, name=f"{arm.name} ({word})") for arm, word in zip(arms, "AB", strict=True)]
-    names = {name: None for arm in arms for name in arm.keys}
-    arms = [
-        dataclasses.replace(arm, keys={**arm.keys, **_fixed(arm, sweep, [*names])})
-        for arm, sweep in zip(arms, sweeps, strict=True)
-    ]
-    first, second = sweeps
-    if first is not None and second is not None:
-        notes += [f"They differ in {each}." for each in _differences(first, second, names)]
+    names = list({name: None for arm in arms for name in arm.keys})
+    for i, (arm, sweep) in enumerate(zip(arms, sweeps, strict=True)):
+        fixed: dict[str, np.ndarray] = {}
+        for name in (name for name in names if name not in arm.keys):  # what this sweep has fixed, if it has an effect
+            value: Any = None
+            if sweep is not None and name not in columns_of(arm.results, "randomized"):
+                value = sweep.parameters[name] if name in sweep.parameters else label_of(sweep.fields.get(name))
+            fixed[name] = np.full(len(arm.rows), math.nan if value is None else value)
+        arms[i] = dataclasses.replace(arm, keys={**arm.keys, **fixed})
+    if all(sweeps):
+        first, second = ({**each.fields, **each.fields["set"]} for each in sweeps if each is not None)
+        varied = {"set", *names, *(name for each in sweeps if each is not None for name in each.labelled)}
+        for name in {**first, **second}:
+            if name not in varied and first.get(name) != second.get(name):
+                values = ("the default" if each.get(name) is None else each[name] for each in (first, second))
+                notes.append("They differ in {}: {} and {}.".format(name, *values))
     return arms, notes
 
 
@@ -174,29 +182,6 @@ def _in_order(values: np.ndarray) -> list[Value]:
     """The different values of a column, in the order in which they come."""
     distinct, first = np.unique(values[~absent(values)], return_index=True)
     return distinct[np.argsort(first)].tolist()
-
-
-def _fixed(arm: Arm, sweep: SweepRecord | None, names: Sequence[str]) -> dict[str, np.ndarray]:
-    """Columns that only the other table varies: the value that this sweep has fixed, or none where it has no effect."""
-    found: dict[str, np.ndarray] = {}
-    for name in (name for name in names if name not in arm.keys):
-        value: Any = None
-        if sweep is not None and name not in columns_of(arm.results, "randomized"):
-            value = sweep.parameters[name] if name in sweep.parameters else label_of(sweep.fields.get(name))
-        found[name] = np.full(len(arm.rows), math.nan if value is None else value)
-    return found
-
-
-def _differences(base: SweepRecord, other: SweepRecord, varied: Mapping[str, Any]) -> list[str]:
-    """What the two sweeps fix to different values, apart from what one of them varies."""
-    first, second = ({**each.fields, **each.fields["set"]} for each in (base, other))
-    apart = []
-    for name in {**first, **second}:
-        if name in ("set", *varied, *base.labelled, *other.labelled) or first.get(name) == second.get(name):
-            continue
-        values = ("the default" if each.get(name) is None else each[name] for each in (first, second))
-        apart.append("{}: {} and {}".format(name, *values))
-    return apart
 
 
 # ---
@@ -281,11 +266,20 @@ def two_stage(values: np.ndarray, cell: np.ndarray, variant: np.ndarray) -> Inte
             picks = rng.multinomial(often[:, variant[k]] * len(runs), np.full(len(runs), 1 / len(runs)))
             part += picks @ apart[runs] / len(runs)
         drawn[start : start + size] = part / variants
-    freedom = _freedom(noise / variants**2, count, np.maximum(across - within, 0), variants)
+    # Degrees of freedom of the estimate's variance, by Satterthwaite's rule: from the cells' shares in it, and what the
+    # variants add beyond the noise of their runs.
+    share, between, known = noise / variants**2, np.maximum(across - within, 0), count > 1
+    square = (share[known] ** 2 / (count[known] - 1)[:, None]).sum(axis=0) + between**2 / max(variants - 1, 1)
+    whole = (share.sum(axis=0) + between) ** 2
+    freedom = np.divide(whole, square, out=np.full_like(whole, np.inf), where=square > 0)
     drawn *= stats.t.ppf((1 + _LEVEL) / 2, freedom) / stats.norm.ppf((1 + _LEVEL) / 2)
     unknown = variants == 1 and bool((count == 1).any())
     low, high = estimate + np.quantile(drawn, [(1 - _LEVEL) / 2, (1 + _LEVEL) / 2], axis=0)
-    p = _chance(estimate, drawn, np.maximum(across, within), freedom)
+    beyond = np.minimum((estimate + drawn <= 0).sum(axis=0), (estimate + drawn >= 0).sum(axis=0))
+    variance = np.maximum(across, within)
+    far = np.divide(np.abs(estimate), np.sqrt(variance), out=np.full_like(estimate, np.inf), where=variance > 0)
+    p = np.minimum(np.maximum(2 * (beyond + 1) / (len(drawn) + 1), 2 * stats.t.sf(far, freedom)), 1.0)
+    p = np.where(estimate == 0, 1.0, p)
     nan = np.full_like(estimate, np.nan)
     return Interval(estimate, *((nan, nan, nan) if unknown else (low, high, p)))
 
@@ -295,27 +289,6 @@ def _sums(values: np.ndarray, place: np.ndarray, places: int) -> np.ndarray:
     total = np.zeros((places, values.shape[1]))
     np.add.at(total, place, values)
     return total
-
-
-def _freedom(noise: np.ndarray, count: np.ndarray, between: np.ndarray, variants: int) -> np.ndarray:
-    """Degrees of freedom of the variance of the estimate (m,), by Satterthwaite's rule.
-
-    Args:
-        noise: each cell's share of that variance, (c, m), and `count` its runs, (c,).
-        between: what the variants add, (m,), beyond the noise of their runs.
-    """
-    known = count > 1
-    square = (noise[known] ** 2 / (count[known] - 1)[:, None]).sum(axis=0) + between**2 / max(variants - 1, 1)
-    whole = (noise.sum(axis=0) + between) ** 2
-    return np.divide(whole, square, out=np.full_like(whole, np.inf), where=square > 0)
-
-
-def _chance(estimate: np.ndarray, drawn: np.ndarray, variance: np.ndarray, freedom: np.ndarray) -> np.ndarray:
-    beyond = np.minimum((estimate + drawn <= 0).sum(axis=0), (estimate + drawn >= 0).sum(axis=0))
-    far = np.divide(np.abs(estimate), np.sqrt(variance), out=np.full_like(estimate, np.inf), where=variance > 0)
-    student = 2 * stats.t.sf(far, freedom)
-    p = np.minimum(np.maximum(2 * (beyond + 1) / (len(drawn) + 1), student), 1.0)
-    return np.where(estimate == 0, 1.0, p)
 
 
 # ---
@@ -508,8 +481,12 @@ def _compare(
     if not len(both):
         nothing = np.full(numbers[0].shape[1], np.nan)
         return nothing, nothing, nothing > 0, Interval(nothing, nothing, nothing, nothing), (0, 0, 0)
-    order = _shared_seeds(kept, variant)
-    if order is None:  # each variant has a cell of either side
+    order = [np.lexsort((side.seed, at)) for side, at in zip(kept, variant, strict=True)]
+    keys = [np.stack([at[index], side.seed[index]]) for side, at, index in zip(kept, variant, order, strict=True)]
+    once = keys[0].shape[1] == np.unique(keys[0], axis=1).shape[1]
+    if not (
+        once and np.array_equal(keys[0], keys[1])
+    ):  # a seed is on one side alone: each variant has a cell of either side
         cell, values = np.concatenate([variant[0], variant[1] + len(both)]), np.concatenate([-numbers[0], numbers[1]])
         owner = np.tile(np.arange(len(both)), 2)
     else:  # runs with the same seed are paired: what they share cancels in the difference
@@ -520,14 +497,6 @@ def _compare(
     )
     known = np.abs(base) > 2 * numbers[0].std(axis=0) / np.sqrt(len(numbers[0]))
     return base, other, known, two_stage(values, cell, owner), (len(both), len(variant[0]), len(variant[1]))
-
-
-def _shared_seeds(sides: list[Side], variant: list[np.ndarray]) -> list[np.ndarray] | None:
-    """The orders in which the runs of both sides pair by variant and seed; None where any seed is on one side alone."""
-    order = [np.lexsort((side.seed, at)) for side, at in zip(sides, variant, strict=True)]
-    keys = [np.stack([at[index], side.seed[index]]) for side, at, index in zip(sides, variant, order, strict=True)]
-    once = keys[0].shape[1] == np.unique(keys[0], axis=1).shape[1]
-    return order if once and np.array_equal(keys[0], keys[1]) else None
 
 
 def _codes(values: np.ndarray) -> np.ndarray:
@@ -705,7 +674,8 @@ def compare(
                 "in general, and wide; groups have an interval for each variant."
             )
         for side in (pairing.base, pairing.other):
-            status.setdefault(side.arm.name, _statuses(side.arm))
+            words, counts = np.unique(side.arm.results.column("status")[side.arm.rows].astype(str), return_counts=True)
+            status.setdefault(side.arm.name, dict(zip(words.tolist(), counts.tolist(), strict=True)))
         lines += _lines(pairing, shared, ())
         lines += _lines(pairing, shared, groups) if groups else []
     if not any(math.isfinite(line["low"]) for line in lines):
@@ -786,11 +756,6 @@ def _by_metric(rows: Sequence[Mapping[str, Any]], groups: Sequence[str]) -> dict
     }
 
 
-def _statuses(arm: Arm) -> dict[str, int]:
-    names, counts = np.unique(arm.results.column("status")[arm.rows].astype(str), return_counts=True)
-    return dict(zip(names.tolist(), counts.tolist(), strict=True))
-
-
 # ---
 # Figures of a comparison, from its table alone: differences by metric, and the gain of one metric by groups.
 
@@ -849,7 +814,9 @@ def _forest(rows: Sequence[Row], against: str) -> Figure:
     ax.axvline(0, color=MUTED, lw=0.8)
     for place, row in enumerate(drawn):
         low, middle, high = (float(row[name]) for name in ("relative_low", "relative", "relative_high"))
-        colour = _colour(row)
+        closer = abs(row["other_mean"]) < abs(row["base_mean"])
+        gains = {"high": middle > 0, "low": middle < 0, "zero": closer}.get(row["better"])
+        colour = MUTED if gains is None or not row["difference"] else LINE if gains else BEST
         ax.plot(np.clip([low, high], -far, far), [place, place], color=colour, lw=1.4, solid_capstyle="butt")
         out = abs(middle) > far
         ax.plot(
@@ -922,20 +889,18 @@ def _by_groups(
         if len(metrics) > 1 or at % columns == 0:
             ax.set_ylabel(f"difference [{'%' if relative else numbers.unit or 1}]")
         ax.set_xlabel(across.label if isinstance(across, ShownValues) else spoken(x))
-    _alike(list(page.axes.ravel()[: len(drawn)]), [metric for _, metric in drawn])
+    for metric in metrics:  # the same scale for all of its panels
+        alike = [ax for ax, (_, name) in zip(page.axes.ravel(), drawn, strict=False) if name == metric]
+        ends = [ax.get_ylim() for ax in alike]
+        for ax in alike:
+            ax.set_ylim(min(low for low, _ in ends), max(high for _, high in ends))
     handles = [
         _mark(SERIES[i % len(SERIES)], f"{spoken(series)} {_text(value)}") for i, value in enumerate(each) if series
     ]
-    return page.finish(handles, f"{_MARKS}\n{_runs(rows)}{_failures(rows, groups)}")
-
-
-def _alike(panels: Sequence[Axes], metrics: Sequence[str]) -> None:
-    """The same scale for all panels of a metric."""
-    for metric in dict.fromkeys(metrics):
-        own = [ax for ax, name in zip(panels, metrics, strict=True) if name == metric]
-        ends = [ax.get_ylim() for ax in own]
-        for ax in own:
-            ax.set_ylim(min(low for low, _ in ends), max(high for _, high in ends))
+    failed = sorted(((row["failed_base"] + row["failed_other"], row) for row in rows), key=lambda pair: -pair[0])
+    told = [f"{', '.join(_text(row[name]) for name in groups)} ({count})" for count, row in failed[:4] if count]
+    most = f", most at {'; '.join(told)}" if told else ""
+    return page.finish(handles, f"{_MARKS}\n{_runs(rows)}{most}")
 
 
 def _line(
@@ -982,14 +947,6 @@ def _column(schema: pa.Schema, name: str, values: Sequence[Any]) -> ShownValues 
     return names, np.array([names.index(_text(value)) for value in values], float)
 
 
-def _colour(row: Row) -> str:
-    if not row["better"] or not row["difference"]:
-        return MUTED
-    closer = abs(row["other_mean"]) < abs(row["base_mean"])
-    gains = {"high": row["difference"] > 0, "low": row["difference"] < 0, "zero": closer}[row["better"]]
-    return LINE if gains else BEST
-
-
 def _mark(colour: str, label: str) -> Line2D:
     return Line2D([], [], color=colour, marker="o", ms=5.5, lw=1.4, label=label)
 
@@ -1004,13 +961,6 @@ def _runs(rows: Sequence[Row]) -> str:
     failed = [sum(row["failed_" + side] for row in groups) for side in ("base", "other")]
     fell = f"; {failed[0]} of the base and {failed[1]} of the other fell or were lost" if any(failed) else "; none fell"
     return f"{base:,} runs of the base, {other:,} of the other{fell}"
-
-
-def _failures(rows: Sequence[Row], groups: Sequence[str]) -> str:
-    """Where the most runs failed."""
-    failed = sorted(((row["failed_base"] + row["failed_other"], row) for row in rows), key=lambda pair: -pair[0])
-    told = [f"{', '.join(_text(row[name]) for name in groups)} ({count})" for count, row in failed[:4] if count]
-    return f", most at {'; '.join(told)}" if told else ""
 
 
 def _percent(share: float) -> str:

@@ -12,7 +12,6 @@ import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
-from matplotlib.colorbar import Colorbar
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -20,7 +19,7 @@ from matplotlib.patheffects import Normal, Stroke
 from matplotlib.ticker import FuncFormatter
 
 from nermo_mjx.plotting.cloud import cloud, remark
-from nermo_mjx.plotting.page import around, blank
+from nermo_mjx.plotting.page import around, blank, colour_bar
 from nermo_mjx.plotting.shown import ShownValues, shown, spoken, titled
 from nermo_mjx.plotting.style import (
     BAND,
@@ -39,6 +38,8 @@ from nermo_mjx.plotting.style import (
 from nermo_mjx.sweep.results import Results
 from nermo_mjx.sweep.spec import cost, sides_in
 from nermo_mjx.sweep.table import Variants, columns_of, labelled, meta
+
+_BAR: Final[dict[str, Any]] = {"shrink": 0.9, "aspect": 28}
 
 
 def heat_maps(
@@ -68,7 +69,11 @@ def heat_maps(
         chosen = np.where(gain, z.values, np.nan)
         marked = [_cell_means(x.values[mask], y.values[mask], chosen[mask], xs, ys) for _, mask in panels]
         colours, fill, edge = GAIN_COLOURS, "white", INK
-        scale, extend = _about_zero(values)
+        # Symmetric around 0; losses beyond 25 % and three times the best gain are cut off.
+        good = values[np.isfinite(values)]
+        low, high = (float(good.min()), float(good.max())) if len(good) else (0.0, 0.0)
+        far = max(high, min(-low, max(3 * high, 25.0)), 1e-9)
+        scale, extend = Normalize(-far, far), "min" if low < -far else "neither"
     figure, axes = panelled(len(panels), 2.5 if len(panels) > 1 else 4.4)
     prices = [cost(z.side, grid) for grid in marked]
     lowest = min((float(np.nanmin(price)) for price in prices if np.isfinite(price).any()), default=math.nan)
@@ -98,9 +103,17 @@ def heat_maps(
                 clip_on=False,
             )
             if gain is not None:
-                _beside(ax, xs[i], ys[j], _signed(candidates[i, j]), 11 if star else 8, left=bool(i >= len(xs) / 2))
-    _outer_labels(axes, x.label, y.label)
-    bar = _colour_bar(figure, axes, scale, z.label, colours, extend=extend)
+                left, apart = bool(i >= len(xs) / 2), 11 if star else 8  # of the mark, in points
+                look: dict[str, Any] = {"fontsize": 8.5, "fontweight": "bold", "color": INK, "zorder": 6}
+                look |= {"va": "center", "ha": "right" if left else "left", "textcoords": "offset points"}
+                look["bbox"] = {"boxstyle": "round,pad=0.2", "fc": "white", "alpha": 0.75, "lw": 0}
+                ax.annotate(_signed(candidates[i, j]), (xs[i], ys[j]), (-apart if left else apart, 0), **look)
+    columns = _columns(len(axes))
+    for place, ax in enumerate(axes):  # labels at the outside of the panels only
+        bottom, left = place + columns >= len(axes), place % columns == 0
+        ax.tick_params(labelbottom=bottom, labelleft=left)
+        ax.set(xlabel=x.label if bottom else "", ylabel=y.label if left else "")
+    bar = colour_bar(figure, axes, ScalarMappable(scale, colours), z.label, extend=extend, **_BAR)
     if gain is not None:
         bar.formatter = FuncFormatter(lambda value, _: _signed(value).removesuffix(" %"))
     word = best_word(z) if gain is None else "best"
@@ -160,7 +173,7 @@ def pair_scatters(
             ax.scatter(x.values[order[-1]], y.values[order[-1]], s=170, marker="*", fc=BEST, ec="white", zorder=5)
         set_scales(ax, x, y)
         ax.set(xlabel=x.label, ylabel=y.label)
-    _colour_bar(figure, axes, scale, z.label, extend=extend)
+    colour_bar(figure, axes, ScalarMappable(scale, COLOURS), z.label, extend=extend, **_BAR)
     best = f"star: {best_word(z)}, {z.shown(float(z.values[order[-1]]))}"
     return around(figure, title, note + best if star else note.removesuffix("; "))
 
@@ -186,47 +199,10 @@ def _columns(count: int) -> int:
     return min(count, 4 if count > 6 else 3)
 
 
-def _colour_bar(
-    figure: Figure, axes: Sequence[Axes], scale: Normalize, label: str, colours: str = COLOURS, *, extend: str
-) -> Colorbar:
-    bar = figure.colorbar(
-        ScalarMappable(scale, colours), ax=list(axes), shrink=0.9, aspect=28, pad=0.02, extend=extend, extendfrac=0.03
-    )
-    bar.set_label(label)
-    bar.outline.set_visible(False)
-    return bar
-
-
-def _beside(ax: Axes, x: float, y: float, text: str, apart: float, *, left: bool) -> None:
-    """A text next to a mark, at the given distance in points."""
-    ax.annotate(
-        text,
-        (x, y),
-        (-apart if left else apart, 0),
-        textcoords="offset points",
-        ha="right" if left else "left",
-        va="center",
-        fontsize=8.5,
-        fontweight="bold",
-        color=INK,
-        zorder=6,
-        bbox={"boxstyle": "round,pad=0.2", "fc": "white", "alpha": 0.75, "lw": 0},
-    )
-
-
 def _signed(percent: float) -> str:
     """A gain with its sign: +14.5 %."""
     text = f"{percent:+.3g}" if abs(percent) >= 100 else f"{round(percent, 1) + 0.0:+g}"
     return f"{'0' if text in ('+0', '-0') else text.replace('-', '−')} %"
-
-
-def _outer_labels(axes: Sequence[Axes], x: str, y: str) -> None:
-    """Axis and tick labels at the outside of the panels only."""
-    columns = _columns(len(axes))
-    for i, ax in enumerate(axes):
-        bottom, left = i + columns >= len(axes), i % columns == 0
-        ax.tick_params(labelbottom=bottom, labelleft=left)
-        ax.set(xlabel=x if bottom else "", ylabel=y if left else "")
 
 
 def _cell_means(x: np.ndarray, y: np.ndarray, z: np.ndarray, xs: np.ndarray, ys: np.ndarray) -> np.ndarray:
@@ -257,14 +233,6 @@ def _edges(centres: np.ndarray, log: bool) -> np.ndarray:
         middle = (c[1:] + c[:-1]) / 2
         edges = np.concatenate([[2 * c[0] - middle[0]], middle, [2 * c[-1] - middle[-1]]])
     return np.exp(edges) if log else edges
-
-
-def _about_zero(values: np.ndarray) -> tuple[Normalize, str]:
-    """A symmetric scale around 0; losses beyond 25 % and three times the best gain are cut off."""
-    good = values[np.isfinite(values)]
-    low, high = (float(good.min()), float(good.max())) if len(good) else (0.0, 0.0)
-    far = max(high, min(-low, max(3 * high, 25.0)), 1e-9)
-    return Normalize(-far, far), "min" if low < -far else "neither"
 
 
 # ---

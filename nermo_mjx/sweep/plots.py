@@ -18,7 +18,6 @@ from typing import Any, Final
 import matplotlib
 import numpy as np
 import pyarrow as pa
-from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, MaxNLocator
@@ -52,7 +51,7 @@ from nermo_mjx.sweep.figures import (
 )
 from nermo_mjx.sweep.results import Results, SweepRecord
 from nermo_mjx.sweep.spec import cost, sides_in
-from nermo_mjx.sweep.table import LEADING, columns_of, spine_ratio
+from nermo_mjx.sweep.table import LEADING, columns_of, rank_correlation, spine_ratio
 
 #: A figure has no more panels than this; more values are thinned evenly.
 MOST_PANELS = 12
@@ -145,18 +144,13 @@ def _scatter_figures(drawn: list[ShownValues], z: ShownValues, remark: str) -> I
 def _panels(rest: list[ShownValues], count: int) -> tuple[list[tuple[str, np.ndarray]], str]:
     """The panels of a heat map of `count` points for the parameters not on its axes, and a remark about them."""
     if len(rest) == 1:
-        panels, left_out = _slices(rest[0])
+        third, values = rest[0], np.unique(rest[0].values[np.isfinite(rest[0].values)])
+        kept = thinned(values, MOST_PANELS)
+        panels = [(f"{third.spoken} = {third.shown(value)}", third.values == value) for value in kept]
+        left_out = len(values) - len(kept)
         return panels, f"{left_out} more values of {rest[0].spoken} not shown; " if left_out else ""
     remark = f"mean over {', '.join(other.spoken for other in rest)}; " if rest else ""
     return [("", np.full(count, True))], remark
-
-
-def _slices(third: ShownValues) -> tuple[list[tuple[str, np.ndarray]], int]:
-    """A panel for each value of the third parameter, and how many values were left out."""
-    values = np.unique(third.values[np.isfinite(third.values)])
-    kept = thinned(values, MOST_PANELS)
-    panels = [(f"{third.spoken} = {third.shown(value)}", third.values == value) for value in kept]
-    return panels, len(values) - len(kept)
 
 
 # ---
@@ -202,7 +196,17 @@ def figures(
         raise ParameterError(f"color is {color!r}, a parameter: name x and y, too.")
     asked = None if sweep is None else sweep.comparison
     found = findings(results, asked, color or LEADING, notify or (lambda _: None))
-    return itertools.chain(_usual(out, results, color or LEADING, remark), *(drawn for *_, drawn in found))
+
+    def usual() -> Figures:  # each is drawn when it is asked for, in the style that holds then
+        some = False
+        for named in figures_of(results, color or LEADING, remark):
+            some = True
+            yield named
+        if not some:
+            why = "all its parameters have one value" if results.well.any() else "no run succeeded"
+            raise DirectoryError(f"there is nothing to draw of {out}: {why}.")
+
+    return itertools.chain(usual(), *(drawn for *_, drawn in found))
 
 
 def chosen_figure(
@@ -226,16 +230,6 @@ def chosen_figure(
     if not results.well.any():
         raise ParameterError("no run in the table succeeded, so there is nothing to plot.")
     return (_figure(results, x, y or LEADING, color, remark) for _ in range(1))
-
-
-def _usual(out: Path, results: Results, metric: str, remark: str) -> Iterator[tuple[str, Figure]]:
-    some = False
-    for named in figures_of(results, metric, remark):
-        some = True
-        yield named
-    if not some:
-        why = "all its parameters have one value" if results.well.any() else "no run succeeded"
-        raise DirectoryError(f"there is nothing to draw of {out}: {why}.")
 
 
 def _check_column(results: Results, name: str | None, option: str) -> None:
@@ -273,10 +267,6 @@ def _figure(results: Results, x: str, y: str, color: str | None, remark: str) ->
     if by:
         return name, pair_scatters([(across, up)], by[0], title, f"{note}; ", star=color in metrics)
     return name, scatters([across], up, [""], title, f"{note}; line: running mean")
-
-
-# ---
-# Figures of all variants at once: two metrics against each other, and parallel coordinates of all parameters.
 
 
 # ---
@@ -334,8 +324,20 @@ def parallel(parameters: Sequence[ShownValues], z: ShownValues, title: str, note
     ax.add_collection(rest)
     ax.add_collection(LineCollection(list(lines[-few:]), colors="white", linewidths=3.4, zorder=3))
     ax.add_collection(LineCollection(list(lines[-few:]), colors=BEST, linewidths=1.7, zorder=4))
-    for place, each in enumerate(axes):
-        _draw_axis(ax, place, each)
+    for place, each in enumerate(axes):  # a line with ticks: each value where there are few, else round ones
+        ax.plot([place, place], [0, 1], color=MUTED, lw=1.0, zorder=5)
+        values = np.unique(each.values[np.isfinite(each.values)])
+        if not each.names and len(values) > _EACH:
+            low, high = values[0], values[-1]
+            locator = LogLocator(subs=(1.0, 2.0, 5.0)) if each.log else MaxNLocator(5)
+            ticks = locator.tick_values(low, high)
+            values = np.array([tick for tick in ticks if low - 1e-9 <= tick <= high + 1e-9 * abs(high)])
+        box: dict[str, Any] = {"bbox": {"boxstyle": "round,pad=0.12", "fc": "white", "alpha": 0.8, "lw": 0}}
+        for value, height in zip(values, _share(each, values), strict=True):
+            ax.plot([place, place + 0.03], [height, height], color=MUTED, lw=1.0, zorder=5)
+            text = each.shown(value) if each.names else f"{value + 0.0:.4g}".replace("-", "−")
+            at: dict[str, Any] = {"xytext": (5, 0), "textcoords": "offset points", "va": "center"}
+            ax.annotate(text, (place, height), fontsize=SMALL, color=INK, zorder=6, **at, **box)
     strip = np.linspace(0, 1, 256)[:, None]
     right = len(axes) - 1
     ax.imshow(strip, cmap=COLOURS, extent=(right - 0.022, right + 0.022, 0, 1), origin="lower", aspect="auto", zorder=5)
@@ -353,34 +355,6 @@ def _share(axis: ShownValues, values: np.ndarray) -> np.ndarray:
     own, wanted = (np.log(axis.values), np.log(values)) if axis.log else (axis.values, np.asarray(values))
     low, high = float(np.nanmin(own)), float(np.nanmax(own))
     return (wanted - low) / (high - low) if high > low else np.full(np.shape(wanted), 0.5)
-
-
-def _draw_axis(ax: Axes, place: int, axis: ShownValues) -> None:
-    """A line with ticks: each value where there are few, else round ones."""
-    ax.plot([place, place], [0, 1], color=MUTED, lw=1.0, zorder=5)
-    values = np.unique(axis.values[np.isfinite(axis.values)])
-    if not axis.names and len(values) > _EACH:
-        low, high = values[0], values[-1]
-        ticks = LogLocator(subs=(1.0, 2.0, 5.0)).tick_values(low, high) if axis.log else _round_ticks(low, high)
-        values = np.array([tick for tick in ticks if low - 1e-9 <= tick <= high + 1e-9 * abs(high)])
-    for value, height in zip(values, _share(axis, values), strict=True):
-        ax.plot([place, place + 0.03], [height, height], color=MUTED, lw=1.0, zorder=5)
-        text = axis.shown(value) if axis.names else f"{value + 0.0:.4g}".replace("-", "−")
-        ax.annotate(
-            text,
-            (place, height),
-            (5, 0),
-            textcoords="offset points",
-            fontsize=SMALL,
-            color=INK,
-            va="center",
-            zorder=6,
-            bbox={"boxstyle": "round,pad=0.12", "fc": "white", "alpha": 0.8, "lw": 0},
-        )
-
-
-def _round_ticks(low: float, high: float) -> np.ndarray:
-    return np.asarray(MaxNLocator(5).tick_values(low, high))
 
 
 # ---
@@ -444,7 +418,12 @@ def trade_off(
     ax = figure.subplots()
     cloud(ax, x, y, size=5 if len(x.values) > 2000 else 12)
     if "nearest zero" not in sides:
-        ax.plot(*_stairs(x.values[best], y.values[best], sides), color=BEST, lw=1.4, zorder=3)
+        # The edge of what the front beats: between two of its points it goes by the worse of both numbers.
+        steps = []
+        for values, side in zip((x.values[best], y.values[best]), sides, strict=True):
+            turns = (np.minimum if side == "max" else np.maximum)(values[1:], values[:-1])
+            steps.append(np.append(np.stack([values[:-1], turns], axis=1).ravel(), values[-1:]))
+        ax.plot(*steps, color=BEST, lw=1.4, zorder=3)
     ax.scatter(x.values[best], y.values[best], s=26, color=BEST, ec="white", lw=0.6, zorder=4)
     set_scales(ax, x, y)
     ax.margins(0.06)
@@ -466,16 +445,6 @@ def trade_off(
     ax.set_axisbelow(True)
     ax.set(xlabel=x.label, ylabel=y.label)
     return around(figure, title, text)
-
-
-def _stairs(x: np.ndarray, y: np.ndarray, sides: tuple[str, str]) -> tuple[np.ndarray, np.ndarray]:
-    """The edge of what a front beats: between two of its points it goes by the worse of both numbers."""
-    worse_x, worse_y = (np.minimum if side == "max" else np.maximum for side in sides)
-    corners = worse_x(x[1:], x[:-1]), worse_y(y[1:], y[:-1])
-    return tuple(  # type: ignore[return-value]
-        np.concatenate([np.stack([points[:-1], turns], axis=1).ravel(), points[-1:]])
-        for points, turns in zip((x, y), corners, strict=True)
-    )
 
 
 #: What a faster walk is weighed against.
@@ -533,7 +502,8 @@ def _parallel(points: Points, names: tuple[str, ...], metric: str, remark: str) 
     parameters = points.of(names, drawn)
     z = dataclasses.replace(values, values=values.values[drawn])
     if len(parameters) > MOST_AXES:
-        matter = np.argsort([-abs(_influence(each, z)) for each in parameters], kind="stable")[:MOST_AXES]
+        influence = [abs(np.nan_to_num(rank_correlation(each.values, z.values))) for each in parameters]
+        matter = np.argsort(-np.array(influence), kind="stable")[:MOST_AXES]
         left_out = len(parameters) - MOST_AXES
         parameters = [parameters[i] for i in sorted(matter)]
     known = int(np.isfinite(price).sum())
@@ -548,14 +518,6 @@ def _parallel(points: Points, names: tuple[str, ...], metric: str, remark: str) 
     word = "best" if values.side else "highest"
     note += f"; orange: the {min(BEST_LINES, known)} {word}, of which the first is {z.shown(z.values[-1])} at {at}"
     return parallel(parameters, z, f"{titled(metric)}: all parameters side by side", note)
-
-
-def _influence(parameter: ShownValues, z: ShownValues) -> float:
-    known = np.isfinite(parameter.values)
-    own, other = parameter.values[known], z.values[known]
-    if len(own) < 3 or np.ptp(own) == 0 or np.ptp(other) == 0:
-        return 0.0
-    return float(stats.spearmanr(own, other).statistic)
 
 
 # ---

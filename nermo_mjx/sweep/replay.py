@@ -193,12 +193,18 @@ def replay_row(
         "diverged": metrics["failure_time"] - simulator.controller.dt
     }
     ticks = math.ceil(ends.get(status, found.end) / simulator.controller.dt - 1e-3)
-    assert result.trace is not None
+    trace = result.trace
+    assert trace is not None
     return Replay(
         engine=result.engine,
         metrics=metrics,
         status=status,
-        history=_until(result.trace, ticks),
+        history=dataclasses.replace(
+            trace,
+            time=trace.time[:ticks],
+            **{name: getattr(trace, name)[:, :ticks] for name in ("qpos", "qvel", "ctrl")},
+            sensors={name: values[:, :ticks] for name, values in trace.sensors.items()},
+        ),
         about=result.about(),
         model=simulator.robot.model,
         comparison=None if found.stored is None else agreement(found.stored, metrics, str(found.engine)),
@@ -265,10 +271,3 @@ def _difference(a: float, b: float) -> float:
     if a == b or (math.isnan(a) and math.isnan(b)):
         return 0.0
     return math.inf if math.isnan(a) or math.isnan(b) else abs(a - b) / max(abs(a), abs(b))
-
-
-def _until(history: History, ticks: int) -> History:
-    """The first ticks of a history."""
-    sensors = {name: values[:, :ticks] for name, values in history.sensors.items()}
-    arrays = {name: getattr(history, name)[:, :ticks] for name in ("qpos", "qvel", "ctrl")}
-    return History(time=history.time[:ticks], **arrays, sensors=sensors)

@@ -29,12 +29,12 @@ from nermo_mjx.rollout import METRICS, Run, Simulator
 from nermo_mjx.rollout.run import too_many
 from nermo_mjx.runs.directory import RunDirectory, engine_of
 from nermo_mjx.runs.files import DirectoryError, WrongDirectory, parquet_bytes
-from nermo_mjx.runs.interruption import resumable
+from nermo_mjx.runs.job import SILENT, JobFailed, Progress, Watch, resumable
 from nermo_mjx.runs.provenance import session
 from nermo_mjx.runs.rows import Runs
 from nermo_mjx.runs.tensorboard import TensorBoard, require_tensorboard
 from nermo_mjx.runs.text import to_json
-from nermo_mjx.runs.workers import LocalWorkers, TaskFailed, Workers, WorkersLost
+from nermo_mjx.runs.workers import LocalWorkers, TaskFailed, Workers
 from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.specs.walk import unread
 from nermo_mjx.sweep.comparing import better
@@ -77,27 +77,6 @@ _NO_MEMORY = re.compile("RESOURCE_EXHAUSTED|out of memory|failed to allocate", r
 _TAKEN: Final = 65_536
 
 
-class SweepError(RuntimeError):
-    """A sweep that cannot be finished; the message is one sentence that says why, and how to resume."""
-
-
-@dataclasses.dataclass(frozen=True)
-class SweepProgress:
-    """How far a sweep is.
-
-    Attributes:
-        fraction: share of the work that is done, by simulated time, 0 to 1; resumed rows count as done; of a shard
-            it is that shard's share.
-        rows_done, rows: finished rows and all rows of the same work.
-        resumed: rows that an earlier session had finished, or another directory has.
-    """
-
-    fraction: float
-    rows_done: int
-    rows: int
-    resumed: int
-
-
 class Batch(NamedTuple):
     """Rows that are simulated together (n,), all of one structure, in so many worlds, n or more."""
 
@@ -115,9 +94,8 @@ class Work:
         size: rows of a batch, at most.
         sources: directories of other sweeps whose rows are reused.
         shard: (i, n): this process simulates every n-th batch, from i.
-        warn: called with a message about damaged files.
+        watch: is told the progress of this process's share, and of damaged files.
         held: the directory as this process holds it; without it nothing is written.
-        progress: called with a `SweepProgress`.
         board: is told of each batch that is written.
 
     Attributes:
@@ -134,16 +112,15 @@ class Work:
         size: int,
         sources: Sequence[Path] = (),
         shard: tuple[int, int] | None = None,
-        warn: Callable[[str], None] | None = None,
+        watch: Watch = SILENT,
         held: RunDirectory | None = None,
-        progress: Callable[[SweepProgress], None] = lambda _: None,
         board: TensorBoard | None = None,
     ) -> None:
-        self.sweep, self.out, self.rows, self._progress = sweep, out, Sample(sweep), progress
+        self.sweep, self.out, self.rows, self._watch = sweep, out, Sample(sweep), watch
         self._structure, self.seconds = self.rows.structures(), simulated_seconds(sweep, self.rows)
         self._layout, self._shard = layout_of(self.seconds, size, self._structure), shard or (0, 1)
         self._share = np.concatenate(self._layout[self._shard[0] :: self._shard[1]] or [np.empty(0, int)])
-        self.runs = Runs(out, sweep.digest(), sources, warn, sweep.save is not None, held)
+        self.runs = Runs(out, sweep.digest(), sources, watch.warn, sweep.save is not None, held)
         self._log = None if board is None else BatchLog(board)
         if self._log is not None:
             for table in (pq.read_table(part.path) for part in self.runs.parts):  # of earlier sessions
@@ -249,7 +226,7 @@ class Work:
 
         Raises:
             SpecError: a parameter is refused.
-            SweepError: a simulation failed, or all workers are lost.
+            JobFailed: a simulation failed, or all workers are lost.
             OtherCode: other code made the rows that are there.
             DirectoryError: a batch cannot be written.
         """
@@ -299,18 +276,16 @@ class Work:
                 if full
                 else ("run the same command again when it is fixed")
             )
-            raise SweepError(
+            raise JobFailed(
                 f"{rows} failed: {type(error).__name__}{f': {reason}' if reason else ''}. What is finished is kept in "
                 f"{self.out}: {remedy}."
             ) from error
-        except WorkersLost as lost:
-            raise SweepError(lost.kept_in(self.out)) from None
 
     def _tell(self, current: float = 0.0) -> None:
         """Report the progress, with the simulated time that the batches at work have done [s]."""
         whole, count = float(self.seconds[self._share].sum()), len(self._share)
         fraction = 1.0 if self._finished == count else 1.0 - (self._left - current) / whole
-        self._progress(SweepProgress(fraction, self._finished, count, self._resumed + self.reused))
+        self._watch.progress(Progress(fraction, self._finished, count, self._resumed + self.reused))
 
     def _take_codes(self, stamps: Sequence[Any], accept: bool) -> None:
         several = bool(self.runs.others) or len(self.sweep.structures) > 1
@@ -393,10 +368,6 @@ class BatchLog:
 ATTEMPTS = 2
 
 
-class SweepInterrupted(KeyboardInterrupt):
-    """Ctrl-C or SIGTERM; the message says how to resume."""
-
-
 @dataclasses.dataclass(frozen=True)
 class SweepResult:
     """A sweep's outcome.
@@ -433,9 +404,7 @@ def run_sweep(
     out: str | os.PathLike[str],
     *,
     engine: str = "auto",
-    progress: Callable[[SweepProgress], None] | None = None,
-    notify: Callable[[str], None] | None = None,
-    warn: Callable[[str], None] | None = None,
+    watch: Watch = SILENT,
     chunk: int | None = None,
     shard: tuple[int, int] | None = None,
     accept_new_code: bool = False,
@@ -460,9 +429,7 @@ def run_sweep(
         spec: a `Sweep`, a dict with the fields of a sweep file, or the path of one.
         out: the directory; see `nermo_mjx.sweep.store`.
         engine: engine of the simulator; "auto" is the one that the directory was started with, if it was.
-        progress: called from time to time with a `SweepProgress`.
-        notify: called with a message if something takes long (compilation).
-        warn: called with a message if something in the directory is damaged, and is run again.
+        watch: is told the progress, of a shard that of its own share; and what is damaged, and is run again.
         chunk: rows simulated and stored together; a directory keeps the size it was started with.
         shard: (i, n) runs only every n-th chunk, from i in 0..n-1; the table is the same for any split. The
             shard that finds the table complete writes the summary.
@@ -480,8 +447,8 @@ def run_sweep(
         SpecError: the sweep is wrong; nothing has been written.
         OtherCode: other code, another model or another engine made rows of the directory.
         DirectoryError: the directory holds something else, is in use, or cannot be written.
-        SweepError: a simulation failed, or all workers are lost; what is finished is kept.
-        SweepInterrupted: Ctrl-C or SIGTERM; the same call resumes.
+        JobFailed: a simulation failed, or all workers are lost; what is finished is kept.
+        Interrupted: Ctrl-C or SIGTERM; the same call resumes.
     """
     sweep = Sweep.of(spec)
     if extend and shard is not None:
@@ -506,25 +473,20 @@ def run_sweep(
         raise SpecError(f"chunk is {size:,}: {wrong}")
     with (
         RunDirectory(out, "sweep", shard) as held,
-        resumable("sweep", held.out / "sweep.yaml", SweepInterrupted) as interruption,
+        resumable(held.out, f"sweep {held.out / 'sweep.yaml'}") as interruption,
         contextlib.ExitStack() as stack,
     ):
-
-        def report(share: SweepProgress) -> None:
-            interruption.check()
-            if progress is not None:
-                progress(share)
-
+        watch = interruption.watched(watch)
         sweep = claim(held, dataclasses.replace(sweep, chunk=size), extend=extend)
         board = None
         if tensorboard:
             part = "" if shard is None else "shard-{}-of-{}".format(*shard)
             board = stack.enter_context(TensorBoard(held.out, part))
-        work = Work(sweep, held.out, sweep.chunk or size, sources, shard, warn, held, report, board)
+        work = Work(sweep, held.out, sweep.chunk or size, sources, shard, watch, held, board)
         check_room(sweep, held.out, work.seconds[work.unfinished])
         begun = engine_of(held.out) or next((part.engine for part in work.runs.parts), None)
         ran = engine_name(engine, simulator, begun)
-        simulates = SweepSimulator(sweep.structures, ran, simulator, notify, sweep.save)
+        simulates = SweepSimulator(sweep.structures, ran, simulator, watch.notify, sweep.save)
         work.reuse(accept_new_code)
         for _ in range(ATTEMPTS if simulate else 0):
             work.simulate(simulates, workers, accept_new_code)
@@ -539,10 +501,10 @@ def run_sweep(
         done, recordings, summary, plots = work.done, list[Path](), dict[str, Any](), list[Path]()
         if done.all():
             results = Results([part.path for part in work.runs.parts])
-            summary, plots = _sum_up(work, held, results, warn)
+            summary, plots = _sum_up(work, held, results, watch)
             if sweep.keep is not None:
                 recordings = record_rows(
-                    held, sweep.digest(), results, sweep.keep, simulates.used, interruption.check, warn
+                    held, sweep.digest(), results, sweep.keep, simulates.used, interruption.check, watch.warn
                 )
         return SweepResult(
             out=held.out,
@@ -557,13 +519,11 @@ def run_sweep(
         )
 
 
-def _sum_up(
-    work: Work, held: RunDirectory, results: Results, warn: Callable[[str], None] | None
-) -> tuple[dict[str, Any], list[Path]]:
+def _sum_up(work: Work, held: RunDirectory, results: Results, watch: Watch) -> tuple[dict[str, Any], list[Path]]:
     """Write the summary and the figures of a complete table."""
     summary, figures = {**summarize(results), **work.effort()}, figures_of(results)
     comparison = None if work.sweep.comparison is None else work.sweep.comparison.written()
-    for name, table, about, drawn in findings(results, comparison, notify=warn or (lambda _: None)):
+    for name, table, about, drawn in findings(results, comparison, notify=watch.warn):
         held.write(f"{name}.parquet", parquet_bytes(table))
         summary[name] = about
         figures = itertools.chain(figures, drawn)
@@ -580,7 +540,7 @@ def merge_sweeps(
     out: str | os.PathLike[str],
     *,
     accept_new_code: bool = False,
-    warn: Callable[[str], None] | None = None,
+    watch: Watch = SILENT,
 ) -> SweepResult:
     """Merge directories of sweeps into a new one; nothing is simulated, and they stay as they are.
 
@@ -598,7 +558,7 @@ def merge_sweeps(
         sources: the directories, two at least.
         out: where the result goes.
         accept_new_code: merge what different code made; the table's column `code` tells the rows apart.
-        warn: called with a message if a chunk cannot be used.
+        watch: is told if a part cannot be used.
 
     Raises:
         SpecError: there are less than two, or the result would go into one of them.
@@ -611,7 +571,7 @@ def merge_sweeps(
     if Path(out).resolve() in [place.resolve() for place in places]:
         raise SpecError(f"{out} is one of the directories that are merged: choose another one.")
     with only_reading():
-        return run_sweep(merged(places), out, use=places, simulate=False, accept_new_code=accept_new_code, warn=warn)
+        return run_sweep(merged(places), out, use=places, simulate=False, accept_new_code=accept_new_code, watch=watch)
 
 
 def merged(places: Sequence[Path]) -> Sweep:
@@ -751,12 +711,17 @@ def forecast(
         check_source(source, sweep)
     notes: list[str] = []
     folder = None if out is None else Path(out)
-    begun = _begun(folder, sweep, extend)
+    begun = None
+    if folder is not None and (folder / "sweep.yaml").exists():
+        begun = Sweep.from_directory(folder)
+        if begun.digest() != sweep.digest() and ((why := refusal(begun, sweep)) or not extend):
+            hint = why or f"{differences(begun, sweep)}; --extend would extend it"
+            raise WrongDirectory(f"{folder} holds the results of another sweep: {hint}.")
     wanted = engine if engine != "auto" else (engine_of(folder) if folder is not None else None) or "auto"
     runs = resolve_engine(wanted)
     size = (begun.chunk if begun is not None else None) or chunk or sweep.chunk
     size = size or chunk_rows_here(runs, sweep.variants * sweep.repeats, parts * (1 if shard is None else shard[1]))
-    work = Work(sweep, folder or Path(), size, sources, shard, notes.append)
+    work = Work(sweep, folder or Path(), size, sources, shard, Watch(warn=notes.append))
     unfinished = work.unfinished
     left = np.setdiff1d(unfinished, np.concatenate([np.empty(0, int), *(index for index, _ in work.known())]))
     left = unfinished[np.isin(unfinished, left)]
@@ -829,16 +794,3 @@ def measured_rate(sweep: Sweep, engine: str) -> float:
     began = time.perf_counter()
     result = simulator.run(values, run)
     return float(result.steps * _MEASURED_WORLDS / (time.perf_counter() - began))
-
-
-def _begun(folder: Path | None, sweep: Sweep, extend: bool) -> Sweep | None:
-    """The sweep that a directory contains, if it can be extended to this one."""
-    if folder is None or not (folder / "sweep.yaml").exists():
-        return None
-    begun = Sweep.from_directory(folder)
-    if begun.digest() != sweep.digest():
-        why = refusal(begun, sweep)
-        if why or not extend:
-            hint = why or f"{differences(begun, sweep)}; --extend would extend it"
-            raise WrongDirectory(f"{folder} holds the results of another sweep: {hint}.")
-    return begun

@@ -66,9 +66,17 @@ class Sample:
         self.sweep = sweep
         self._axes: dict[str, Axis] = {axis.name: axis for axis in sweep.axes}
         self._listed = {axis.name: axis.values() for axis in sweep.axes} if sweep.sampler == "grid" else {}
-        drawn = sweep.sampler in ("sobol", "latin_hypercube", "saltelli")
-        self._shares = shares if shares is not None else _low_discrepancy(sweep) if drawn else None
         self._ends = np.cumsum(sweep.counts) if shares is None else np.array([len(shares)])
+        dimensions, rng = len(sweep.axes), np.random.default_rng(sweep.seed)
+        if shares is None and sweep.sampler == "saltelli":
+            shares = saltelli_points(dimensions, sweep.samples, sweep.second_order, sweep.seed)
+        elif shares is None and sweep.sampler == "latin_hypercube":
+            shares = qmc.LatinHypercube(dimensions, rng=rng).random(sweep.samples)
+        elif shares is None and sweep.sampler == "sobol":
+            # A power of two keeps the sequence balanced; its first points are the sample, and only they are kept.
+            exponent = max(sweep.samples - 1, 0).bit_length()
+            shares = qmc.Sobol(dimensions, rng=rng).random_base2(exponent)[: sweep.samples].copy()
+        self._shares = shares
         self._read = [[axis.name for axis in sweep.read_axes(structure)] for structure in sweep.structures]
         self._unread = [
             {name for name in (*sweep.varied, *(draw.name for draw in sweep.draws)) if unread(structure.setup, name)}
@@ -165,15 +173,3 @@ def sample(sweep: Sweep) -> Rows:
     """All rows of a sweep at once; see `Sample`."""
     rows = Sample(sweep)
     return rows.take(np.arange(len(rows)))
-
-
-def _low_discrepancy(sweep: Sweep) -> np.ndarray:
-    """Points of a sampler in the unit cube, (variants, axes)."""
-    dimensions, rng = len(sweep.axes), np.random.default_rng(sweep.seed)
-    if sweep.sampler == "saltelli":
-        return saltelli_points(dimensions, sweep.samples, sweep.second_order, sweep.seed)
-    if sweep.sampler == "latin_hypercube":
-        return qmc.LatinHypercube(dimensions, rng=rng).random(sweep.samples)
-    # A power of two keeps the sequence balanced; its first points are the sample, and only they are kept.
-    exponent = max(sweep.samples - 1, 0).bit_length()
-    return qmc.Sobol(dimensions, rng=rng).random_base2(exponent)[: sweep.samples].copy()

@@ -107,8 +107,11 @@ def sensitivity(source: Source, metric: str = LEADING) -> Sensitivity:
         )
     method, columns, noises = "sobol" if sampler == "saltelli" else "rbd_fast", Columns(), list[float]()
     lines: list[dict[str, Any]] = []
-    for labels, rows in _structures(results):
-        data = _Data.of(results, metric, rows)
+    structures = {name: results.column(name) for name in labelled(results)}
+    keys = list(zip(*structures.values(), strict=True)) if structures else [()] * results.rows
+    for key in dict.fromkeys(keys):
+        labels = dict(zip(structures, key, strict=True))
+        data = _Data.of(results, metric, np.flatnonzero([each == key for each in keys]))
         found = _sobol(data, pairs) if method == "sobol" else _given(data)
         lines += [labels | line for line in found]
         notes += data.notes
@@ -116,24 +119,25 @@ def sensitivity(source: Source, metric: str = LEADING) -> Sensitivity:
     if method == "rbd_fast":
         notes.append("Interactions are not known from this sample: sample: {saltelli: N} gives total indices, too.")
     if columns_of(results, "randomized") and columns_of(results, "varied"):
-        notes.append(_about_noise(float(np.mean(noises)), method))
+        noise, about_noise = float(np.mean(noises)), "; one repeat does not tell how much it is: give repeats"
+        if math.isfinite(noise):
+            rest = "a total index of a parameter without effect is about as large"
+            rest = rest if method == "sobol" else "which no parameter explains"
+            about_noise = f", {noise:.1%} of the variance: {rest}".replace("%", " %")
+        notes.append(f"What is randomized counts as noise{about_noise}.")
     for name in labelled(results):
         columns.add(name, np.array([line[name] for line in lines]), "varied", "1", name, scale="structure")
-    columns.add("parameter", np.array([line["parameter"] for line in lines]), "index", "1", "varied parameter")
-    columns.add("second", np.array([line["second"] for line in lines]), "index", "1", "the other parameter of a pair")
-    columns.add(
-        "order",
-        np.array([line["order"] for line in lines]),
-        "index",
-        "1",
-        "first: alone; second: of a pair, beyond each alone; total: with all others",
-    )
-    for name, text in {
-        "index": "share of the metric's variance",
-        "low": "lower end of its 95 % interval",
-        "high": "upper end of it",
-    }.items():
-        columns.add(name, np.array([line[name] for line in lines], float), "metric", "1", text)
+    for name, role, text in (
+        ("parameter", "index", "varied parameter"),
+        ("second", "index", "the other parameter of a pair"),
+        ("order", "index", "first: alone; second: of a pair, beyond each alone; total: with all others"),
+        ("index", "metric", "share of the metric's variance"),
+        ("low", "metric", "lower end of its 95 % interval"),
+        ("high", "metric", "upper end of it"),
+    ):
+        columns.add(
+            name, np.array([line[name] for line in lines], float if role == "metric" else None), role, "1", text
+        )
     table = columns.table(
         {
             "sensitivity": metric,
@@ -192,14 +196,6 @@ class _Data:
         noise = float(min(within / whole, 1.0)) if whole > 0 else math.nan
         kept = [name for name, there in zip(names, read, strict=True) if there]
         return cls(kept, inputs[:, read], means, noise, notes)
-
-
-def _structures(results: Results) -> Iterator[tuple[dict[str, str], np.ndarray]]:
-    """The rows of each combination of the varied structures."""
-    columns = {name: results.column(name) for name in labelled(results)}
-    keys = list(zip(*columns.values(), strict=True)) if columns else [()] * results.rows
-    for key in dict.fromkeys(keys):
-        yield dict(zip(columns, key, strict=True)), np.flatnonzero([each == key for each in keys])
 
 
 def _sobol(data: _Data, pairs: bool) -> Iterator[dict[str, Any]]:
@@ -262,18 +258,6 @@ def _line(parameter: str, order: str, index: float, half: float, second: str = "
     }
 
 
-def _about_noise(noise: float, method: str) -> str:
-    """The effect of the randomized parameters on the indices."""
-    rest = (
-        "a total index of a parameter without effect is about as large"
-        if method == "sobol"
-        else ("which no parameter explains")
-    )
-    if math.isnan(noise):
-        return "What is randomized counts as noise; one repeat does not tell how much it is: give repeats."
-    return f"What is randomized counts as noise, {noise:.1%} of the variance: {rest}.".replace("%", " %")
-
-
 def strongest(table: pa.Table) -> list[str]:
     """The parameters of a table of indices, that with the largest index first, by their totals if these are known."""
     lines: Sequence[Mapping[str, Any]] = table.to_pylist()
@@ -326,7 +310,10 @@ def figures_of(table: pa.Table) -> Iterator[tuple[str, Figure]]:
         title = ", ".join(f"{name} {value}" for name, value in zip(structures, part, strict=True))
         _bars(next(places), own, names, title)
         if pairs:
-            _pairs(next(places), own, title)
+            both = sorted((line for line in own if line["order"] == "second"), key=lambda line: -line["index"])
+            ax, both = next(places), both[:_MOST_PAIRS]
+            _draw(ax, np.arange(len(both), dtype=float), both, 0.6)
+            _finish(ax, [f"{line['parameter']}\n{line['second']}" for line in both], title)
     for ax in places:
         ax.remove()
     orders = dict.fromkeys(line["order"] for line in lines)
@@ -344,12 +331,6 @@ def _bars(ax: Axes, lines: Sequence[Line], names: Sequence[str], title: str) -> 
         there = [(place, own[name]) for place, name in enumerate(names) if name in own]
         _draw(ax, np.array([place + shift for place, _ in there]), [line for _, line in there], 0.38 if shift else 0.6)
     _finish(ax, names, title)
-
-
-def _pairs(ax: Axes, lines: Sequence[Line], title: str) -> None:
-    pairs = sorted((line for line in lines if line["order"] == "second"), key=lambda line: -line["index"])[:_MOST_PAIRS]
-    _draw(ax, np.arange(len(pairs), dtype=float), pairs, 0.6)
-    _finish(ax, [f"{line['parameter']}\n{line['second']}" for line in pairs], title)
 
 
 def _draw(ax: Axes, places: np.ndarray, lines: Sequence[Line], height: float) -> None:

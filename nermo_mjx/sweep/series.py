@@ -170,7 +170,7 @@ def record_rows(
     keep: Keep,
     used: Any = None,
     check: Callable[[], None] = lambda: None,
-    warn: Callable[[str], None] | None = None,
+    warn: Callable[[str], None] = lambda _: None,
 ) -> list[Path]:
     """Record the rows to keep that are not recorded yet; returns the files of all of them, in the order of the rows.
 
@@ -186,7 +186,7 @@ def record_rows(
     Raises:
         DirectoryError: a file cannot be written.
     """
-    say, files = warn or (lambda _: None), []
+    files = []
 
     @functools.lru_cache
     def simulator(setup: Setup, engine: str) -> Simulator:
@@ -195,7 +195,7 @@ def record_rows(
         try:
             return Simulator(setup, engine)
         except ParameterError:
-            say(f"the engine {engine} cannot run here: rows that are kept are replayed on the engine c.")
+            warn(f"the engine {engine} cannot run here: rows that are kept are replayed on the engine c.")
             return Simulator(setup, "c")
 
     for row, why in sorted(kept_rows(results, keep).items()):
@@ -210,11 +210,11 @@ def record_rows(
         walker = simulator(found.walk.setup, engine_for(found))
         replay = replay_row(found, progress=lambda _: check(), simulator=walker)
         if not len(replay.history.time):
-            say(f"row {row} diverged in its first tick: there is nothing to record.")
+            warn(f"row {row} diverged in its first tick: there is nothing to record.")
             continue
         report = report_of(found, replay)
         if replay.comparison is not None and not replay.comparison.equal:
-            say(f"row {row} as it is recorded: {report['compared']}")
+            warn(f"row {row} as it is recorded: {report['compared']}")
         about = {**report, "kept": why, "sweep": digest}
         content = dataclasses.replace(replay.recording(), metadata=plain(about)).content()
         held.move_aside(path.relative_to(held.out))

@@ -211,11 +211,10 @@ def chunk_rows_here(engine: str, rows: int, parts: int = 1) -> int:
     """`chunk_rows` for this machine's devices and cores."""
     cores = cpu_count()
     engine = resolve_engine(engine)
-    memory, devices = (None, 1) if engine == "c" else (_device_memory(), choose_devices().count)
+    memory, devices = None, 1
+    if engine != "c":
+        known = [(device.memory_stats() or {}).get("bytes_limit") for device in jax.local_devices()]
+        # Of the smallest device; not reported by a CPU.
+        memory = None if None in known else min(int(each) for each in known if each is not None)
+        devices = choose_devices().count
     return chunk_rows(engine, rows, memory=memory, devices=devices, cores=cores, parts=parts)
-
-
-def _device_memory() -> int | None:
-    """Memory of the smallest local device [bytes]; None if it is not reported, as on a CPU."""
-    known = [(device.memory_stats() or {}).get("bytes_limit") for device in jax.local_devices()]
-    return None if None in known else min(int(each) for each in known if each is not None)

@@ -23,15 +23,15 @@ from nermo_mjx.specs.controllers import code_identity, known_names
 from nermo_mjx.specs.described import Described, digest_of
 from nermo_mjx.specs.fields import Fields, OneOf, Refused, optional, read
 from nermo_mjx.specs.reading import Document, describe, read_file, read_mapping
-from nermo_mjx.specs.values import Choice, Positive, Whole, by_parameter, refuse_parameter
+from nermo_mjx.specs.values import Choice, Positive, Whole, refuse_parameter
 from nermo_mjx.specs.walk import WalkFields, WalkSpec, check_sources, check_workspace, unread, written_out
 from nermo_mjx.sweep.axes import Axis, Draw, DrawForm, Saltelli, read_axis, read_draw, saltelli_size
 from nermo_mjx.sweep.structures import (
     RowList,
     RowsForm,
-    RowTable,
     Structure,
     Vary,
+    also_parameters,
     check_repeats,
     combinations_of,
     listed_rows,
@@ -47,47 +47,34 @@ from nermo_mjx.sweep.structures import (
 Value = float | str
 
 
+def _listed(given: Any) -> Any:
+    return [given] if isinstance(given, str) else given
+
+
 def _names(given: Any) -> Any:
-    if isinstance(given, str):
-        return [given]
-    if not isinstance(given, list) or not all(isinstance(name, str) for name in given):
+    if not isinstance(given := _listed(given), list) or not all(isinstance(name, str) for name in given):
         raise Refused(f"is {describe(given)}: expected a list of varied parameters.")
     return given
 
 
-class CompareFields(Fields):
-    """The section `compare` of a sweep file."""
+class AskedComparison(Fields):
+    """The section `compare` of a sweep file: what is compared when the sweep is complete; see `nermo_mjx.compare`."""
 
     what: ClassVar = "a field of a comparison"
     example: ClassVar = "by: NAME, of a varied column"
     by: str = Field(description="the varied column whose values are compared")
-    base: float | str = optional("the baseline value; by default none, or the first")
+    base: Value = optional("the baseline value; by default none, or the first")
     groups: Annotated[list[str], BeforeValidator(_names)] = Field(
         [], alias="for", description="varied columns: an interval for each combination of their values"
     )
 
-
-@dataclasses.dataclass(frozen=True)
-class AskedComparison:
-    """A comparison that a sweep makes when it is complete; see `nermo_mjx.compare`.
-
-    Attributes:
-        by: the varied column whose values are compared.
-        base: the baseline value; None for `none`, or the first.
-        groups: the columns that make groups.
-    """
-
-    by: str
-    base: Value | None
-    groups: tuple[str, ...]
-
     def written(self) -> dict[str, Any]:
         """As written in a sweep file."""
-        return {"by": self.by} | ({} if self.base is None else {"base": self.base}) | {"for": list(self.groups)}
+        return self.model_dump(by_alias=True, exclude_none=True)
 
 
 def read_comparison(
-    doc: Document, fields: CompareFields | None, varied: Mapping[str, Sequence[Value] | None]
+    doc: Document, fields: AskedComparison | None, varied: Mapping[str, Sequence[Value] | None]
 ) -> AskedComparison | None:
     """Check the section `compare`.
 
@@ -121,7 +108,7 @@ def read_comparison(
             f"is {describe(fields.base)}, no value of {fields.by}; allowed are "
             f"{', '.join(listed)}{did_you_mean(str(fields.base), listed)}",
         )
-    return AskedComparison(fields.by, fields.base, tuple(dict.fromkeys(fields.groups)))
+    return fields.model_copy(update={"groups": list(dict.fromkeys(fields.groups))})
 
 
 # ---
@@ -172,21 +159,6 @@ def cost(side: str, values: np.ndarray) -> np.ndarray:
 MOST_KEPT: Final = 10_000
 
 
-@dataclasses.dataclass(frozen=True)
-class Keep:
-    """Which rows are recorded when the table is complete: the number of each kind, the best by a metric."""
-
-    best: int = 0
-    metric: str = "speed"
-    fell: int = 0
-    diverged: int = 0
-    unsolved: int = 0
-
-
-def _listed(given: Any) -> Any:
-    return [given] if isinstance(given, str) else given
-
-
 class SaveFields(Fields):
     """What is kept of each run over time."""
 
@@ -203,13 +175,13 @@ class SaveFields(Fields):
     )
 
 
-class KeepFields(Fields):
-    """Rows that are recorded when the table is complete."""
+class Keep(Fields):
+    """Which rows are recorded when the table is complete: the number of each kind, the best by a metric."""
 
     what: ClassVar = "a field of what is kept"
     expected: ClassVar = "{best: 3, fell: 3, diverged: 3}"
     best: Annotated[int, Whole(0, MOST_KEPT)] = Field(0, description="number of the best, at most one per variant")
-    metric: str = Field(Keep.metric, description="by which the best are chosen: one that has a better direction")
+    metric: str = Field("speed", description="by which the best are chosen: one that has a better direction")
     fell: Annotated[int, Whole(0, MOST_KEPT)] = Field(0, description="number that fell, the first in the table")
     diverged: Annotated[int, Whole(0, MOST_KEPT)] = Field(0, description="number that diverged")
     unsolved: Annotated[int, Whole(0, MOST_KEPT)] = Field(0, description="number for which the solver did not converge")
@@ -260,17 +232,11 @@ class Sampler(OneOf):
     saltelli: Saltelli = optional("the design for Sobol indices, with this number of points, a power of two")
 
 
-def _list_parameters(schema: dict[str, Any]) -> None:
-    """Tell an editor the names of what is randomized, beside the fields."""
-    listed = by_parameter(schema.pop("additionalProperties"))
-    schema |= {**listed, "properties": schema["properties"] | listed["properties"]}
-
-
 class Randomized(Fields):
     """Repeats, where bodies are drawn from, and the randomized parameters by name."""
 
     __pydantic_extra__: dict[str, DrawForm]
-    model_config = ConfigDict(extra="allow", json_schema_extra=_list_parameters)
+    model_config = ConfigDict(extra="allow", json_schema_extra=also_parameters)
     repeats: Annotated[int, Whole(1, 100_000)] = Field(1, description="how often each variant is drawn and run")
     bodies: Annotated[str, Choice(("identified",))] = optional("draw whole bodies", alias="from")
 
@@ -291,9 +257,9 @@ class SweepFile(WalkFields):
     seed: Annotated[int, Whole(0, 2**53)] = Field(0, description="makes samples and draws repeatable")
     chunk: Annotated[int, Whole(1, LARGEST_SWEEP)] = optional("runs simulated and stored together")
     plots: bool = Field(True, description="whether figures are drawn when the table is complete")
-    compare: CompareFields = optional("structures or values to compare when the table is complete")
+    compare: AskedComparison = optional("structures or values to compare when the table is complete")
     save: SaveFields = optional("time series of some sensors beside the table")
-    keep: KeepFields = optional("rows that are recorded when the table is complete")
+    keep: Keep = optional("rows that are recorded when the table is complete")
 
 
 # ---
@@ -338,11 +304,11 @@ def check_together(doc: Document, sweep: Sweep) -> None:
     if not sweep.axes and sweep.sampler not in ("grid", "rows"):
         doc.fail(("sample",), f"is {sweep.sampler}, but 'vary' names no parameter to sample.")
     check_keep(doc, sweep.keep, sweep.metrics)
-    rows = sweep.variants * sweep.repeats
-    if rows > LARGEST_SWEEP:
+    runs = sweep.variants * sweep.repeats
+    if runs > LARGEST_SWEEP:
         doc.fail(
             (section,),
-            f"makes {rows:,} runs; allowed are {LARGEST_SWEEP:,}: take fewer values, or a sampler "
+            f"makes {runs:,} runs; allowed are {LARGEST_SWEEP:,}: take fewer values, or a sampler "
             "such as sample: {sobol: 4096}.",
         )
     tried: dict[str, Mapping[str, np.ndarray]] = {"randomize": {draw.name: draw.tried() for draw in sweep.draws}}
@@ -350,20 +316,13 @@ def check_together(doc: Document, sweep: Sweep) -> None:
         tried["vary"] = {axis.name: axis.tried(grid=sweep.sampler == "grid") for axis in sweep.axes}
     for setup in {(each.gait, each.routing): each for each in setups}.values():
         check_workspace(doc, setup, sweep.fixed, tried)
-    if sweep.rows is not None:
-        _check_rows(doc, sweep, sweep.rows)
-
-
-def _check_rows(doc: Document, sweep: Sweep, rows: RowList) -> None:
-    """Fail where the values of a row do not go together."""
+    if (rows := sweep.rows) is None:
+        return
     for at, walk in enumerate(sweep.structures):
-        values = {
-            name: column[rows.structure == at]
-            for name, column in rows.values.items()
-            if unread(walk.setup, name) is None
-        }
+        given = {name: column[rows.structure == at] for name, column in rows.values.items()}
+        given = {name: column for name, column in given.items() if unread(walk.setup, name) is None}
         try:
-            walk.setup.check(walk.setup.world(walk.constants | values))
+            walk.setup.check(walk.setup.world(walk.constants | given))
         except ParameterError as error:
             doc.fail(("rows",), f"has values that do not go together: {error}")
 
@@ -502,7 +461,7 @@ class Sweep(WalkSpec, Described):
         if self.save is not None:
             data["save"] = {"sensors": list(self.save.sensors), "rate": float(self.save.rate)}
         if self.keep is not None:
-            data["keep"] = dataclasses.asdict(self.keep)
+            data["keep"] = self.keep.model_dump()
         return data
 
     def kept_rows(self) -> tuple[str, bytes]:
@@ -512,13 +471,12 @@ class Sweep(WalkSpec, Described):
 
     def decisive(self) -> dict[str, Any]:
         """The fields that decide the rows; a controller counts by what it is, and not by where it is."""
-        first = self.rows.fingerprint if self.rows is not None else None
-        data = {
-            key: value
-            for key, value in (self if first is None else _few(self)).resolved().items()
-            if key not in _NOT_DECISIVE
-        }
-        return data | code_identity(self.setup) | ({} if first is None else {"rows": first})
+        few, listed = self, dict[str, str]()
+        if self.rows is not None:  # which may be many
+            none = RowList({name: column[:0] for name, column in self.rows.values.items()}, self.rows.structure[:0])
+            few, listed = dataclasses.replace(self, rows=none), {"rows": self.rows.fingerprint}
+        data = {key: value for key, value in few.resolved().items() if key not in _NOT_DECISIVE}
+        return data | code_identity(self.setup) | listed
 
     def digest(self) -> str:
         """A hash of all that decides the rows of the table: the sweep, defaults of what it does not name, and bodies.
@@ -533,18 +491,14 @@ class Sweep(WalkSpec, Described):
         return digest_of(self.decisive(), defaults, *bodies, *filter(None, implied))
 
 
-def _few(sweep: Sweep) -> Sweep:
-    """The sweep without its rows, which may be many."""
-    assert sweep.rows is not None
-    none = RowList({name: column[:0] for name, column in sweep.rows.values.items()}, sweep.rows.structure[:0])
-    return dataclasses.replace(sweep, rows=none)
-
-
 def _read(doc: Document) -> Sweep:
     with known_names(doc):
         doc = written_out(doc)
         file = read(doc, SweepFile)
-        table = _row_table(doc, file)
+        for other in ("vary", "sample") if file.rows is not None else ():
+            if doc.data.get(other) not in (None, {}):
+                doc.fail((other,), "is given beside 'rows', which are all variants: leave out one of them.")
+        table = None if file.rows is None else read_row_table(doc, file.rows)
         chosen, which = table.combinations() if table is not None else (combinations_of(doc, file.vary), None)
         found = read_structures(doc, SweepFile, chosen)
     if table is None:
@@ -580,21 +534,11 @@ def _read(doc: Document) -> Sweep:
         chunk=file.chunk,
         plots=file.plots,
         save=read_saving(doc, file.save, first.setup),
-        keep=None if file.keep is None else Keep(**file.keep.model_dump()),
+        keep=file.keep,
     )
     check_together(doc, sweep)
     sweep = dataclasses.replace(sweep, comparison=read_comparison(doc, file.compare, values_of(sweep)))
     return sweep if sweep.repeats == 1 else dataclasses.replace(sweep, draws=(*sweep.draws, *start_draws(sweep)))
-
-
-def _row_table(doc: Document, file: SweepFile) -> RowTable | None:
-    """The table of `rows`, if that is given."""
-    if file.rows is None:
-        return None
-    for other in ("vary", "sample"):
-        if doc.data.get(other) not in (None, {}):
-            doc.fail((other,), "is given beside 'rows', which are all variants: leave out one of them.")
-    return read_row_table(doc, file.rows)
 
 
 def start_draws(sweep: Sweep) -> tuple[Draw, ...]:

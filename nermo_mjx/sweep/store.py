@@ -54,8 +54,12 @@ def fixed_differences(there: Sweep, here: Sweep) -> str:
     free |= {f"randomize.{name}" for name in START_SPREAD}  # come with repeats
     if "physics" in free:
         free.add("timestep")
-    names = _apart(there, here)
-    return _sentence(there, here, [name for name in names if not _of_rows(name, free)])
+    fixed = []
+    for name in _apart(there, here):
+        structure = name.split(".")[0] in free & set(STRUCTURES)
+        if name not in free and not structure and not any(f"{name}.".startswith(f"{field}.") for field in _ROWS):
+            fixed.append(name)
+    return _sentence(there, here, fixed)
 
 
 def differences(there: Sweep, here: Sweep) -> str:
@@ -77,14 +81,6 @@ def refusal(there: Sweep, here: Sweep) -> str:
             "which can be extended, or repeats"
         )
     return ""
-
-
-def _of_rows(name: str, free: set[str]) -> bool:
-    return (
-        name in free
-        or name.split(".")[0] in free & set(STRUCTURES)
-        or any(name == field or name.startswith(f"{field}.") for field in _ROWS)
-    )
 
 
 def _apart(there: Sweep, here: Sweep) -> list[str]:
@@ -256,28 +252,25 @@ def claim(held: RunDirectory, sweep: Sweep, *, extend: bool = False) -> Sweep:
         elif held.shard is None and begun.comparison != sweep.comparison:  # no row depends on it
             again = dataclasses.replace(begun, comparison=sweep.comparison)
             held.write(path.name, again.to_yaml(folder).encode())
-        record = to_json(dataclasses.asdict(_record(sweep)))
+        values = dict[str, set[float]]()
+        for walk in sweep.structures:
+            own = walk.setup.defaults() | walk.constants
+            for name in sweep.parameters:
+                values.setdefault(name, set()).update([own[name]] if unread(walk.setup, name) is None else [])
+        asked: Any = None if sweep.comparison is None else sweep.comparison.written()
+        read = SweepRecord(
+            rows=sweep.variants * sweep.repeats,
+            fields=sweep.walk_fields() | code_identity(sweep.setup),
+            labelled=sweep.labelled,
+            parameters={name: each.pop() if len(each) == 1 else None for name, each in values.items()},
+            comparison=asked,
+        )
+        record = to_json(dataclasses.asdict(read))
         if held.shard is not None:
             create_file(out / RECORD, record)
         elif content_of(out / RECORD) != record:
             held.write(RECORD, record)
     return sweep
-
-
-def _record(sweep: Sweep) -> SweepRecord:
-    """What readers need to know of a sweep."""
-    values = dict[str, set[float]]()
-    for walk in sweep.structures:
-        own = walk.setup.defaults() | walk.constants
-        for name in sweep.parameters:
-            values.setdefault(name, set()).update([own[name]] if unread(walk.setup, name) is None else [])
-    return SweepRecord(
-        rows=sweep.variants * sweep.repeats,
-        fields=sweep.walk_fields() | code_identity(sweep.setup),
-        labelled=sweep.labelled,
-        parameters={name: each.pop() if len(each) == 1 else None for name, each in values.items()},
-        comparison=None if sweep.comparison is None else sweep.comparison.written(),  # type: ignore[arg-type]
-    )
 
 
 def _with_files(held: RunDirectory, sweep: Sweep) -> Sweep:

@@ -108,8 +108,8 @@ class Listed(Checked):
         return {"anyOf": [listed, mapping]}
 
 
-def _also_parameters(schema: dict[str, Any]) -> None:
-    """Tell an editor the names of the parameters, beside the structures."""
+def also_parameters(schema: dict[str, Any]) -> None:
+    """Tell an editor the names of the parameters, beside the declared fields."""
     listed = by_parameter(schema.pop("additionalProperties"))
     schema |= {**listed, "properties": schema["properties"] | listed["properties"]}
 
@@ -122,7 +122,7 @@ class Vary(Fields):
     """What is varied: structures, and parameters by name."""
 
     __pydantic_extra__: dict[str, AxisForm]
-    model_config = ConfigDict(extra="allow", json_schema_extra=_also_parameters)
+    model_config = ConfigDict(extra="allow", json_schema_extra=also_parameters)
     expected: ClassVar = "a mapping of structures and parameters to their values"
     gait: Annotated[Any, Listed("gait")] = _varied("gait")
     spine: Annotated[Any, Listed("spine")] = _varied("spine")
@@ -213,7 +213,9 @@ def read_structures(
             )
     found = []
     for chosen in combinations:
-        single = _alone(doc, chosen)
+        data = {key: value for key, value in doc.data.items() if not chosen or key not in ("vary", "rows", "sample")}
+        data |= {name: choice.value for name, choice in chosen.items()}
+        single = _Alone(doc.source, data, doc.lines, chosen)
         walk = read_walk(single, read(single, model))
         fields = WalkSpec(**walk).walk_fields() if chosen else {}
         found.append(Structure(**walk, labels={name: label_of(fields[name]) for name in chosen}))
@@ -253,21 +255,8 @@ def value_of(text: str) -> Any:
     return read_text(text, "rows").data if text.startswith("{") else text
 
 
-def _alone(doc: Document, chosen: Mapping[str, Choice]) -> Document:
-    """The file with one combination in the place of what varies."""
-    if not chosen:
-        return doc
-    data = {key: value for key, value in doc.data.items() if key not in ("vary", "rows", "sample")}
-    data |= {name: choice.value for name, choice in chosen.items()}
-    return _Alone(doc.source, data, doc.lines, chosen)
-
-
 # ---
 # Rows that are given one by one, in the sweep's file or in a table: exactly these variants, instead of a grid.
-
-
-# ---
-# Tables of rows that a sweep's file names or holds, as they were given: columns, and where each row stands.
 
 
 #: Columns of a result table that are no parameters, beside its metrics.
@@ -343,25 +332,22 @@ def read_row_table(doc: Document, given: Any) -> RowTable:
             raise SpecError(f"{doc.where(('rows',))}: field 'rows' is {given!r}: there is no such file.")
         table = _read_csv(path) if path.suffix == ".csv" else _read_parquet(path)
     for name in table.columns:
-        if name not in STRUCTURES:
-            _check_name(table, name)
+        if name in STRUCTURES:
+            continue
+        try:
+            refuse_parameter(name, more=STRUCTURES)
+        except Refused as refused:
+            message = str(refused)
+            if name in METRICS or name in _RESULTS:
+                message = (
+                    "is a column of results, and the file does not say which columns are parameters (a table that "
+                    "pandas or polars wrote has lost it): keep only the parameters' columns, or filter "
+                    "nermo_mjx.read_table(DIR), which knows them."
+                )
+            table.fail(-1, name, message)
     if not table.rows:
         raise SpecError(f"{doc.where(('rows',))}: field 'rows' holds no rows: give at least one.")
     return table
-
-
-def _check_name(table: RowTable, name: str) -> None:
-    try:
-        refuse_parameter(name, more=STRUCTURES)
-    except Refused as refused:
-        message = str(refused)
-        if name in METRICS or name in _RESULTS:
-            message = (
-                "is a column of results, and the file does not say which columns are parameters (a table that "
-                "pandas or polars wrote has lost it): keep only the parameters' columns, or filter "
-                "nermo_mjx.read_table(DIR), which knows them."
-            )
-        table.fail(-1, name, message)
 
 
 #: Bytes of a file of rows as text.

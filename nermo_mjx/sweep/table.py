@@ -58,7 +58,10 @@ class Columns:
         **more: str | None,
     ) -> None:
         """Add a column of (n,) values; with `nulls` a NaN is one."""
-        self._arrays[name] = pa.array(_plain(values), from_pandas=nulls)
+        values = np.asarray(values)
+        if values.dtype.kind in "fiu":
+            values = values.astype(np.float64 if values.dtype.kind == "f" else np.int64)
+        self._arrays[name] = pa.array(values.tolist() if values.dtype.kind in "OU" else values, from_pandas=nulls)
         metadata = {"unit": unit, "description": description, "role": role}
         metadata |= {key: text for key, text in more.items() if text}
         self._fields.append(pa.field(name, self._arrays[name].type, metadata=metadata))
@@ -137,16 +140,6 @@ def meta(field: pa.Field) -> dict[str, str]:
     return {key.decode(): value.decode() for key, value in (field.metadata or {}).items()}
 
 
-def _plain(values: np.ndarray) -> Any:
-    """Floats as float64, whole numbers as int64, the rest (truth values, texts) as it is."""
-    values = np.asarray(values)
-    if np.issubdtype(values.dtype, np.floating):
-        return values.astype(np.float64)
-    if np.issubdtype(values.dtype, np.integer):
-        return values.astype(np.int64)
-    return values.tolist() if values.dtype.kind in "OU" else values
-
-
 # ---
 # summary.json: what a sweep's table says in numbers. SI units and radians, as in the table.
 
@@ -166,12 +159,14 @@ def summarize(table: pa.Table | Results) -> dict[str, Any]:
     speed, correlations = next(columns)[1][well], {}
     for name, values in columns:
         if name not in named:
-            correlations[name] = _correlation(values[well], speed)
+            correlations[name] = rank_correlation(values[well], speed)
         if name in varied:
             variants.values[name] = values[well][variants.first]
     spreads, best, sides = {}, {}, sides_in(results.schema)
     for name, values in results.columns([name for name in metrics if name not in ("fell", "diverged")]):
-        spreads[name] = _spread(values[well])
+        good = values[well & np.isfinite(values)]
+        words = ("mean", "std", "min", "max") if len(good) else ()
+        spreads[name] = {word: float(getattr(good, word)()) for word in words}
         if name in sides:
             best[name] = _best(variants, values[well], sides[name])
     mean, _ = variants.means(speed)
@@ -237,11 +232,6 @@ class Variants:
         return mean, np.sqrt(squares / np.maximum(self.count - 1, 1))
 
 
-def _spread(values: np.ndarray) -> dict[str, float]:
-    values = values[np.isfinite(values)]
-    return {word: float(getattr(values, word)()) for word in ("mean", "std", "min", "max")} if len(values) else {}
-
-
 def _best(variants: Variants, values: np.ndarray, side: str) -> dict[str, Any] | None:
     """The variant with the best mean over its repeats of a metric (runs,) with a better direction."""
     mean, std = variants.means(values)
@@ -271,8 +261,8 @@ def _marginal(parameter: np.ndarray, speed: np.ndarray) -> list[dict[str, Any]]:
     return [{"value": value if isinstance(value, str) else float(value), LEADING: each} for value, each in mean]
 
 
-def _correlation(parameter: np.ndarray, speed: np.ndarray) -> float:
-    """Spearman's rank correlation of two columns (runs,), where the first has a number."""
+def rank_correlation(parameter: np.ndarray, speed: np.ndarray) -> float:
+    """Spearman's rank correlation of two columns (n,), where the first has a number; NaN if one of them is constant."""
     parameter, speed = parameter[~np.isnan(parameter)], speed[~np.isnan(parameter)]
     constant = len(speed) < 3 or np.ptp(parameter) == 0 or np.ptp(speed) == 0
     return math.nan if constant else float(stats.spearmanr(parameter, speed).statistic)
@@ -344,7 +334,9 @@ def write_report(
     if out.suffix in TABLES:
         with clear_errors(out.parent):
             out.parent.mkdir(parents=True, exist_ok=True)
-            replace_file(out, parquet_bytes(table) if out.suffix == ".parquet" else _csv(table))
+            stream = io.BytesIO()
+            csv.write_csv(table, stream)
+            replace_file(out, parquet_bytes(table) if out.suffix == ".parquet" else stream.getvalue())
         return [out], ""
     if out.is_file() or (out.suffix and not out.is_dir()):
         raise ParameterError(f"out is {str(out)!r}: allowed is a directory, FILE.parquet or FILE.csv.")
@@ -379,9 +371,3 @@ def status(out: Path) -> Status:
 
 #: Which command makes a kind of report.
 _COMMANDS: Final = {"comparison": "compare", "sensitivity": "sensitivity"}
-
-
-def _csv(table: pa.Table) -> bytes:
-    stream = io.BytesIO()
-    csv.write_csv(table, stream)
-    return stream.getvalue()

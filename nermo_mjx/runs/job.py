@@ -1,0 +1,138 @@
+"""What all jobs have in common: how far they are, who is told, and their end by Ctrl-C or SIGTERM."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import signal
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from types import FrameType
+from typing import Final
+
+from nermo_mjx.runs.workers import WorkersLost
+
+
+@dataclasses.dataclass(frozen=True)
+class Progress:
+    """How far a job is.
+
+    Attributes:
+        fraction: share of the work that is done, 0 to 1; what an earlier session has done counts.
+        done, total: runs of a sweep, walks of a landscape, evaluations of a search or a tuning, which has one more of
+            them than steps; None where nothing is counted, or there is no total.
+        resumed: of these, how many an earlier session had done, or another directory has.
+        what: the part that is at work, such as "plots", or an experiment; empty: the job itself.
+        best: lowest objective so far; None without one.
+        numbers: what else is known by now: the filled `cells` of an atlas; `objective`, metrics and `simulated_seconds`
+            [s] of a tuning, the first two of the best point of its last iteration.
+    """
+
+    fraction: float
+    done: int | None = None
+    total: int | None = None
+    resumed: int = 0
+    what: str = ""
+    best: float | None = None
+    numbers: Mapping[str, float] = dataclasses.field(default_factory=dict)
+
+
+@dataclasses.dataclass(frozen=True)
+class Watch:
+    """Functions that a job calls while it works.
+
+    >>> Watch(warn=print).warn("3 parts are damaged.")
+    3 parts are damaged.
+
+    Attributes:
+        progress: is told from time to time how far the job is.
+        warn: gets a sentence about what is unusual, such as a damaged file that is moved aside.
+        notify: gets a sentence if something takes long, such as compiling.
+    """
+
+    progress: Callable[[Progress], None] = lambda _: None
+    warn: Callable[[str], None] = lambda _: None
+    notify: Callable[[str], None] = lambda _: None
+
+
+#: Nobody watches.
+SILENT: Final = Watch()
+
+
+class JobFailed(RuntimeError):
+    """A job that cannot go on; the message is one sentence that says why, and how to resume."""
+
+
+class Interrupted(KeyboardInterrupt):
+    """Ctrl-C or SIGTERM; the message says how to resume."""
+
+
+class Interruption:
+    """Raises `KeyboardInterrupt` on Ctrl-C or SIGTERM, but not inside of `shielded`: there at its end."""
+
+    def __init__(self) -> None:
+        self._shielded = self._pending = False
+
+    @contextlib.contextmanager
+    def shielded(self) -> Iterator[None]:
+        """The enclosed block is finished before an interruption is raised."""
+        self._shielded = True
+        try:
+            yield
+        finally:
+            self._shielded = False
+        if self._pending:
+            raise KeyboardInterrupt
+
+    def check(self) -> None:
+        """Raise an interruption that was lost where nothing can be raised, as in a destructor; call it often."""
+        if self._pending and not self._shielded:
+            raise KeyboardInterrupt
+
+    def watched(self, watch: Watch) -> Watch:
+        """The same, with a check whenever progress is told."""
+
+        def progress(done: Progress) -> None:
+            self.check()
+            watch.progress(done)
+
+        return dataclasses.replace(watch, progress=progress)
+
+    def _noted(self, number: int, frame: FrameType | None) -> None:
+        self._pending = True
+        if not self._shielded:
+            raise KeyboardInterrupt
+
+
+@contextlib.contextmanager
+def interruptible() -> Iterator[Interruption]:
+    """Handles both signals inside of it, in the main thread; elsewhere no signal arrives."""
+    interruption = Interruption()
+    numbers = (signal.SIGINT, signal.SIGTERM) if threading.current_thread() is threading.main_thread() else ()
+    before = {number: signal.signal(number, interruption._noted) for number in numbers}
+    try:
+        yield interruption
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+@contextlib.contextmanager
+def resumable(out: Path, again: str = "") -> Iterator[Interruption]:
+    """`interruptible`, with errors that say how to resume: `Interrupted`, and `JobFailed` if all workers are lost.
+
+    Args:
+        out: the directory.
+        again: a command that resumes it from the files in it, if there is one.
+    """
+    try:
+        with interruptible() as interruption:
+            yield interruption
+    except WorkersLost as lost:
+        raise JobFailed(lost.kept_in(out)) from None
+    except KeyboardInterrupt:
+        how = f", or: nermo-mjx {again} --out {out}" if again else "."
+        raise Interrupted(
+            f"stopped; what is finished is kept in {out}. To resume, run the same command again{how}"
+        ) from None
