@@ -28,11 +28,9 @@ from nermo_mjx.learn.evaluation import POLICY, Draws, Evaluator, summary_of
 from nermo_mjx.learn.experience import RESET, EnvironmentLike, Learned, Scores
 from nermo_mjx.learn.history import Curves
 from nermo_mjx.learn.mixture import Mixture
-from nermo_mjx.learn.plots import figures_of
 from nermo_mjx.learn.policy import Policy, load_policy
 from nermo_mjx.learn.spec import Training
 from nermo_mjx.physics import resolve_engine
-from nermo_mjx.plotting.files import write_figures
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.runs import RunDirectory, session
 from nermo_mjx.runs.files import content_of, parquet_bytes, parquet_table
@@ -221,12 +219,19 @@ def run_training(
         table = None if policy is None else _evaluated(directory, policy, evaluator, evaluating)
         summary = _summary(training, learned, curves, policy, table)
         directory.held.write(SUMMARY, to_json(summary))
-        figures = figures_of(training, curves, table)
-        plots = write_figures(figures, directory.out / "plots") if training.plots else []
+        plots = _plotted(directory.out, training, curves, table) if training.plots else []
         path = None if policy is None else directory.out / POLICY_FILE
         return TrainingResult(
             directory.out, directory.training, path, summary, learned, curves, len(curves) - begun, plots
         )  # fmt: skip
+
+
+def _plotted(out: Path, training: Training, curves: Curves, table: pa.Table | None) -> list[Path]:
+    """The figures, made at the end: Matplotlib takes as long to import as the first control steps take."""
+    from nermo_mjx.learn.plots import figures_of
+    from nermo_mjx.plotting.files import write_figures
+
+    return write_figures(figures_of(training, curves, table), out / "plots")
 
 
 def engine_for(training: Training, engine: str) -> str:
