@@ -133,6 +133,19 @@ class Evaluation(Spec):
     """ranges that differ from those of the training's draws"""
 
 
+@dataclasses.dataclass(frozen=True)
+class Until(Spec):
+    """When a training ends before its steps are over: at the first checkpoint whose walks are good enough."""
+
+    what = "a field of 'until'"
+    expected = "{success: share} or {success: share, speed: m/s}"
+    example = "{success: 0.95}"
+    success: Annotated[float, Field(gt=0, le=1)]
+    """share of the validation's walks that must succeed, on the scene where fewest do"""
+    speed: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.0
+    """speed that a walk must have to count as a success in the validation [m/s]"""
+
+
 class TrainingFile(WalkFields):
     """A file for `nermo-mjx train`."""
 
@@ -161,6 +174,8 @@ class TrainingFile(WalkFields):
     validation: Annotated[int, Whole(0, 100_000)] = 0
     """walks on each scene of the evaluation by which the best of all checkpoints becomes the policy; 0: the last one
     does. The best one succeeds most on the scene where it succeeds least"""
+    until: Until = optional("when the training ends before its steps are over: at the first checkpoint that the "
+                            "validation finds good enough")  # fmt: skip
     evaluate: Evaluation = Field(default_factory=Evaluation)
     """on what the policy is evaluated at the end"""
     plots: bool = True
@@ -193,6 +208,7 @@ class Training(WalkSpec, Described):
     checkpoint: int
     seed: int
     validation: int
+    until: Until | None
     evaluation: Evaluation
     plots: bool
 
@@ -263,6 +279,7 @@ class Training(WalkSpec, Described):
         data["algorithm"] = named(self.algorithm, ALGORITHMS)
         data |= {name: getattr(self, name) for name in ("worlds", "steps", "checkpoint", "seed")}
         data |= {"validation": self.validation} if self.validation else {}
+        data |= {} if self.until is None else {"until": written(self.until)}
         data["evaluate"] = {name: value for name, value in written(self.evaluation).items() if value not in ([], {})}
         return data | {"plots": self.plots}
 
@@ -315,10 +332,12 @@ def _read(doc: Document) -> Training:
         _said(doc, (), lambda: check_alike(loops))
     for scene in file.evaluate.scenes:
         _said(doc, ("evaluate", "scenes"), lambda scene=scene: dataclasses.replace(setup, scene=scene))
-    names = ("algorithm", "worlds", "steps", "checkpoint", "seed", "validation", "plots")
+    names = ("algorithm", "worlds", "steps", "checkpoint", "seed", "validation", "until", "plots")
     same = {name: getattr(file, name) for name in names}
     training = Training(**walk, task=task, scenes=scenes, evaluation=file.evaluate, **same)
     _said(doc, (), training.check_division)
+    if file.until is not None and not file.validation:
+        doc.fail(("until",), "stands without 'validation', the number of walks that decide: add one, such as 60.")
     _check_evaluation(doc, training)
     return training
 
