@@ -165,6 +165,7 @@ def test_another_training_is_refused_and_more_steps_are_not(tmp_path, done):
         ),
         ({"scenes": [{"scene": "ramp"}, {"scene": "rough", "pilot": "open_loop"}]}, "'rough', where a policy observes"),
         ({"scenes": [{"scene": "ramp"}, {"scene": "rough", "corridor": 0.0}]}, "'scenes.1.corridor' is 0"),
+        ({"evaluate": {"physics": "slow"}}, "'evaluate.physics' is the text 'slow': allowed are reference, fast"),
         ({"until": {"success": 0.9}}, "'until' stands without 'validation', the number of walks that decide"),
         ({"validation": 9, "until": {"speed": 0.1}}, "'until' has no 'success': expected {success: 0.95}"),
         ({"validation": 9, "until": {"success": 1.5}}, "'until.success' is 1.5"),
@@ -230,6 +231,15 @@ def test_an_evaluation_draws_from_ranges_of_its_own():
     assert ramp.set["start.yaw"] == 0.0
     assert training.scenes[1].task.randomize["contact.friction"] == (1.2, 1.6)
     assert Training.from_text(training.to_yaml()) == training
+
+
+def test_an_evaluation_has_physics_of_its_own():
+    """The walks of the evaluation and of the validation, not the training's."""
+    training = Training.from_dict({"physics": "fast", "evaluate": {"physics": "reference"}})
+    ((setup, _),) = training.evaluated()
+    assert (training.setup.physics, setup.physics) == ("fast", "reference")
+    assert setup.timestep == Setup().timestep < training.setup.timestep
+    assert Training.from_dict(training.resolved()).evaluated()[0][0] == setup
 
 
 def test_a_walk_beside_its_path_is_no_success(evaluated):

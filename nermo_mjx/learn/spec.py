@@ -17,6 +17,7 @@ from nermo_mjx.learn.mixture import Mixture, check_alike, check_worlds
 from nermo_mjx.learn.ppo import PPO
 from nermo_mjx.learn.short_horizon import ShortHorizon
 from nermo_mjx.learn.task import RANDOMIZED, Task, task_parameters
+from nermo_mjx.robot.parameters import PRESETS
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.robot.terrains import terrain_values
 from nermo_mjx.rollout import Setup
@@ -26,7 +27,7 @@ from nermo_mjx.specs.described import Described, digest_of
 from nermo_mjx.specs.fields import Fields, Refused, optional, read
 from nermo_mjx.specs.model import Spec, named, one_of, plain, written
 from nermo_mjx.specs.reading import Document, FieldPath, SpecError
-from nermo_mjx.specs.values import Ends, Finite, Positive, Whole
+from nermo_mjx.specs.values import Choice, Ends, Finite, Positive, Whole
 from nermo_mjx.specs.walk import Pilot, SceneField, WalkFields, WalkSpec, pilot_options, read_walk, scene_beside
 
 
@@ -131,6 +132,8 @@ class Evaluation(Spec):
     """parameters that are not drawn there, such as terrain.height, on the scenes that have them"""
     randomize: dict[str, Ends] = dataclasses.field(default_factory=dict)
     """ranges that differ from those of the training's draws"""
+    physics: Annotated[str, Choice(tuple(PRESETS))] = None  # type: ignore[assignment]  # none cannot be written
+    """accuracy of its physics, and the validation's; by default that of the training"""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -256,6 +259,8 @@ class Training(WalkSpec, Described):
         known = {str(setup.scene): (setup, task) for setup, task in here}
         pairs = [known.get(scene, (dataclasses.replace(self.setup, scene=scene), self.task))
                  for scene in self.evaluation.scenes] or here  # fmt: skip
+        if self.evaluation.physics is not None:
+            pairs = [(dataclasses.replace(setup, physics=self.evaluation.physics), task) for setup, task in pairs]
         return [(setup, _evaluated(setup, task, self.evaluation)) for setup, task in pairs]
 
     def check_division(self) -> None:
@@ -280,7 +285,9 @@ class Training(WalkSpec, Described):
         data |= {name: getattr(self, name) for name in ("worlds", "steps", "checkpoint", "seed")}
         data |= {"validation": self.validation} if self.validation else {}
         data |= {} if self.until is None else {"until": written(self.until)}
-        data["evaluate"] = {name: value for name, value in written(self.evaluation).items() if value not in ([], {})}
+        data["evaluate"] = {
+            name: value for name, value in written(self.evaluation).items() if value not in ([], {}, None)
+        }
         return data | {"plots": self.plots}
 
     def decisive(self) -> dict[str, Any]:
