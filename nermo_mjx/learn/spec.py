@@ -133,7 +133,7 @@ class Evaluation(Spec):
     randomize: dict[str, Ends] = dataclasses.field(default_factory=dict)
     """ranges that differ from those of the training's draws"""
     physics: Annotated[str, Choice(tuple(PRESETS))] = None  # type: ignore[assignment]  # none cannot be written
-    """accuracy of its physics, and the validation's; by default that of the training"""
+    """physics of its walks and the validation's, with their own time step; by default those of the training"""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -259,8 +259,9 @@ class Training(WalkSpec, Described):
         known = {str(setup.scene): (setup, task) for setup, task in here}
         pairs = [known.get(scene, (dataclasses.replace(self.setup, scene=scene), self.task))
                  for scene in self.evaluation.scenes] or here  # fmt: skip
-        if self.evaluation.physics is not None:
-            pairs = [(dataclasses.replace(setup, physics=self.evaluation.physics), task) for setup, task in pairs]
+        if (physics := self.evaluation.physics) is not None:
+            preset = {"physics": physics, "timestep": PRESETS[physics].timestep}
+            pairs = [(dataclasses.replace(setup, **preset), task) for setup, task in pairs]
         return [(setup, _evaluated(setup, task, self.evaluation)) for setup, task in pairs]
 
     def check_division(self) -> None:
