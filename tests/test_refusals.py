@@ -258,6 +258,10 @@ REFUSED: dict[Callable[[Any], Any], list[tuple[Any, str]]] = {
         ),
         ({"scenes": [{"scene": "planks"}]}, "field 'scenes' has 1: expected two or more"),
         ({"scene": "flat", "scenes": [{"scene": "planks"}]}, "field 'scene' stands beside 'scenes'"),
+        ({"evaluate": {"physics": "slow"}}, "'evaluate.physics' is the text 'slow': allowed are reference, fast"),
+        ({"until": {"success": 0.9}}, "'until' stands without 'validation', the number of walks that decide"),
+        ({"validation": 9, "until": {"speed": 0.1}}, "'until' has no 'success': expected {success: 0.95}"),
+        ({"validation": 9, "until": {"success": 1.5}}, "'until.success' is 1.5"),
         ({"scenes": [{"scene": "planks"}] * 2}, "'scenes.1.scene' is 'planks' for a second time"),
         (
             {"scenes": [TWO[0], {"scene": "slalom", "set": {"terrain.height": 0.01}}]},

@@ -24,10 +24,12 @@ from learn_toy import PointMass
 from nermo_mjx import ParameterError, Run, Setup, Simulator, show
 from nermo_mjx.cli import main
 from nermo_mjx.learn import PPO, Environment, Policy, Residual, Task, Training, load_policy, run_training
-from nermo_mjx.learn.evaluation import Evaluator, summary_of
+from nermo_mjx.learn.directory import Directory
+from nermo_mjx.learn.evaluation import Draws, Evaluator, summary_of
 from nermo_mjx.learn.experience import collector
 from nermo_mjx.learn.mixture import Mixture, divided
-from nermo_mjx.learn.run import Choice
+from nermo_mjx.learn.run import _KEY, Choice, successes
+from nermo_mjx.learn.status import status
 from nermo_mjx.runs import RunDirectory
 from nermo_mjx.runs.files import WrongDirectory
 
@@ -187,6 +189,15 @@ def test_an_evaluation_draws_from_ranges_of_its_own():
     assert Training.from_text(training.to_yaml()) == training
 
 
+def test_an_evaluation_has_physics_of_its_own():
+    """The walks of the evaluation and of the validation, not the training's."""
+    training = Training.from_dict({"physics": "fast", "evaluate": {"physics": "reference"}})
+    ((setup, _),) = training.evaluated()
+    assert (training.setup.physics, setup.physics) == ("fast", "reference")
+    assert setup.timestep == Setup().timestep < training.setup.timestep
+    assert Training.from_dict(training.resolved()).evaluated()[0][0] == setup
+
+
 def test_a_walk_beside_its_path_is_no_success(evaluated):
     """The corridor of a scene counts there and nowhere else; the walks themselves are the same."""
     wide, narrow = evaluated
@@ -218,6 +229,12 @@ def choosing(policy, tmp_path):
             after,
             walked,
         )
+
+
+def _policy_after(robot, learned):
+    """A policy of the robot, after the steps of another environment's training."""
+    about = {"trained": {"steps": int(learned.steps), "training": "0a1b"}}
+    return Policy.of(robot, PPO().begin(robot, 0), about)
 
 
 def chosen(found):
@@ -270,6 +287,48 @@ def test_a_choice_that_was_killed_is_made_again(choosing, tmp_path):
     (tmp_path / "policy.npz").unlink()
     assert chosen(begin(warned).of(after[20])) == 20
     assert "the choice begins anew" in warned[0]
+
+
+def test_a_training_ends_when_its_validation_is_enough(tmp_path, monkeypatch):
+    """At the first checkpoint that is; killed before it was noted, it ends with the same. A rerun learns nothing."""
+    shares = {0: 0.0, 96: 0.5, 192: 0.95, 224: 1.0}
+    fields = {"validation": 2, "until": {"success": 0.9}}
+    monkeypatch.setattr("nermo_mjx.learn.run.successes", lambda _, policy: {"flat": shares[chosen(policy)]})
+    monkeypatch.setattr("nermo_mjx.learn.run._evaluated", lambda *_: None)
+    robot = Environment(Setup(), worlds=2, task=Task(duration=0.1))
+    point = PointMass(8, pure=False)
+    monkeypatch.setattr("nermo_mjx.learn.run._Learning._policy", lambda self, learned: _policy_after(robot, learned))
+    whole = run_training(SPEC | fields, tmp_path / "whole", environment=point)
+    assert (whole.iterations_run, whole.summary["policy_steps"], whole.summary["complete"]) == (6, 192, True)
+    assert status(tmp_path / "whole").complete
+    assert run_training(SPEC | fields, tmp_path / "whole", environment=point).iterations_run == 0
+
+    def stopped(self, learned, curves):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as killed:  # behind the second checkpoint, before its policy walks
+        first = Directory.keep
+        killed.setattr(Directory, "keep", lambda self, learned, curves: first(self, learned, curves) if len(curves) < 6
+                       else (first(self, learned, curves), stopped(self, learned, curves)))  # fmt: skip
+        with pytest.raises(KeyboardInterrupt):
+            run_training(SPEC | fields, tmp_path / "killed", environment=point)
+    again = run_training(SPEC | fields, tmp_path / "killed", environment=point)
+    assert (again.iterations_run, bits(again)) == (0, bits(whole))
+    for name in ("policy.npz", "validation.parquet"):
+        assert (tmp_path / "killed" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
+
+
+def test_a_walk_that_is_too_slow_is_no_success_of_the_validation(policy):
+    """With `until`, and only there."""
+    fields = {"run": {"duration": 0.3}, "validation": 4, "evaluate": {"bodies": 4}}
+    plain = Evaluator(Training.from_dict(fields))
+    speeds = plain(policy[0], draws=Draws(4, _KEY), walkers=("policy",)).to_pandas().sort_values("speed")
+    assert successes(plain, policy[0]) == {"flat": 1.0}
+    limit = float(speeds.speed.iloc[1:3].mean())
+    asked = Evaluator(Training.from_dict(fields | {"until": {"success": 1.0, "speed": limit}}))
+    assert speeds.success.all()
+    assert limit > 0.0
+    assert successes(asked, policy[0]) == {"flat": 0.5}
 
 
 def test_an_evaluation_without_todays_metrics_is_still_summed_up(evaluated):

@@ -401,15 +401,22 @@ RESET, ACTING, SHUFFLING = range(3)
 
 def beginning(environment: EnvironmentLike, seed: int, hidden: tuple[int, ...], std: float, rate: float) -> Learned:
     """The learning state before the first step."""
-    key, first, second = jax.random.split(jax.random.key(seed), 3)
-    actor = new_actor(first, environment.observation_size, environment.action_size, hidden, std)
-    size = environment.observation_size + environment.privileged_size
-    critic = new_layers(second, (size, *hidden, 1))
-    step = descent()
-    return Learned(
-        actor, critic, critic, Statistics.none(size), (step.init(actor), step.init(critic)), jnp.float32(rate),
-        jax.random.key_data(key), jnp.zeros((), jnp.int32), jnp.zeros((), jnp.int32),
-    )  # fmt: skip
+    observed, actions = environment.observation_size, environment.action_size
+    size = observed + environment.privileged_size
+
+    @jax.jit  # as a whole: its operations one by one are programs of their own
+    def begun(key: PRNGKeyArray) -> Learned:
+        key, first, second = jax.random.split(key, 3)
+        actor = new_actor(first, observed, actions, hidden, std)
+        critic = new_layers(second, (size, *hidden, 1))
+        step = descent()
+        return Learned(
+            actor, critic, critic, Statistics.none(size), (step.init(actor), step.init(critic)), jnp.float32(rate),
+            jax.random.key_data(key), jnp.zeros((), jnp.int32), jnp.zeros((), jnp.int32),
+        )  # fmt: skip
+
+    learned: Learned = begun(jax.random.key(seed))
+    return learned
 
 
 def descent(betas: tuple[float, float] = (0.9, 0.999)) -> optax.GradientTransformation:

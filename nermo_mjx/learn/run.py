@@ -3,7 +3,8 @@
 The policy that is kept is that of the last checkpoint or, with `validation`, the best of all checkpoints by walks that
 no training or evaluation draws. What counts is the success on the scene where it is least, as in a training's
 summary; its mean decides between equals. The untrained policy, which leaves the controller as it is, is the first
-candidate: a training whose corrections do harm does not end with them.
+candidate: a training whose corrections do harm does not end with them. With `until` the training ends as soon as such a
+policy is good enough; then a walk must also be fast enough to count as a success.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from typing import Any, Final, NamedTuple
 import jax
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 
 from nermo_mjx.learn.directory import EVALUATION, POLICY_FILE, SPEC, SUMMARY, Directory
 from nermo_mjx.learn.environment import Environment
@@ -28,11 +30,9 @@ from nermo_mjx.learn.evaluation import POLICY, Draws, Evaluator, summary_of
 from nermo_mjx.learn.experience import RESET, EnvironmentLike, Learned, Scores
 from nermo_mjx.learn.history import Curves
 from nermo_mjx.learn.mixture import Mixture
-from nermo_mjx.learn.plots import figures_of
 from nermo_mjx.learn.policy import Policy, load_policy
-from nermo_mjx.learn.spec import Training
+from nermo_mjx.learn.spec import Training, Until
 from nermo_mjx.physics import resolve_engine
-from nermo_mjx.plotting.files import write_figures
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.runs import RunDirectory, session
 from nermo_mjx.runs.files import content_of, parquet_bytes, parquet_table
@@ -99,6 +99,12 @@ class Choice:
             self._held.write(VALIDATION, parquet_bytes(pa.Table.from_pylist(rows)))
         return kept or policy
 
+    def enough(self, until: Until | None, steps: int) -> bool:
+        """Whether a policy of these steps or fewer is as good as a training asks for."""
+        return until is not None and any(
+            each.steps <= steps and min(each.scenes.values()) >= until.success for each in self._tried
+        )
+
     def _kept(self) -> Policy | None:
         """The policy in the file; None if there is none that can be read."""
         try:
@@ -112,8 +118,14 @@ def _steps_of(policy: Policy | None) -> int | None:
 
 
 def successes(evaluator: Evaluator, policy: Policy) -> dict[str, float]:
-    """The share of a policy's walks that succeed: `validation` of them on each scene of the training's evaluation."""
-    table = evaluator(policy, draws=Draws(evaluator.training.validation, _KEY), walkers=(POLICY,))
+    """The share of a policy's walks on each scene of the evaluation that succeed, and are as fast as `until` asks for:
+    `validation` of them."""
+    training = evaluator.training
+    table = evaluator(policy, draws=Draws(training.validation, _KEY), walkers=(POLICY,))
+    if training.until is not None:
+        fast = pc.fill_null(pc.greater_equal(table["speed"], training.until.speed), False)
+        at = table.column_names.index("success")
+        table = table.set_column(at, "success", pc.and_(table["success"], fast))
     return {scene: about[POLICY]["success"] for scene, about in summary_of(table).items()}
 
 
@@ -203,26 +215,35 @@ def run_training(
         worlds = environment or training.environment(name)
         learned, curves = directory.restore(training.algorithm.begin(worlds, training.seed), accept=accept_new_code)
         begun = len(curves)
-        code = directory.take_code(curves, accept=accept_new_code) if begun < training.iterations else ""
-        directory.claim()
-        board = stack.enter_context(TensorBoard(directory.out)) if tensorboard else None
         evaluator = Evaluator(training)
         walks = functools.partial(successes, evaluator)
         choice = Choice(directory.held, walks, warn or (lambda _: None)) if training.validation else None
+        goes_on = not _ended(training, learned, curves, choice)
+        code = directory.take_code(curves, accept=accept_new_code) if goes_on else ""
+        directory.claim()
+        board = stack.enter_context(TensorBoard(directory.out)) if tensorboard else None
         learning = _Learning(directory, worlds, interruption, progress or (lambda _: None), board, code, choice)
-        if begun < training.iterations:
+        if goes_on:
             directory.held.note_session(session(begun_at=begun))
             learned, curves = learning.learn(learned, curves)
         policy = learning.publish(learned, curves)
         table = None if policy is None else _evaluated(directory, policy, evaluator, evaluating)
         summary = _summary(training, learned, curves, policy, table)
+        summary["complete"] = _ended(training, learned, curves, choice)
         directory.held.write(SUMMARY, to_json(summary))
-        figures = figures_of(training, curves, table)
-        plots = write_figures(figures, directory.out / "plots") if training.plots else []
+        plots = _plotted(directory.out, training, curves, table) if training.plots else []
         path = None if policy is None else directory.out / POLICY_FILE
         return TrainingResult(
             directory.out, directory.training, path, summary, learned, curves, len(curves) - begun, plots
         )  # fmt: skip
+
+
+def _plotted(out: Path, training: Training, curves: Curves, table: pa.Table | None) -> list[Path]:
+    """The figures, made at the end: Matplotlib takes as long to import as the first control steps take."""
+    from nermo_mjx.learn.plots import figures_of
+    from nermo_mjx.plotting.files import write_figures
+
+    return write_figures(figures_of(training, curves, table), out / "plots")
 
 
 def engine_for(training: Training, engine: str) -> str:
@@ -237,6 +258,12 @@ def engine_for(training: Training, engine: str) -> str:
         allowed = "mjx, since short_horizon takes derivatives" if training.engine == "mjx" else "auto, c or mjx"
         raise ParameterError(f"engine is {engine!r}: a training like this runs on {allowed}.")
     return name
+
+
+def _ended(training: Training, learned: Learned, curves: Curves, choice: Choice | None) -> bool:
+    """Whether all iterations are done, or a checkpoint was good enough."""
+    done = len(curves) >= training.iterations
+    return done or (choice is not None and choice.enough(training.until, int(learned.steps)))
 
 
 @dataclasses.dataclass
@@ -259,7 +286,7 @@ class _Learning:
             reset = jax.jit(reset, compiler_options=compiler_options())
         self.report(TrainingProgress(int(learned.steps), training.steps))
         self._chosen(learned)
-        while len(curves) < training.iterations:
+        while not _ended(training, learned, curves, self.choice):
             state, scores = reset(learned.random(RESET)), Scores.none(training.worlds)
             # Sections are counted from the beginning of the training.
             end = min((len(curves) // training.section + 1) * training.section, training.iterations)
@@ -347,5 +374,4 @@ def _summary(
         "simulated_seconds": float(int(learned.steps) * training.step_seconds),
         **effort,
         "scenes": scenes,
-        "complete": len(curves) >= training.iterations,
     }

@@ -17,6 +17,7 @@ from nermo_mjx.learn.mixture import Mixture, check_alike, check_worlds
 from nermo_mjx.learn.ppo import PPO
 from nermo_mjx.learn.short_horizon import ShortHorizon
 from nermo_mjx.learn.task import RANDOMIZED, Task, task_parameters
+from nermo_mjx.robot.parameters import PRESETS
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.robot.terrains import terrain_values
 from nermo_mjx.rollout import Setup
@@ -26,7 +27,7 @@ from nermo_mjx.specs.described import Described, digest_of
 from nermo_mjx.specs.fields import Fields, Refused, optional, read
 from nermo_mjx.specs.model import Spec, named, one_of, plain, written
 from nermo_mjx.specs.reading import Document, FieldPath, SpecError
-from nermo_mjx.specs.values import Ends, Finite, Positive, Whole
+from nermo_mjx.specs.values import Choice, Ends, Finite, Positive, Whole
 from nermo_mjx.specs.walk import Pilot, SceneField, WalkFields, WalkSpec, pilot_options, read_walk, scene_beside
 
 
@@ -131,6 +132,21 @@ class Evaluation(Spec):
     """parameters that are not drawn there, such as terrain.height, on the scenes that have them"""
     randomize: dict[str, Ends] = dataclasses.field(default_factory=dict)
     """ranges that differ from those of the training's draws"""
+    physics: Annotated[str, Choice(tuple(PRESETS))] = None  # type: ignore[assignment]  # none cannot be written
+    """physics of its walks and the validation's, with their own time step; by default those of the training"""
+
+
+@dataclasses.dataclass(frozen=True)
+class Until(Spec):
+    """When a training ends before its steps are over: at the first checkpoint whose walks are good enough."""
+
+    what = "a field of 'until'"
+    expected = "{success: share} or {success: share, speed: m/s}"
+    example = "{success: 0.95}"
+    success: Annotated[float, Field(gt=0, le=1)]
+    """share of the validation's walks that must succeed, on the scene where fewest do"""
+    speed: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.0
+    """speed that a walk must have to count as a success in the validation [m/s]"""
 
 
 class TrainingFile(WalkFields):
@@ -161,6 +177,8 @@ class TrainingFile(WalkFields):
     validation: Annotated[int, Whole(0, 100_000)] = 0
     """walks on each scene of the evaluation by which the best of all checkpoints becomes the policy; 0: the last one
     does. The best one succeeds most on the scene where it succeeds least"""
+    until: Until = optional("when the training ends before its steps are over: at the first checkpoint that the "
+                            "validation finds good enough")  # fmt: skip
     evaluate: Evaluation = Field(default_factory=Evaluation)
     """on what the policy is evaluated at the end"""
     plots: bool = True
@@ -193,6 +211,7 @@ class Training(WalkSpec, Described):
     checkpoint: int
     seed: int
     validation: int
+    until: Until | None
     evaluation: Evaluation
     plots: bool
 
@@ -240,6 +259,9 @@ class Training(WalkSpec, Described):
         known = {str(setup.scene): (setup, task) for setup, task in here}
         pairs = [known.get(scene, (dataclasses.replace(self.setup, scene=scene), self.task))
                  for scene in self.evaluation.scenes] or here  # fmt: skip
+        if (physics := self.evaluation.physics) is not None:
+            preset = {"physics": physics, "timestep": PRESETS[physics].timestep}
+            pairs = [(dataclasses.replace(setup, **preset), task) for setup, task in pairs]
         return [(setup, _evaluated(setup, task, self.evaluation)) for setup, task in pairs]
 
     def check_division(self) -> None:
@@ -263,7 +285,10 @@ class Training(WalkSpec, Described):
         data["algorithm"] = named(self.algorithm, ALGORITHMS)
         data |= {name: getattr(self, name) for name in ("worlds", "steps", "checkpoint", "seed")}
         data |= {"validation": self.validation} if self.validation else {}
-        data["evaluate"] = {name: value for name, value in written(self.evaluation).items() if value not in ([], {})}
+        data |= {} if self.until is None else {"until": written(self.until)}
+        data["evaluate"] = {
+            name: value for name, value in written(self.evaluation).items() if value not in ([], {}, None)
+        }
         return data | {"plots": self.plots}
 
     def decisive(self) -> dict[str, Any]:
@@ -315,10 +340,12 @@ def _read(doc: Document) -> Training:
         _said(doc, (), lambda: check_alike(loops))
     for scene in file.evaluate.scenes:
         _said(doc, ("evaluate", "scenes"), lambda scene=scene: dataclasses.replace(setup, scene=scene))
-    names = ("algorithm", "worlds", "steps", "checkpoint", "seed", "validation", "plots")
+    names = ("algorithm", "worlds", "steps", "checkpoint", "seed", "validation", "until", "plots")
     same = {name: getattr(file, name) for name in names}
     training = Training(**walk, task=task, scenes=scenes, evaluation=file.evaluate, **same)
     _said(doc, (), training.check_division)
+    if file.until is not None and not file.validation:
+        doc.fail(("until",), "stands without 'validation', the number of walks that decide: add one, such as 60.")
     _check_evaluation(doc, training)
     return training
 
