@@ -176,8 +176,8 @@ def linked(
         # Up to the last @, as a # or / that was not quoted may stand in the password.
         masked = re.sub("^([^/]*//)?.*@", r"\1...@", url, flags=re.DOTALL)
         raise ParameterError(
-            f"{field} is {masked!r}: allowed is mqtt://HOST[:PORT] or ws://HOST[:PORT], with a port from 1 to 65535, and "
-            "USER:PASSWORD@ before HOST, special characters as %XX."
+            f"{field} is {masked!r}: allowed is mqtt://HOST[:PORT] or ws://HOST[:PORT], with a port from 1 to 65535, "
+            "and USER:PASSWORD@ before HOST, special characters as %XX."
         )
     for name in (topic, heard or topic):
         if not name or (parts.scheme == "mqtt" and any(mark in name for mark in "+#\0")):
