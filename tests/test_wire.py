@@ -159,6 +159,9 @@ def test_what_a_controller_reads_is_found_and_must_be_told() -> None:
     measured.receive({"contact_sensors": [0.0] * 4})
     with pytest.raises(ParameterError, match="the controller reads position; its messages tell foot_force"):
         meet(measured, {"position", "foot_force"}, clock.wait)
+    meet(measured, {"foot_force"}, clock.wait)
+    measured.receive({"servo_pos_leg": [0.0] * 8, "servo_pos_aux": [0.0] * 4})
+    assert measured.counts["of a wrong size"] == 1, "what the controller reads may not be left out later"
 
 
 class Together:
@@ -278,6 +281,16 @@ def test_a_broker_that_is_away_for_long_ends_the_drive(running) -> None:
     driven = drive_robot(both.wired, None, wait)
     assert driven.ended == "a:1: the MQTT broker is gone"
     assert driven.unsent == pytest.approx(PATIENCE / running.dt, rel=0.02)
+
+
+def test_an_angle_that_is_not_a_number_is_not_sent(running, monkeypatch) -> None:
+    both = Together(running)
+    both.walk(0.5)
+    sent = len(both.commands)
+    monkeypatch.setattr(running, "tick", lambda readings: np.full(10, np.nan))
+    both.wired.tick()
+    assert both.wired.driven.ended == "the controller asks for an angle that is not a number"
+    assert len(both.commands) == sent
 
 
 def test_a_robot_leaves_out_commands_that_are_none(running) -> None:

@@ -29,7 +29,7 @@ def _robot(context: click.Context, parameter: click.Parameter, given: tuple[str,
         click.Choice(ROBOTS).convert(name, parameter, context)
     if len(urls) > 1 or len(names) > 1:
         raise click.BadParameter("give one name and one address at most.", context, parameter)
-    return (names or ROBOTS)[0], (urls or [None])[0]
+    return names[0] if names else ROBOTS[0], urls[0] if urls else None
 
 
 def wire_options(function: Any) -> Any:

@@ -88,6 +88,7 @@ class Measured:
         told: fields of `Sensors` that the last message told; empty before the first.
         arrived: when that came [s].
         counts: messages by what became of them: `taken`, or why they were left out.
+        needed: what a message must tell.
     """
 
     def __init__(self, robot: Robot, channels: Channels, watchdog: float = WATCHDOG,
@@ -96,7 +97,7 @@ class Measured:
         at_rest = robot.sensordata_at_rest(jnp.asarray(robot.model.qpos0))
         self.sensordata, self.told = np.array(at_rest, float), frozenset[str]()
         self.counts, self.arrived, self._stamp = Counter[str](), -math.inf, -math.inf
-        self._places = robot.sensors(np.arange(len(self.sensordata)))
+        self._places, self.needed = robot.sensors(np.arange(len(self.sensordata))), set[str]()
 
     def receive(self, message: Any) -> None:
         """Take a message, or leave it out; called in the connection's thread."""
@@ -134,8 +135,8 @@ class Measured:
         if len(legs) + len(aux) == len(self.channels.servos):
             degrees = np.degrees([*legs, *aux])
             found["servo_angle"] = own_angles(self.channels, self.robot, degrees, self.pose)
-        if not found:
-            raise ValueError("garbage")
+        if not found or self.needed - found.keys():
+            raise ValueError("of a wrong size" if found else "garbage")
         return found, _stamp(message.get("header"))
 
     @property
@@ -206,6 +207,7 @@ def meet(measured: Measured, needed: set[str], wait: Callable[[float], None] = t
     if needed - measured.told:
         raise ParameterError(f"robot does not tell all that is needed: {what}; its messages tell "
                              f"{', '.join(sorted(measured.told))}.")  # fmt: skip
+    measured.needed = needed
 
 
 def _left_out(measured: Measured) -> str:
@@ -282,6 +284,9 @@ class Wired:
 
     def _send(self) -> None:
         channels, driven, clock = self.measured.channels, self.driven, self.measured.clock
+        if not np.isfinite(self.pose).all():
+            driven.ended = "the controller asks for an angle that is not a number"
+            return
         asked = sent_angles(channels, self.measured.robot.servos, np.degrees(self.pose)[None])[0]
         degrees = np.clip(asked, self._low, self._high)
         driven.limited += bool(np.abs(degrees - asked).max() > 1e-6)
@@ -374,7 +379,7 @@ class SimulatedRobot:
         self._reach = float(batch.params.servo.top_speed[0]) * self.dt
         self._readings = np.repeat(self._body.sensordata[:, None], simulator.loop.steps_per_tick, axis=1)
         start = self.robot.sensors(self._readings[0, -1].copy())
-        self._ctrl = self._target = start.servo_angle
+        self._ctrl = self._target = np.asarray(start.servo_angle)
         self._start, self._clock, self._heard, self._ticks = start.position, clock, math.nan, 0
         self._counts, self._received = Counter[str](), queue.SimpleQueue[tuple[float, Any]]()
         self._inward, self.outward = (Way(delay, loss, np.random.default_rng(seed)) for seed in (0, 1))
