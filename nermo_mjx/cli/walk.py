@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import math
+import webbrowser
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -260,6 +262,64 @@ def _run_walk(wanted: Plan, engine: str, record: bool, quiet: bool) -> RunResult
     with Progress("walk", quiet=quiet, compiles=True) as progress:
         simulator = Simulator(wanted.setup, engine=engine)
         return simulator.run(wanted.values, wanted.run, record=record, progress=progress.share)
+
+
+DRIVE_EPILOG = """\b
+Examples:
+  nermo-mjx drive
+  nermo-mjx drive --scene stairs --frequency 0.8 --record drive.npz
+  nermo-mjx drive --controller policy.npz
+  nermo-mjx drive --no-browser --port 8000
+"""
+
+
+@click.command("drive", epilog=DRIVE_EPILOG)
+@options.gait
+@click.option("--controller", metavar="FILE", help="Custom controller: FILE.py:NAME, or a policy FILE.npz.")
+@options.choice("--pilot", PILOTS, "Default: open_loop, which turns as you steer.", default=None)
+@options.choice("--robot", ROBOTS)
+@options.scene
+@options.choice("--tail", TAILS)
+@options.physics
+@options.set_option("Any parameter that `sweep --list-parameters` prints; repeatable.")
+@options.file("--record", ".npz", "Save what was driven; after a reset what follows goes to FILE-2.npz, ...")
+@options.number("--port", "Of the page; by default any that is free.", click.IntRange(1, 65535))
+@options.number("--seconds", "Duration; by default until Ctrl-C.", options.POSITIVE)
+@click.option("--browser/--no-browser", default=True, help="Open the page, or only print its address.")
+@options.report
+def drive_command(
+    record: Path | None, port: int | None, seconds: float | None, browser: bool, as_json: bool, quiet: bool,
+    pilot: str | None, **chosen: Any,
+) -> None:  # fmt: skip
+    """Drive the robot in the browser while it walks: keyboard, gamepad, sliders.
+
+    The page is served to this machine alone, and its address holds a secret.
+    The robot is simulated in real time by the engine c. Without a page it
+    waits.
+
+    A recording opens in `view`, `render` and `servos`, and `replay` drives it
+    again.
+    """
+    with stdout_reserved():
+        from nermo_mjx.live.server import Drive
+        from nermo_mjx.runs.files import make_writable
+
+        default = "open_loop" if chosen["controller"] is None else None
+        wanted = plan(pilot=pilot or default, seed=None, cycles=None, duration=None, warmup=None, **chosen)
+        if record is not None:
+            make_writable(record.parent)
+        with Progress("drive", quiet=quiet, compiles=True):
+            drive = Drive(wanted.setup, dict(wanted.values), record, port or 0)
+        click.echo(f"drive: {drive.link.address}", err=True)
+        if browser:
+            webbrowser.open(drive.link.address)
+        with contextlib.suppress(KeyboardInterrupt):
+            drive.run(seconds)
+    if as_json:
+        print_json(drive.report())
+    elif not quiet:
+        for file in drive.files:
+            click.echo(f"wrote {file}")
 
 
 REPLAY_EPILOG = """\b
