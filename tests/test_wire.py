@@ -126,7 +126,7 @@ def test_what_is_no_measurement_is_left_out_and_counted(message: Any, why: str) 
     measured = Measured(load_robot(), CHANNELS)
     before = measured.sensordata
     measured.receive(message)
-    assert dict(measured.counts) == {why: 1}
+    assert measured.counts == {"taken": 0, why: 1}
     assert measured.sensordata is before
     assert not measured.told
 
@@ -137,7 +137,7 @@ def test_a_message_that_was_overtaken_is_left_out() -> None:
     for seconds, feet in ((5.00, 1.0), (5.02, 2.0), (5.01, 3.0), (5.02, 4.0), (5.03, 5.0)):
         measured.receive(stamped(seconds, contact_sensors=[feet] * 4))
         clock.wait(0.01)
-    assert dict(measured.counts) == {"taken": 3, "out of order": 2}
+    assert measured.counts == {"taken": 3, "out of order": 2}
     assert measured.robot.sensors(measured.sensordata).foot_force[0] == 5.0
     measured.receive(AUTHORS | {"header": {"stamp": {"secs": 5, "nsecs": 0}}})
     assert measured.counts["out of order"] == 3, "ROS 1 writes its stamps so"
@@ -303,12 +303,17 @@ def test_a_robot_leaves_out_commands_that_are_none(running) -> None:
 
 def test_wrong_use_is_a_sentence() -> None:
     for words, sentence in (
-        ([], "Give --robot URL or --serve URL."),
-        (["--robot", "mqtt://a", "--serve", "mqtt://a"], "Give --robot URL or --serve URL."),
+        (["--robot", "mqtt://a", "--serve", "mqtt://a"], "Give --robot URL or --serve URL, not both."),
+        (["--rate", "30"], "--rate has no effect without --robot URL."),
+        (["--robot", "mqtt://a", "--loss", "0.5"], "--loss has no effect without --serve URL."),
+        (["--robot", "mqtt://a", "--headless", "--port", "8000"], "--port has no effect without a page."),
         (["--robot", "nermo_5"], "'nermo_5' is not one of 'nermo_lite', 'nermo_41'"),
         (["--robot", "mqtt://a", "--robot", "ros://b"], "give one name and one address at most"),
-        (["--robot", "mqtt://a", "--rate", "200"], "rate is 200 Hz: allowed is (0, 100], the controller's."),
-        (["--robot", "tcp://me:secret@a"], "robot is 'tcp://...@a': allowed is mqtt://HOST[:PORT]"),
+        (
+            ["--robot", "mqtt://a", "--headless", "--rate", "200"],
+            "rate is 200 Hz: allowed is (0, 100], the controller's.",
+        ),
+        (["--robot", "tcp://me:secret@a", "--headless"], "robot is 'tcp://...@a': allowed is mqtt://HOST[:PORT]"),
         (["--serve", "mqtt://me:secret@a:99999"], "serve is 'mqtt://...@a:99999': allowed is mqtt://HOST[:PORT]"),
     ):
         done = call("drive", *words)
@@ -326,6 +331,11 @@ def process(*words: str | Path) -> Iterator[subprocess.Popen[str]]:
             yield started
         finally:
             started.kill()
+
+
+def walking(url: str, channels: Path) -> tuple[str | Path, ...]:
+    """Options of a controller that reads the sensors, at 100 Hz."""
+    return "--robot", url, "--headless", "--pilot", "straight", "--rate", "100", "--channels", channels
 
 
 @pytest.fixture(params=["mqtt", "ros"])
@@ -362,7 +372,19 @@ def test_two_processes_walk_together(wire, channels) -> None:
         process("--serve", wire, "--delay", "20", "--loss", "0.01", "--channels", channels) as robot,
     ):
         until(lambda: measured.told)
-        with process("--robot", wire, "--rate", "100", "--seconds", "8", "--channels", channels) as drive:
+        with process(
+            "--robot",
+            wire,
+            "--headless",
+            "--pilot",
+            "straight",
+            "--rate",
+            "100",
+            "--seconds",
+            "8",
+            "--channels",
+            channels,
+        ) as drive:
             out, err = drive.communicate(timeout=180)
         assert drive.returncode == 0, err
         time.sleep(0.2)
@@ -397,7 +419,9 @@ def test_when_either_side_is_killed_the_other_stops(wire, channels, running) -> 
     ):
         until(lambda: measured.told)
         start = place().position
-        with process("--robot", wire, "--rate", "100", "--channels", channels) as drive:
+        with process(
+            "--robot", wire, "--headless", "--pilot", "straight", "--rate", "100", "--channels", channels
+        ) as drive:
             until(lambda: np.linalg.norm(place().position - start) > 0.1)
             drive.kill()
             drive.wait()

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import math
+import webbrowser
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import click
 from click.core import ParameterSource
 
-from nermo_mjx.cli import options
+from nermo_mjx.cli import options, wire
 from nermo_mjx.cli.choices import ENGINES, PILOTS, ROBOTS, TAILS
 from nermo_mjx.cli.options import LISTED, assigned
 from nermo_mjx.cli.output import Failure, WrongUse, print_json, print_table, stdout_reserved
@@ -260,6 +262,96 @@ def _run_walk(wanted: Plan, engine: str, record: bool, quiet: bool) -> RunResult
     with Progress("walk", quiet=quiet, compiles=True) as progress:
         simulator = Simulator(wanted.setup, engine=engine)
         return simulator.run(wanted.values, wanted.run, record=record, progress=progress.share)
+
+
+DRIVE_EPILOG = """\b
+Examples:
+  nermo-mjx drive
+  nermo-mjx drive --scene stairs --frequency 0.8 --record drive.npz
+  nermo-mjx drive --controller policy.npz
+  nermo-mjx drive --no-browser --port 8000
+  nermo-mjx drive --robot mqtt://192.168.0.10 --frequency 0.8
+  nermo-mjx drive --serve mqtt://localhost --delay 20 --loss 0.01
+"""
+
+
+@click.command("drive", epilog=DRIVE_EPILOG)
+@options.gait
+@click.option("--controller", metavar="FILE", help="Custom controller: FILE.py:NAME, or a policy FILE.npz.")
+@options.choice("--pilot", PILOTS, "Default: open_loop, which turns as you steer.", default=None)
+@options.scene
+@options.choice("--tail", TAILS)
+@options.physics
+@options.set_option("Any parameter that `sweep --list-parameters` prints; repeatable.")
+@options.file("--record", ".npz", "Save what was driven; after a reset what follows goes to FILE-2.npz, ...")
+@options.number("--port", "Of the page; by default any that is free.", click.IntRange(1, 65535))
+@options.number("--seconds", "Duration; by default until Ctrl-C.", options.POSITIVE)
+@click.option("--browser/--no-browser", default=True, help="Open the page, or only print its address.")
+@wire.wire_options
+@options.report
+def drive_command(
+    record: Path | None, port: int | None, seconds: float | None, browser: bool, as_json: bool, quiet: bool,
+    pilot: str | None, robot: tuple[str, str | None], serve: str | None, headless: bool, delay: float, loss: float,
+    channels: Path, rate: float | None, watchdog: float, **chosen: Any,
+) -> None:  # fmt: skip
+    """Drive the robot in the browser while it walks: keyboard, gamepad, sliders.
+
+    The page is served to this machine alone, and its address holds a secret.
+    The robot is simulated in real time by the engine c. Without a page it
+    waits.
+
+    A recording opens in `view`, `render` and `servos`, and `replay` drives it
+    again.
+
+    --robot URL drives a real robot over its topics: q_values (servo angles,
+    out) and sensors_mouse (what it measures, in). Its servos go to the start
+    of the gait slowly. Without messages, or with the page away, it holds
+    still; after 5 s the drive ends. --serve is the other side: a simulated
+    robot behind the same topics.
+    """
+    with stdout_reserved():
+        from nermo_mjx.hardware.live import SendError
+        from nermo_mjx.live.driving import Driving
+        from nermo_mjx.live.server import Drive
+        from nermo_mjx.live.wire import RobotDriving
+        from nermo_mjx.runs.files import make_writable
+
+        model, url = robot
+        wire.check_use(url, serve, headless)
+        default = "open_loop" if chosen["controller"] is None else None
+        wanted = plan(pilot=pilot or default, seed=None, cycles=None, duration=None, warmup=None, robot=model, **chosen)
+        setup, values, files = wanted.setup, dict(wanted.values), list[Path]()
+        if serve is not None:
+            about = wire.serve(setup, values, serve, channels, seconds, delay, loss)
+        elif headless and url is not None:
+            about = wire.drive_headless(setup, values, url, channels, rate, watchdog, seconds)
+        else:
+            if record is not None:
+                make_writable(record.parent)
+            with Progress("drive", quiet=quiet, compiles=True):
+                driving = (RobotDriving if url else Driving)(setup, values, record=record is not None)
+            with (
+                wire.wired(driving.running, url, channels, rate, watchdog) if url else contextlib.nullcontext() as wired
+            ):
+                drive = Drive(driving, record, port or 0)
+                if isinstance(driving, RobotDriving):
+                    driving.wired, driving.operator = wired, lambda: drive.away
+                click.echo(f"drive: {drive.link.address}", err=True)
+                if browser:
+                    webbrowser.open(drive.link.address)
+                with contextlib.suppress(KeyboardInterrupt, SendError):
+                    drive.run(seconds)
+            about, files = drive.report() | ({} if wired is None else dataclasses.asdict(wired.driven)), drive.files
+    if as_json:
+        print_json(about)
+    elif not quiet:
+        for name, value in about.items() if url or serve else ():
+            told = ", ".join(f"{each} {what}" for what, each in value.items()) if isinstance(value, dict) else value
+            click.echo(f"{name}: {f'{told:.4g}' if isinstance(told, float) else told}")
+        for file in files:
+            click.echo(f"wrote {file}")
+    if about.get("ended"):
+        raise Failure(f"{about['ended'].rstrip('.')}.")
 
 
 REPLAY_EPILOG = """\b

@@ -42,6 +42,7 @@ class Running:
         batch: start of the world, from which `body` is made, too.
         dt: between ticks [s].
         steps_per_tick: readings of the sensors between two ticks.
+        known: parameters that a command can change, with their ranges.
         ticks: since the start.
         commands: since the start, each with the tick before which it came; with the same readings they make the run
             again bit for bit.
@@ -65,7 +66,7 @@ class Running:
         assert isinstance(self.simulator.engine, CEngine)
         self._engine, controller = self.simulator.engine, self.simulator.controller
         self.dt, self.steps_per_tick = float(controller.dt), self.simulator.loop.steps_per_tick
-        self._known = dict(quantities(controller.parameters))
+        self.known = dict(quantities(controller.parameters))
         endless = jax.tree.map(lambda default, leaf: np.full_like(leaf, default), Window(), self.batch.params.window)
         self._params = dataclasses.replace(self.batch.params, window=endless, schedule=None)
         self._scheduled = jax.jit(scheduled)
@@ -116,7 +117,7 @@ class Running:
         """
         values, (commanded, modes) = switch.absolute(), self._commanded
         for name, value in values.items():
-            self._known[choice("parameter", name, self._known)].check(name, value)
+            self.known[choice("parameter", name, self.known)].check(name, value)
         dict(quantities(Schedule))["blend.1"].check("blend", switch.blend)
         for field, names in switch.modes.items():
             for mode in names:
@@ -126,7 +127,7 @@ class Running:
         aim = default_precision(self._acting(commanded, modes))
         if isinstance(self.simulator.controller, ChecksParameters):
             self.simulator.controller.check(aim)
-        rate = np.asarray(self.simulator.controller.cycle_rate(self._control))
+        rate = np.array([self.cycle_rate])
         now, then = ({name: np.asarray(each) for name, each in values_of(tree)} for tree in (self._control, aim))
         course = {name: np.stack([now[name], *[then[name]] * MOST], -1) for name in now}
         still = {name: np.zeros_like(each) for name, each in course.items()}
@@ -163,9 +164,19 @@ class Running:
         return jax.tree.map(lambda leaf: np.asarray(leaf)[0], self._loop.unpack(self._state))
 
     @property
-    def control(self) -> Any:
-        """The controller's parameters of the last tick, leaves (1, ...)."""
-        return self._control
+    def cycle_rate(self) -> float:
+        """Gait cycles per second of this moment [1/s]."""
+        return float(np.ravel(self.simulator.controller.cycle_rate(self._control))[0])
+
+    @property
+    def modes(self) -> dict[str, set[str]]:
+        """Those that act, by the choice that makes them."""
+        return self._commanded[1]
+
+    def value(self, name: str) -> float | None:
+        """A parameter as commanded; None for one that the controller does not have."""
+        found = dict(values_of(self._commanded[0])).get(name)
+        return None if found is None else float(np.asarray(found).item())
 
     def _acting(self, control: Any, modes: Mapping[str, set[str]]) -> Any:
         """The parameters with gains of 0 for the modes that do not act."""

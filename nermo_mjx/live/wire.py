@@ -30,8 +30,10 @@ from nermo_mjx.control.controller import canonical
 from nermo_mjx.hardware.channels import Channels
 from nermo_mjx.hardware.live import PATIENCE, NotSentError, SendError, servo_message
 from nermo_mjx.hardware.table import sent_angles
+from nermo_mjx.live.driving import Driving
 from nermo_mjx.live.running import Running
 from nermo_mjx.physics.c_engine import CBodies, CEngine
+from nermo_mjx.recording import Recording
 from nermo_mjx.robot import ParameterError, Robot, Sensors
 from nermo_mjx.rollout import Run, Setup, Simulator
 from nermo_mjx.rollout.metrics import DIVERGED_SPEED
@@ -96,7 +98,7 @@ class Measured:
         self.robot, self.channels, self.watchdog, self.clock = robot, channels, watchdog, clock
         at_rest = robot.sensordata_at_rest(jnp.asarray(robot.model.qpos0))
         self.sensordata, self.told = np.array(at_rest, float), frozenset[str]()
-        self.counts, self.arrived, self._stamp = Counter[str](), -math.inf, -math.inf
+        self.counts, self.arrived, self._stamp = {"taken": 0}, -math.inf, -math.inf
         self._places, self.needed = robot.sensors(np.arange(len(self.sensordata))), set[str]()
 
     def receive(self, message: Any) -> None:
@@ -108,7 +110,7 @@ class Measured:
             if stamp is not None and stamp <= self._stamp and now - self.arrived <= self.watchdog:
                 raise ValueError("out of order")
         except ValueError as error:
-            self.counts[str(error)] += 1
+            self.counts[str(error)] = self.counts.get(str(error), 0) + 1
             return
         data = self.sensordata.copy()
         for name, values in found.items():
@@ -166,15 +168,16 @@ class Driven:
     """How a drive went.
 
     Attributes:
+        messages: of the robot, by what became of them, see `Measured`.
         walked, held: for how long the controller ran, and for how long it stood still as there were no messages [s].
         holds: how often it stood still.
         sent, unsent: commands; those that the broker did not take.
         limited: commands with an angle that was brought within its servo's limits.
         skipped: ticks that this machine was too late for.
-        messages: of the robot, by what became of them, see `Measured`.
         ended: why it ended early; empty if it did not.
     """
 
+    messages: dict[str, int]
     walked: float = 0.0
     held: float = 0.0
     holds: int = 0
@@ -182,7 +185,6 @@ class Driven:
     unsent: int = 0
     limited: int = 0
     skipped: int = 0
-    messages: dict[str, int] = dataclasses.field(default_factory=dict)
     ended: str = ""
 
 
@@ -238,7 +240,7 @@ class Wired:
             publish, url: of the connection, see `linked`.
             rate: of commands [Hz], at most one per tick; by default one each.
         """
-        self.running, self.measured, self.driven = running, measured, Driven()
+        self.running, self.measured, self.driven = running, measured, Driven(messages=measured.counts)
         self._publish, self._url, self._period = publish, url, 0.0 if rate is None else 1.0 / rate
         ends = ([getattr(channel, end) for channel in measured.channels] for end in ("low", "high"))
         self._low, self._high = map(np.array, ends)
@@ -319,8 +321,43 @@ def drive_robot(wired: Wired, seconds: float | None = None, wait: Callable[[floa
                 driven.skipped, due = driven.skipped + int(-early / dt), due - early
             wired.tick()
             due += dt
-    driven.messages = dict(measured.counts)
     return driven
+
+
+class RobotDriving(Driving):
+    """The drive of a robot under a page, which shows a simulated body that gets the same commands.
+
+    Attributes:
+        wired: the robot, from when it is there.
+        operator: how long the page has been away [s].
+    """
+
+    wired: Wired | None = None
+    operator: Callable[[], float] = staticmethod(lambda: 0.0)
+
+    def reset(self) -> None:
+        """See `Driving`; the robot goes slowly to the start of the gait."""
+        super().reset()
+        if self.wired is not None:
+            self.wired.restart()
+
+    def commanded(self) -> Float[np.ndarray, " n_servos"]:
+        """See `Driving`. Raises `SendError` when the drive has ended."""
+        assert self.wired is not None
+        self.wired.tick(self.operator())
+        if self.wired.driven.ended:
+            raise SendError(self.wired.driven.ended)
+        return self.wired.pose
+
+    def recording(self) -> Recording:
+        """The commands, what the robot measured, and how the simulated body moved; no `replay` makes it again."""
+        made = super().recording()
+        return dataclasses.replace(made, metadata={name: each for name, each in made.metadata.items()
+                                                   if name != "driven"})  # fmt: skip
+
+    def _row(self) -> tuple[np.ndarray, ...]:
+        measured = None if self.wired is None else self.wired.measured.sensordata
+        return super()._row() if measured is None else (*super()._row()[:3], measured)
 
 
 class Way:
