@@ -311,37 +311,44 @@ def drive_command(
     """
     with stdout_reserved():
         from nermo_mjx.hardware.live import SendError
+        from nermo_mjx.hardware.table import channels_of
         from nermo_mjx.live.driving import Driving
+        from nermo_mjx.live.running import Running
         from nermo_mjx.live.server import Drive
-        from nermo_mjx.live.wire import RobotDriving
+        from nermo_mjx.live.wire import RobotDriving, SimulatedRobot, drive_robot, reached
         from nermo_mjx.runs.files import make_writable
 
         model, url = robot
         wire.check_use(url, serve, headless)
         default = "open_loop" if chosen["controller"] is None else None
         wanted = plan(pilot=pilot or default, seed=None, cycles=None, duration=None, warmup=None, robot=model, **chosen)
-        setup, values, files = wanted.setup, dict(wanted.values), list[Path]()
-        if serve is not None:
-            about = wire.serve(setup, values, serve, channels, seconds, delay, loss)
-        elif headless and url is not None:
-            about = wire.drive_headless(setup, values, url, channels, rate, watchdog, seconds)
-        else:
-            if record is not None:
-                make_writable(record.parent)
-            with Progress("drive", quiet=quiet, compiles=True):
-                driving = (RobotDriving if url else Driving)(setup, values, record=record is not None)
-            with (
-                wire.wired(driving.running, url, channels, rate, watchdog) if url else contextlib.nullcontext() as wired
-            ):
-                drive = Drive(driving, record, port or 0)
-                if isinstance(driving, RobotDriving):
-                    driving.wired, driving.operator = wired, lambda: drive.away
-                click.echo(f"drive: {drive.link.address}", err=True)
-                if browser:
-                    webbrowser.open(drive.link.address)
-                with contextlib.suppress(KeyboardInterrupt, SendError):
-                    drive.run(seconds)
-            about, files = drive.report() | ({} if wired is None else dataclasses.asdict(wired.driven)), drive.files
+        setup, values, about, files = wanted.setup, dict(wanted.values), dict[str, Any](), list[Path]()
+        try:
+            if serve is not None:
+                connected = channels_of(channels, setup.load())
+                about = SimulatedRobot(setup, values, connected, delay / 1e3, loss).run(serve, seconds)
+            elif headless and url is not None:
+                with reached(Running(setup, values), url, channels, rate, watchdog) as there:
+                    about = dataclasses.asdict(drive_robot(there, seconds))
+            else:
+                if record is not None:
+                    make_writable(record.parent)
+                with Progress("drive", quiet=quiet, compiles=True):
+                    driving = (RobotDriving if url else Driving)(setup, values, record=record is not None)
+                with contextlib.ExitStack() as stack:
+                    if isinstance(driving, RobotDriving) and url is not None:
+                        driving.wired = stack.enter_context(reached(driving.running, url, channels, rate, watchdog))
+                    drive = Drive(driving, record, port or 0)
+                    if isinstance(driving, RobotDriving):
+                        driving.operator = lambda: drive.away
+                    click.echo(f"drive: {drive.link.address}", err=True)
+                    if browser:
+                        webbrowser.open(drive.link.address)
+                    with contextlib.suppress(KeyboardInterrupt, SendError):
+                        drive.run(seconds)
+                about, files = drive.report() | driving.told, drive.files
+        except SendError as error:
+            raise Failure(f"{str(error).rstrip('.')}.") from None
     if as_json:
         print_json(about)
     elif not quiet:

@@ -1,24 +1,15 @@
-"""What `drive` does with a robot behind topics: a real one is driven, or a simulated one is served."""
+"""Options of `drive` for a robot behind topics."""
 
 from __future__ import annotations
 
-import contextlib
-import dataclasses
-from collections.abc import Iterator
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 from click.core import ParameterSource
 
 from nermo_mjx.cli import options
 from nermo_mjx.cli.choices import ROBOTS
-from nermo_mjx.cli.output import Failure, WrongUse
-
-if TYPE_CHECKING:
-    from nermo_mjx.live.running import Running
-    from nermo_mjx.live.wire import Wired
-    from nermo_mjx.rollout import Setup
+from nermo_mjx.cli.output import WrongUse
 
 
 def _robot(context: click.Context, parameter: click.Parameter, given: tuple[str, ...]) -> tuple[str, str | None]:
@@ -73,54 +64,3 @@ def check_use(url: str | None, serve: str | None, headless: bool) -> None:
         for name in given.keys() & set(names):
             if not there:
                 raise WrongUse(f"{given[name]} has no effect {why}.")
-
-
-@contextlib.contextmanager
-def wired(running: Running, url: str, channels: Path, rate: float | None, watchdog: float) -> Iterator[Wired]:
-    """A robot that is there, and its controller; raises `Failure` where the connection fails."""
-    from nermo_mjx.hardware.live import ROS_TYPE, TOPIC, SendError, linked
-    from nermo_mjx.hardware.table import channels_of
-    from nermo_mjx.live import wire
-    from nermo_mjx.robot import ParameterError
-
-    robot, needed = running.simulator.robot, wire.needed_sensors(running.setup)
-    measured = wire.Measured(robot, channels_of(channels, robot), watchdog)
-    rate = rate or measured.channels.rate
-    if rate is not None and rate > 1.0 / running.dt + 1e-6:
-        raise ParameterError(f"rate is {rate:g} Hz: allowed is (0, {1.0 / running.dt:g}], the controller's.")
-    running.reset(measured.sensordata)  # compiled before the robot is reached
-    try:
-        with linked(url, TOPIC, ROS_TYPE, wire.SENSORS_TOPIC, measured.receive, "robot") as publish:
-            wire.meet(measured, needed)
-            yield wire.Wired(running, measured, publish, url, rate)
-    except SendError as error:
-        raise Failure(f"{str(error).rstrip('.')}.") from None
-
-
-def drive_headless(
-    setup: Setup, values: dict[str, float], url: str, channels: Path, rate: float | None, watchdog: float,
-    seconds: float | None,
-) -> dict[str, Any]:  # fmt: skip
-    """Drive a robot without a page; how it went."""
-    from nermo_mjx.live.running import Running
-    from nermo_mjx.live.wire import drive_robot
-
-    with wired(Running(setup, values), url, channels, rate, watchdog) as robot:
-        return dataclasses.asdict(drive_robot(robot, seconds))
-
-
-def serve(
-    setup: Setup, values: dict[str, float], url: str, channels: Path, seconds: float | None, delay: float, loss: float
-) -> dict[str, Any]:
-    """Be a simulated robot; what it did."""
-    from nermo_mjx.hardware.live import TOPIC, SendError, linked
-    from nermo_mjx.hardware.table import channels_of
-    from nermo_mjx.live.wire import SENSORS_TOPIC, SENSORS_TYPE, SimulatedRobot
-    from nermo_mjx.runs.interruption import interruptible
-
-    robot = SimulatedRobot(setup, values, channels_of(channels, setup.load()), delay / 1e3, loss)
-    try:
-        with interruptible(), linked(url, SENSORS_TOPIC, SENSORS_TYPE, TOPIC, robot.receive, "serve") as publish:
-            return robot.run(publish, seconds)
-    except SendError as error:
-        raise Failure(f"{str(error).rstrip('.')}.") from None

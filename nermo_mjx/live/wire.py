@@ -17,7 +17,7 @@ import math
 import queue
 import time
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, Final
 
 import jax
@@ -28,8 +28,8 @@ from jaxtyping import Float
 
 from nermo_mjx.control.controller import canonical
 from nermo_mjx.hardware.channels import Channels
-from nermo_mjx.hardware.live import PATIENCE, NotSentError, SendError, servo_message
-from nermo_mjx.hardware.table import sent_angles
+from nermo_mjx.hardware.live import PATIENCE, ROS_TYPE, TOPIC, NotSentError, SendError, linked, servo_message
+from nermo_mjx.hardware.table import channels_of, sent_angles
 from nermo_mjx.live.driving import Driving
 from nermo_mjx.live.running import Running
 from nermo_mjx.physics.c_engine import CBodies, CEngine
@@ -37,6 +37,7 @@ from nermo_mjx.recording import Recording
 from nermo_mjx.robot import ParameterError, Robot, Sensors
 from nermo_mjx.rollout import Run, Setup, Simulator
 from nermo_mjx.rollout.metrics import DIVERGED_SPEED
+from nermo_mjx.runs.interruption import interruptible
 
 #: The author's topic and message of the sensors.
 SENSORS_TOPIC: Final = "sensors_mouse"
@@ -204,17 +205,13 @@ def meet(measured: Measured, needed: set[str], wait: Callable[[float], None] = t
         wait(0.01)
     what = f"the controller reads {', '.join(sorted(needed - measured.told))}"
     if needed and not measured.told:
+        why = "".join(f"; {number} messages were {what}" for what, number in measured.counts.items() if number)
         raise SendError(f"no message of the robot for {PATIENCE:g} s, and {what}: a robot without sensors walks with "
-                        f"the pilot open_loop{_left_out(measured)}.")  # fmt: skip
+                        f"the pilot open_loop{why}.")  # fmt: skip
     if needed - measured.told:
         raise ParameterError(f"robot does not tell all that is needed: {what}; its messages tell "
                              f"{', '.join(sorted(measured.told))}.")  # fmt: skip
     measured.needed = needed
-
-
-def _left_out(measured: Measured) -> str:
-    counts = measured.counts
-    return "".join(f"; {number} messages were {what}" for what, number in sorted(counts.items()) if what != "taken")
 
 
 class Wired:
@@ -277,7 +274,7 @@ class Wired:
         else:
             self.pose = self.pose + np.clip(self._target - self.pose, -APPROACH * dt, APPROACH * dt)
             self._there = bool(np.abs(self._target - self.pose).max() < _NEAR)
-            if self._there and not running.ticks:
+            if self._there and not running.ticks and not running.commands:
                 running.reset(measured.sensordata)  # the walk begins where the robot stands now
         self._slots += 1
         if self._slots * dt >= self._due - 1e-9:
@@ -324,6 +321,33 @@ def drive_robot(wired: Wired, seconds: float | None = None, wait: Callable[[floa
     return driven
 
 
+@contextlib.contextmanager
+def reached(
+    running: Running, url: str, channels: Any, rate: float | None, watchdog: float = WATCHDOG
+) -> Iterator[Wired]:
+    """A robot that is there, and its controller, as a context manager.
+
+    Args:
+        running: the controller.
+        url: see `linked`.
+        channels: see `servo_table`.
+        rate: of commands [Hz]; by default that of the channels, or of the controller.
+        watchdog: see `Wired` [s].
+
+    Raises:
+        ParameterError, SendError: see `linked`, `meet`; or the rate is above the controller's.
+    """
+    robot, needed = running.simulator.robot, needed_sensors(running.setup)
+    measured = Measured(robot, channels_of(channels, robot), watchdog)
+    rate = rate or measured.channels.rate
+    if rate is not None and rate > 1.0 / running.dt + 1e-6:
+        raise ParameterError(f"rate is {rate:g} Hz: allowed is (0, {1.0 / running.dt:g}], the controller's.")
+    running.reset(measured.sensordata)  # compiled before the robot is reached
+    with linked(url, TOPIC, ROS_TYPE, SENSORS_TOPIC, measured.receive, "robot") as publish:
+        meet(measured, needed)
+        yield Wired(running, measured, publish, url, rate)
+
+
 class RobotDriving(Driving):
     """The drive of a robot under a page, which shows a simulated body that gets the same commands.
 
@@ -355,6 +379,11 @@ class RobotDriving(Driving):
         return dataclasses.replace(made, metadata={name: each for name, each in made.metadata.items()
                                                    if name != "driven"})  # fmt: skip
 
+    @property
+    def told(self) -> dict[str, Any]:
+        """See `Driving`: how it went."""
+        return {} if self.wired is None else dataclasses.asdict(self.wired.driven)
+
     def _row(self) -> tuple[np.ndarray, ...]:
         measured = None if self.wired is None else self.wired.measured.sensordata
         return super()._row() if measured is None else (*super()._row()[:3], measured)
@@ -371,19 +400,15 @@ class Way:
 
     def put(self, now: float, message: Any) -> None:
         """A message sets out."""
-        self.messages += 1
-        due = now + self._delay * self._random.uniform(0.5, 1.5)
-        if self._random.random() < self._loss:
-            self.lost += 1
-        else:
+        due, lost = now + self._delay * self._random.uniform(0.5, 1.5), self._random.random() < self._loss
+        self.messages, self.lost = self.messages + 1, self.lost + lost
+        if not lost:
             heapq.heappush(self._under_way, (due, self.messages, message))
 
-    def arrived(self, now: float) -> list[Any]:
+    def arrived(self, now: float) -> Iterator[Any]:
         """Those that have arrived, in the order of arrival."""
-        found = []
-        while self._under_way and self._under_way[0][0] <= now:
-            found.append(heapq.heappop(self._under_way)[2])
-        return found
+        while self.next <= now:
+            yield heapq.heappop(self._under_way)[2]
 
     @property
     def next(self) -> float:
@@ -442,10 +467,13 @@ class SimulatedRobot:
         told = sensor_message(self.robot, self._channels, self._readings[0, -1], self._ticks * self.dt)
         self.outward.put(now + self.dt, told)
 
-    def run(self, publish: Callable[[Any], None], seconds: float | None = None) -> dict[str, Any]:
-        """Be there for a time [s], or until a `KeyboardInterrupt`; returns `about`."""
-        begun = self._clock()
-        with contextlib.suppress(KeyboardInterrupt):
+    def run(self, url: str, seconds: float | None = None) -> dict[str, Any]:
+        """Be there for a time [s], or until Ctrl-C or SIGTERM; returns `about`. For the URL see `linked`."""
+        with (
+            contextlib.suppress(KeyboardInterrupt), interruptible(),
+            linked(url, SENSORS_TOPIC, SENSORS_TYPE, TOPIC, self.receive, "serve") as publish,
+        ):  # fmt: skip
+            begun = self._clock()
             while seconds is None or self._ticks * self.dt < seconds - 1e-9:
                 now, due = self._clock(), begun + self._ticks * self.dt
                 for message in self.outward.arrived(now):
