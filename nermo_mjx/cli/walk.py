@@ -310,12 +310,11 @@ def drive_command(
     robot behind the same topics.
     """
     with stdout_reserved():
-        from nermo_mjx.hardware.live import SendError
-        from nermo_mjx.hardware.table import channels_of
+        from nermo_mjx.hardware.live import SendError, address
         from nermo_mjx.live.driving import Driving
         from nermo_mjx.live.running import Running
         from nermo_mjx.live.server import Drive
-        from nermo_mjx.live.wire import RobotDriving, SimulatedRobot, drive_robot, reached
+        from nermo_mjx.live.wire import RobotDriving, SimulatedRobot, Wiring, drive_robot
         from nermo_mjx.runs.files import make_writable
 
         model, url = robot
@@ -323,12 +322,13 @@ def drive_command(
         default = "open_loop" if chosen["controller"] is None else None
         wanted = plan(pilot=pilot or default, seed=None, cycles=None, duration=None, warmup=None, robot=model, **chosen)
         setup, values, about, files = wanted.setup, dict(wanted.values), dict[str, Any](), list[Path]()
+        wiring = None if url is None else Wiring.of(setup, url, channels, rate, watchdog)
         try:
             if serve is not None:
-                connected = channels_of(channels, setup.load())
-                about = SimulatedRobot(setup, values, connected, delay / 1e3, loss).run(serve, seconds)
-            elif headless and url is not None:
-                with reached(Running(setup, values), url, channels, rate, watchdog) as there:
+                address(serve, "serve")
+                about = SimulatedRobot(setup, values, channels, delay / 1e3, loss).run(serve, seconds)
+            elif headless and wiring is not None:
+                with wiring.reached(Running(setup, values)) as there:
                     about = dataclasses.asdict(drive_robot(there, seconds))
             else:
                 if record is not None:
@@ -336,8 +336,8 @@ def drive_command(
                 with Progress("drive", quiet=quiet, compiles=True):
                     driving = (RobotDriving if url else Driving)(setup, values, record=record is not None)
                 with contextlib.ExitStack() as stack:
-                    if isinstance(driving, RobotDriving) and url is not None:
-                        driving.wired = stack.enter_context(reached(driving.running, url, channels, rate, watchdog))
+                    if isinstance(driving, RobotDriving) and wiring is not None:
+                        driving.wired = stack.enter_context(wiring.reached(driving.running))
                     drive = Drive(driving, record, port or 0)
                     if isinstance(driving, RobotDriving):
                         driving.operator = lambda: drive.away

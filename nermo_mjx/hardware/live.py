@@ -162,6 +162,20 @@ def linked(
         ParameterError: the URL or a topic is invalid, or the required package is missing.
         SendError: no answer, or the connection is refused.
     """
+    parts = address(url, field)
+    for name in (topic, heard or topic):
+        if not name or (parts.scheme == "mqtt" and any(mark in name for mark in "+#\0")):
+            raise ParameterError(f"topic is {name!r}: expected a name, without + and #.")
+    if parts.scheme == "mqtt":
+        with _mqtt(parts, topic, heard, receive, field) as publish:
+            yield publish
+    else:
+        with _rosbridge(parts, topic, kind, heard, receive, field) as publish:
+            yield publish
+
+
+def address(url: str, field: str) -> SplitResult:
+    """The parts of a URL as for `linked`; raises `ParameterError` with the field that it was given as."""
     try:
         parts = urlsplit(re.sub("^ros://", "ws://", url))
         # A port out of range raises; MQTT has no path (the topic is none), and takes a user without a password.
@@ -179,15 +193,7 @@ def linked(
             f"{field} is {masked!r}: allowed is mqtt://HOST[:PORT] or ws://HOST[:PORT], with a port from 1 to 65535, "
             "and USER:PASSWORD@ before HOST, special characters as %XX."
         )
-    for name in (topic, heard or topic):
-        if not name or (parts.scheme == "mqtt" and any(mark in name for mark in "+#\0")):
-            raise ParameterError(f"topic is {name!r}: expected a name, without + and #.")
-    if parts.scheme == "mqtt":
-        with _mqtt(parts, topic, heard, receive, field) as publish:
-            yield publish
-    else:
-        with _rosbridge(parts, topic, kind, heard, receive, field) as publish:
-            yield publish
+    return parts
 
 
 @contextlib.contextmanager

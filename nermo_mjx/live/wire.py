@@ -28,7 +28,7 @@ from jaxtyping import Float
 
 from nermo_mjx.control.controller import canonical
 from nermo_mjx.hardware.channels import Channels
-from nermo_mjx.hardware.live import PATIENCE, ROS_TYPE, TOPIC, NotSentError, SendError, linked, servo_message
+from nermo_mjx.hardware.live import PATIENCE, ROS_TYPE, TOPIC, NotSentError, SendError, address, linked, servo_message
 from nermo_mjx.hardware.table import channels_of, sent_angles
 from nermo_mjx.live.driving import Driving
 from nermo_mjx.live.running import Running
@@ -321,31 +321,46 @@ def drive_robot(wired: Wired, seconds: float | None = None, wait: Callable[[floa
     return driven
 
 
-@contextlib.contextmanager
-def reached(
-    running: Running, url: str, channels: Any, rate: float | None, watchdog: float = WATCHDOG
-) -> Iterator[Wired]:
-    """A robot that is there, and its controller, as a context manager.
+@dataclasses.dataclass(frozen=True)
+class Wiring:
+    """How a robot is reached, checked before anything is compiled.
 
-    Args:
-        running: the controller.
+    Attributes:
         url: see `linked`.
-        channels: see `servo_table`.
-        rate: of commands [Hz]; by default that of the channels, or of the controller.
+        channels: of the servos.
+        rate: of commands [Hz]; None for one per tick.
         watchdog: see `Wired` [s].
-
-    Raises:
-        ParameterError, SendError: see `linked`, `meet`; or the rate is above the controller's.
+        needed: sensors that the controller reads.
     """
-    robot, needed = running.simulator.robot, needed_sensors(running.setup)
-    measured = Measured(robot, channels_of(channels, robot), watchdog)
-    rate = rate or measured.channels.rate
-    if rate is not None and rate > 1.0 / running.dt + 1e-6:
-        raise ParameterError(f"rate is {rate:g} Hz: allowed is (0, {1.0 / running.dt:g}], the controller's.")
-    running.reset(measured.sensordata)  # compiled before the robot is reached
-    with linked(url, TOPIC, ROS_TYPE, SENSORS_TOPIC, measured.receive, "robot") as publish:
-        meet(measured, needed)
-        yield Wired(running, measured, publish, url, rate)
+
+    url: str
+    channels: Channels
+    rate: float | None
+    watchdog: float
+    needed: set[str]
+
+    @classmethod
+    def of(cls, setup: Setup, url: str, channels: Any, rate: float | None = None, watchdog: float = WATCHDOG) -> Wiring:
+        """The wiring of a setup's robot; for channels see `servo_table`, whose rate is taken if there is no other.
+
+        Raises:
+            ParameterError: the URL, a channel or the rate is invalid.
+        """
+        address(url, "robot")
+        connected, most = channels_of(channels, setup.load()), 1.0 / setup.make_controller().dt
+        rate = rate or connected.rate
+        if rate is not None and rate > most + 1e-6:
+            raise ParameterError(f"rate is {rate:g} Hz: allowed is (0, {most:g}], the controller's.")
+        return cls(url, connected, rate, watchdog, needed_sensors(setup))
+
+    @contextlib.contextmanager
+    def reached(self, running: Running) -> Iterator[Wired]:
+        """A robot that is there, and its controller; raises `SendError` or `ParameterError`, see `linked`, `meet`."""
+        measured = Measured(running.simulator.robot, self.channels, self.watchdog)
+        running.reset(measured.sensordata)  # compiled before the robot is reached
+        with linked(self.url, TOPIC, ROS_TYPE, SENSORS_TOPIC, measured.receive, "robot") as publish:
+            meet(measured, self.needed)
+            yield Wired(running, measured, publish, self.url, self.rate)
 
 
 class RobotDriving(Driving):
@@ -424,18 +439,19 @@ class SimulatedRobot:
     """
 
     def __init__(
-        self, setup: Setup, values: Mapping[str, float], channels: Channels, delay: float = 0.0, loss: float = 0.0,
+        self, setup: Setup, values: Mapping[str, float], channels: Any, delay: float = 0.0, loss: float = 0.0,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:  # fmt: skip
         """
         Args:
             setup, values: of the body; the gait decides the pose at the start.
-            channels: of the servos.
+            channels: of the servos, see `servo_table`.
             delay, loss: mean time that a message takes [s], and share that gets lost, each way; see `Way`.
             clock: function for the time [s].
         """
         simulator = Simulator(setup, "c")
-        batch, self.robot, self._channels = simulator.prepare(values, Run(duration=1.0)), simulator.robot, channels
+        batch, self.robot = simulator.prepare(values, Run(duration=1.0)), simulator.robot
+        self._channels = channels_of(channels, self.robot)
         assert isinstance(simulator.engine, CEngine)
         self._body, self.dt = CBodies(simulator.engine, batch.qpos, batch.fields, 1), float(simulator.controller.dt)
         self._reach = float(batch.params.servo.top_speed[0]) * self.dt
