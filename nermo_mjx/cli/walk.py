@@ -338,7 +338,7 @@ def drive_command(
                 with contextlib.ExitStack() as stack:
                     if isinstance(driving, RobotDriving) and wiring is not None:
                         driving.wired = stack.enter_context(wiring.reached(driving.running))
-                    drive = Drive(driving, record, port or 0)
+                    drive = Drive(setup, values, record, port or 0, driving)
                     if isinstance(driving, RobotDriving):
                         driving.operator = lambda: drive.away
                     click.echo(f"drive: {drive.link.address}", err=True)
@@ -366,29 +366,40 @@ Examples:
   nermo-mjx replay runs/quickstart --row 57 --video row57.mp4
   nermo-mjx replay runs/quickstart --row 57 --engine mjx --json
   nermo-mjx replay runs/atlas --row 8123 --video gait.mp4
+  nermo-mjx replay drive.npz
 """
 
 
 @click.command("replay", epilog=REPLAY_EPILOG)
-@click.argument("out", metavar="DIR", type=click.Path(path_type=Path))
-@options.number("--row", "Row of the table, from 0.", int, required=True, metavar="N")
+@click.argument("out", metavar="DIR|FILE.npz", type=click.Path(path_type=Path))
+@options.number("--row", "Row of the table, from 0; not with a FILE.npz.", int, metavar="N")
 @options.choice("--engine", ENGINES, "By default the directory's own.", default=None)
 @options.file("--record", ".npz", "Save the whole run.")
 @options.file("--video", ".mp4", "Render it; MP4, GIF or WebP.")
 @options.camera
 @options.report
 def replay_command(
-    out: Path, row: int, engine: str | None, record: Path | None, video: Path | None, camera: str, as_json: bool,
-    quiet: bool,
+    out: Path, row: int | None, engine: str | None, record: Path | None, video: Path | None, camera: str,
+    as_json: bool, quiet: bool,
 ) -> None:  # fmt: skip
-    """Rerun one row of a sweep's or a search's directory on its own.
+    """Rerun one row of a sweep's or a search's directory on its own, or a
+    recorded drive.
 
     It has the parameters, start and duration that the sweep gives it, whether
     or not the sweep has reached it; for a search, those of a row of its table.
     Its metrics are compared with those in the table: with the engine c on the
     same machine, they are bit-identical. DIR is only read.
+
+    A FILE.npz of `drive --record` is driven again, by the same commands, and
+    compared sample by sample.
     """
     files = [path for path in (record, video) if path is not None]
+    if out.suffix == ".npz":
+        if row is not None or engine is not None:
+            raise WrongUse("--row and --engine belong to a directory: a recorded drive has neither.")
+        return _replay_drive(out, record, video, camera, as_json, quiet)
+    if row is None:
+        raise WrongUse("Give --row N, a row of the table.")
     with stdout_reserved():
         from nermo_mjx.runs.files import make_writable
         from nermo_mjx.sweep.replay import find_row, replay_row, report_of
@@ -417,6 +428,28 @@ def replay_command(
         print_json(report)
     elif not quiet:
         _print_replay(found, wanted, replay, report, files)
+
+
+def _replay_drive(path: Path, record: Path | None, video: Path | None, camera: str, as_json: bool, quiet: bool) -> None:
+    """Drive a recording again, and compare."""
+    with stdout_reserved():
+        from nermo_mjx.live.driving import difference, replayed
+        from nermo_mjx.recording import RecordingError
+
+        recording = load_recording(path)
+        try:
+            with Progress("replay", quiet=quiet, compiles=True):
+                again = replayed(recording)
+        except RecordingError as error:
+            raise WrongUse(f"{path}: {error}") from None
+        save_run(again, record, video, camera, quiet)
+    differs = difference(recording, again)
+    if as_json:
+        print_json({"recording": path, "samples": len(again.time), "equal": differs is None, "differs_from": differs})
+    elif not quiet:
+        samples = f"{len(again.time):,} samples"
+        click.echo(f"All {samples} equal the recording's, to the last bit." if differs is None else
+                   f"Of {samples} those from {differs:.2f} s on differ from the recording's.")  # fmt: skip
 
 
 def _print_replay(found: SweepRow, wanted: Plan, replay: Replay, report: dict[str, Any], files: list[Path]) -> None:

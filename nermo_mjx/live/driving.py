@@ -185,5 +185,12 @@ def replayed(recording: Recording) -> Recording:
     return driving.recording()
 
 
+def difference(one: Recording, other: Recording) -> float | None:
+    """Time of the first sample that differs in any bit of positions, velocities or targets [s]; None if none does."""
+    pairs = [(getattr(one, name), getattr(other, name)) for name in ("qpos", "qvel", "ctrl")]
+    differs = np.any([(a != b).any(axis=1) for a, b in pairs], axis=0)
+    return float(one.time[np.argmax(differs)]) if differs.any() else None
+
+
 def _switch(written: dict[str, Any]) -> Switch:
     return Switch(**{("values" if name == "set" else name): value for name, value in written.items()})

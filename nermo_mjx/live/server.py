@@ -24,7 +24,7 @@ from urllib.parse import urlsplit
 import numpy as np
 from pydantic import BaseModel, Field, ValidationError
 
-from nermo_mjx.control.schedule import Switch
+from nermo_mjx.control.schedule import GAINS, Switch
 from nermo_mjx.live.driving import Driving
 from nermo_mjx.live.showing import Shown
 from nermo_mjx.robot.parameters import GAIT_NAMES
@@ -169,23 +169,32 @@ class Drive:
     """A drive under a page, in real time.
 
     Attributes:
-        driving, link: its robot and its page.
+        driving, link, record: its robot, its page, its file.
         paused, speed: whether time stands still, and seconds of the drive per second.
+        over: set it to end the drive.
         factor: seconds of the drive per second, over those while it was neither paused nor slowed down.
         delays: from the end of a tick to its picture on the screen, of the latest pictures [s].
     """
 
-    def __init__(self, driving: Driving, record: Path | None = None, port: int = 0) -> None:
+    def __init__(
+        self,
+        setup: Any,
+        values: dict[str, float],
+        record: Path | None = None,
+        port: int = 0,
+        driving: Driving | None = None,
+    ) -> None:
         """
         Args:
-            driving: the robot, which keeps its ticks if there is a file for them.
+            setup, values: as for `Running`.
             record: file for what was driven; after a reset, what follows goes to FILE-2, FILE-3, ...
             port: see `Link`.
+            driving: of these; None for the simulated robot.
         """
-        self.driving, setup = driving, driving.running.setup
-        self._shown, self._record, self.files = Shown(self.driving), record, list[Path]()
+        self.driving = driving or Driving(setup, values, record=record is not None)
+        self._shown, self.record, self.files = Shown(self.driving), record, list[Path]()
         self._gait, self._steering = setup.gait, str(setup.steering)
-        self.paused, self.speed, self._began = False, 1.0, False
+        self.paused, self.speed, self.over, self._began = False, 1.0, False, False
         self._sent = dict[int, float]()
         self._number, self.delays, self._spent = 0, list[float](), [0.0, 0.0]
         self.link = Link(self._document, port)
@@ -212,7 +221,7 @@ class Drive:
 
     def _run(self, end: float) -> None:
         due, picture = time.perf_counter(), 0.0
-        while time.perf_counter() < end:
+        while not self.over and time.perf_counter() < end:
             begun = time.perf_counter()
             for page, message in self._messages(0.05 if self._stands else max(due - begun, 0.0)):
                 self._receive(page, message)
@@ -297,9 +306,9 @@ class Drive:
         self._show()
 
     def _save(self) -> None:
-        if self._record is not None and self.driving.running.ticks:
+        if self.record is not None and self.driving.running.ticks:
             number = f"-{len(self.files) + 1}" if self.files else ""
-            path = self._record.with_name(f"{self._record.stem}{number}{self._record.suffix}")
+            path = self.record.with_name(f"{self.record.stem}{number}{self.record.suffix}")
             self.files.append(self.driving.recording().save(path))
 
     def _show(self) -> None:
@@ -332,7 +341,9 @@ class Drive:
              "high": min(known[name].high, RANGES.get(name, (-9e9, 9e9))[1])}
             for name, (title, unit) in self._sliders.items() if name in known
         ]  # fmt: skip
-        modes = {field: sorted(names) for field, names in running.simulator.setup.modes.items()}
+        # Without those that would do nothing: the harmonics, unless they have amplitudes.
+        modes = {field: sorted(name for name in names if any(map(running.value, GAINS[name])))
+                 for field, names in running.simulator.setup.modes.items()}  # fmt: skip
         return self._shown.document({"sliders": sliders, "modes": modes, "ours": "offset.front_left" in running.known})
 
 

@@ -83,7 +83,8 @@ function wireControls(player, stage, plots, clips, driven) {
   };
   const states = {
     follow: true, tendons: true, forces: true, trail: false, shadows: true, collisions: false,
-    "plots-toggle": true, window: Boolean(driven),
+    // The picture of a drive needs a telephone's height.
+    "plots-toggle": !driven || innerWidth > 719, window: Boolean(driven),
   };
   const set = wireToggles(states, (id) => {
     if (id === "follow") stage?.setFollow(states.follow);
@@ -124,7 +125,10 @@ function wireControls(player, stage, plots, clips, driven) {
     ...Object.fromEntries(["follow", "tendons", "forces", "trail", "shadows", "collisions", "window"].map((id) => [id, toggle(id)])),
     ...driven?.actions,
   }, driven?.shortcuts);
-  plots.setWindowed(states.window);
+  if (driven) {
+    plots.setWindowed(true);
+    document.body.classList.toggle("no-plots", !states["plots-toggle"]);
+  }
 }
 
 /** Advances the time with the screen's frames; draws only changes. */

@@ -17,6 +17,7 @@ const DEAD = 0.12;
 const PUSH = { newton: 0.02, most: 5, seconds: 0.2 };
 /** Time between two drawings of the plots [ms]: of a window that moves, and of the whole. */
 const DRAWN = { window: 80, whole: 500 };
+const called = (name) => name.replaceAll("_", " ");
 const GAITS = ["trot", "walking_trot", "lateral_walk", "bound", "gallop"];
 const STEERINGS = ["leg", "spine", "mix"];
 
@@ -105,6 +106,7 @@ export class Drive {
     this.clip.append(new Float32Array(data, 4));
     this.player.begin = this.clip.begin;
     this.player.end = this.clip.end;
+    Object.assign(find("scrub"), { min: this.clip.begin, max: this.clip.end });
     this.player.seek(this.clip.end);
     // Drawn in this frame, by main.js; then the page is free to take the next one.
     requestAnimationFrame(() => setTimeout(() => this.send({ shown: number })));
@@ -120,6 +122,9 @@ export class Drive {
       if (performance.now() - (this.touched[name] ?? -1e9) > 600) this.#showValue(name, message.values[name]);
     }
     for (const [button, isOn] of this.buttons) button.setAttribute("aria-pressed", String(isOn(message)));
+    const spine = message.spine === "none" ? "" : `, spine ${message.spine.replaceAll("_", " ")}`;
+    const { frequency } = message.values;
+    if (this.live.ours) document.querySelector("h1").textContent = `${called(message.gait)}, ${frequency.toFixed(2)} Hz${spine}`;
     const factor = message.factor < 0.99 ? `, ${message.factor.toFixed(2)} of real time` : "";
     find("drive-state").textContent = `${message.paused ? "paused" : "driving"}${factor}`;
   }
@@ -141,12 +146,11 @@ export class Drive {
     const buttons = element("div", "", "drive-buttons");
     const { modes, ours } = this.live;
     if (ours) {
-      this.#group(buttons, "gait", GAITS.map((gait) => [gait.replace("_", " "), { gait }, (state) => state.gait === gait]));
+      this.#group(buttons, "gait", GAITS.map((gait) => [called(gait), { gait }, (state) => state.gait === gait]));
       this.#group(buttons, "steering", STEERINGS.map((name) => [name, { steering: name }, (state) => state.steering === name]));
     }
     for (const field of ["spine", "head", "tail_motion"]) {
       const has = (mode) => (state) => state[field].split("+").includes(mode);
-      const called = (mode) => mode.replaceAll("_", " ");
       const made = modes[field].map((mode) => [called(mode), () => this.#toggled(field, mode), has(mode)]);
       if (made.length) this.#group(buttons, field.replace("_motion", ""), made);
     }
@@ -276,6 +280,7 @@ export class Drive {
     const arrow = document.createElementNS("http://www.w3.org/2000/svg", "svg");
     arrow.id = "arrow";
     arrow.innerHTML = "<line/><text/>";
+    arrow.style.display = "none";
     find("stage").append(arrow);
     let begin = null;
     canvas.addEventListener("pointerdown", (event) => {
@@ -287,6 +292,7 @@ export class Drive {
     canvas.addEventListener("pointermove", (event) => {
       if (!begin) return;
       event.stopImmediatePropagation();
+      arrow.style.display = "block";
       const [line, text] = arrow.children;
       for (const [name, value] of Object.entries({ x1: begin.x, y1: begin.y, x2: event.offsetX, y2: event.offsetY })) line.setAttribute(name, value);
       text.setAttribute("x", event.offsetX + 8);
@@ -299,8 +305,7 @@ export class Drive {
       event.stopImmediatePropagation();
       this.send({ push: { body: begin.body, force: this.#force(begin, event).toArray(), seconds: PUSH.seconds } });
       begin = null;
-      for (const name of ["x1", "y1", "x2", "y2"]) arrow.firstChild.setAttribute(name, 0);
-      arrow.lastChild.textContent = "";
+      arrow.style.display = "none";
     }, { capture: true });
   }
 
