@@ -22,11 +22,13 @@ from command import call
 from nermo_mjx import Run, Setup, Simulator
 from nermo_mjx.hardware import Channels, read_channels
 from nermo_mjx.hardware.live import PATIENCE, ROS_TYPE, TOPIC, NotSentError, SendError, linked
+from nermo_mjx.live.driving import replayed
 from nermo_mjx.live.running import Running
 from nermo_mjx.live.wire import (
     APPROACH,
     SENSORS_TOPIC,
     Measured,
+    RobotDriving,
     SimulatedRobot,
     Wired,
     drive_robot,
@@ -34,6 +36,7 @@ from nermo_mjx.live.wire import (
     needed_sensors,
     sensor_message,
 )
+from nermo_mjx.recording import RecordingError
 from nermo_mjx.robot import ParameterError, load_robot
 
 pytestmark = pytest.mark.compiles
@@ -299,6 +302,41 @@ def test_a_robot_leaves_out_commands_that_are_none(running) -> None:
         both.body.receive(message)
     both.body.tick(both.clock())
     assert both.body.about["commands"] == {"garbage": 3, "of a wrong size": 1, "not finite": 1, "taken": 1, "lost": 0}
+
+
+def test_under_a_page_the_twin_gets_the_robots_commands(running, tmp_path) -> None:
+    """And the recording has what the robot measured. A reset leads the robot back slowly; no page is no message."""
+    driving = RobotDriving(running.setup)
+    both = Together(driving.running)
+    driving.wired, sent = both.wired, both.commands
+
+    def drive(seconds: float) -> None:
+        for _ in range(round(seconds / driving.running.dt)):
+            both.tell()
+            driving.tick()
+            both.body.tick(both.clock())
+            both.clock.now += driving.running.dt
+
+    drive(2.0)
+    made = driving.recording()
+    assert both.body.about["distance"] > 0.1
+    walked = np.linalg.norm((made.qpos[-1] - made.qpos[0])[:2])
+    assert walked == pytest.approx(both.body.about["distance"], rel=0.1)
+    np.testing.assert_allclose(made.ctrl[-1][[0, 8]], [sent[-1][0], sent[-1][11]], atol=1e-5)
+    np.testing.assert_array_equal(made.sensors["position"][-1], both.measured.sensordata[:3])
+    assert driving.told["walked"] > 1.9
+    with pytest.raises(RecordingError, match="the recording is not of a drive"):
+        replayed(made)
+    driving.reset()
+    drive(0.5)
+    assert np.abs(np.diff(sent, axis=0)).max() < 0.2, "no jump, but for what servos differ from what they were told"
+    driving.operator = lambda: 0.3
+    walked = driving.told["walked"]
+    drive(0.2)
+    assert driving.told["walked"] == walked
+    driving.operator = lambda: 6.0
+    with pytest.raises(SendError, match="no message for 5 s"):
+        driving.tick()
 
 
 def test_wrong_use_is_a_sentence() -> None:
