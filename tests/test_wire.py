@@ -324,16 +324,16 @@ def test_under_a_page_the_twin_gets_the_robots_commands(running, tmp_path) -> No
     assert walked == pytest.approx(both.body.about["distance"], rel=0.1)
     np.testing.assert_allclose(made.ctrl[-1][[0, 8]], [sent[-1][0], sent[-1][11]], atol=1e-5)
     np.testing.assert_array_equal(made.sensors["position"][-1], both.measured.sensordata[:3])
-    assert driving.told["walked"] > 1.9
+    assert both.wired.driven.walked > 1.9
     with pytest.raises(RecordingError, match="the recording is not of a drive"):
         replayed(made)
     driving.reset()
     drive(0.5)
     assert np.abs(np.diff(sent, axis=0)).max() < 0.2, "no jump, but for what servos differ from what they were told"
     driving.operator = lambda: 0.3
-    walked = driving.told["walked"]
+    walked = both.wired.driven.walked
     drive(0.2)
-    assert driving.told["walked"] == walked
+    assert both.wired.driven.walked == walked
     driving.operator = lambda: 6.0
     with pytest.raises(SendError, match="no message for 5 s"):
         driving.tick()

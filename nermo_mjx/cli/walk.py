@@ -314,7 +314,7 @@ def drive_command(
         from nermo_mjx.live.driving import Driving
         from nermo_mjx.live.running import Running
         from nermo_mjx.live.server import Drive
-        from nermo_mjx.live.wire import RobotDriving, SimulatedRobot, Wiring, drive_robot
+        from nermo_mjx.live.wire import RobotDriving, SimulatedRobot, drive_robot, reached, wiring
         from nermo_mjx.runs.files import make_writable
 
         model, url = robot
@@ -322,13 +322,13 @@ def drive_command(
         default = "open_loop" if chosen["controller"] is None else None
         wanted = plan(pilot=pilot or default, seed=None, cycles=None, duration=None, warmup=None, robot=model, **chosen)
         setup, values, about, files = wanted.setup, dict(wanted.values), dict[str, Any](), list[Path]()
-        wiring = None if url is None else Wiring.of(setup, url, channels, rate, watchdog)
+        wired = None if url is None else (url, *wiring(setup, url, channels, rate), watchdog)
         try:
             if serve is not None:
                 address(serve, "serve")
                 about = SimulatedRobot(setup, values, channels, delay / 1e3, loss).run(serve, seconds)
-            elif headless and wiring is not None:
-                with wiring.reached(Running(setup, values)) as there:
+            elif headless and wired is not None:
+                with reached(Running(setup, values), *wired) as there:
                     about = dataclasses.asdict(drive_robot(there, seconds))
             else:
                 if record is not None:
@@ -336,8 +336,8 @@ def drive_command(
                 with Progress("drive", quiet=quiet, compiles=True):
                     driving = (RobotDriving if url else Driving)(setup, values, record=record is not None)
                 with contextlib.ExitStack() as stack:
-                    if isinstance(driving, RobotDriving) and wiring is not None:
-                        driving.wired = stack.enter_context(wiring.reached(driving.running))
+                    if isinstance(driving, RobotDriving) and wired is not None:
+                        driving.wired = stack.enter_context(reached(driving.running, *wired))
                     drive = Drive(setup, values, record, port or 0, driving)
                     if isinstance(driving, RobotDriving):
                         driving.operator = lambda: drive.away
@@ -346,7 +346,9 @@ def drive_command(
                         webbrowser.open(drive.link.address)
                     with contextlib.suppress(KeyboardInterrupt, SendError):
                         drive.run(seconds)
-                about, files = drive.report() | driving.told, drive.files
+                about, files = drive.report(), drive.files
+                if isinstance(driving, RobotDriving) and driving.wired is not None:
+                    about |= dataclasses.asdict(driving.wired.driven)
         except SendError as error:
             raise Failure(f"{str(error).rstrip('.')}.") from None
     if as_json:

@@ -106,11 +106,6 @@ class Driving:
         ticks = max(1, round(seconds / self.running.dt))
         self.pushes.append(Push(self.running.ticks, ticks, body, (float(force[0]), float(force[1]), float(force[2]))))
 
-    @property
-    def told(self) -> dict[str, Any]:
-        """For the report of a drive."""
-        return {}
-
     def commanded(self) -> Float[np.ndarray, " n_servos"]:
         """The controller's tick: servo angles [rad]."""
         return self.running.tick(self._readings[0])

@@ -321,46 +321,35 @@ def drive_robot(wired: Wired, seconds: float | None = None, wait: Callable[[floa
     return driven
 
 
-@dataclasses.dataclass(frozen=True)
-class Wiring:
-    """How a robot is reached, checked before anything is compiled.
+def wiring(setup: Setup, url: str, channels: Any, rate: float | None = None) -> tuple[Channels, float | None, set[str]]:
+    """The channels of a robot, the rate of its commands [Hz], and what its controller reads, before anything compiles.
 
-    Attributes:
-        url: see `linked`.
-        channels: of the servos.
-        rate: of commands [Hz]; None for one per tick.
-        watchdog: see `Wired` [s].
-        needed: sensors that the controller reads.
+    Args:
+        setup, url: of the robot, see `linked`.
+        channels: see `servo_table`.
+        rate: of commands [Hz]; by default that of the channels. None is one per tick.
+
+    Raises:
+        ParameterError: the URL, a channel or the rate is invalid.
     """
+    address(url, "robot")
+    connected, most = channels_of(channels, setup.load()), 1.0 / setup.make_controller().dt
+    rate = rate or connected.rate
+    if rate is not None and rate > most + 1e-6:
+        raise ParameterError(f"rate is {rate:g} Hz: allowed is (0, {most:g}], the controller's.")
+    return connected, rate, needed_sensors(setup)
 
-    url: str
-    channels: Channels
-    rate: float | None
-    watchdog: float
-    needed: set[str]
 
-    @classmethod
-    def of(cls, setup: Setup, url: str, channels: Any, rate: float | None = None, watchdog: float = WATCHDOG) -> Wiring:
-        """The wiring of a setup's robot; for channels see `servo_table`, whose rate is taken if there is no other.
-
-        Raises:
-            ParameterError: the URL, a channel or the rate is invalid.
-        """
-        address(url, "robot")
-        connected, most = channels_of(channels, setup.load()), 1.0 / setup.make_controller().dt
-        rate = rate or connected.rate
-        if rate is not None and rate > most + 1e-6:
-            raise ParameterError(f"rate is {rate:g} Hz: allowed is (0, {most:g}], the controller's.")
-        return cls(url, connected, rate, watchdog, needed_sensors(setup))
-
-    @contextlib.contextmanager
-    def reached(self, running: Running) -> Iterator[Wired]:
-        """A robot that is there, and its controller; raises `SendError` or `ParameterError`, see `linked`, `meet`."""
-        measured = Measured(running.simulator.robot, self.channels, self.watchdog)
-        running.reset(measured.sensordata)  # compiled before the robot is reached
-        with linked(self.url, TOPIC, ROS_TYPE, SENSORS_TOPIC, measured.receive, "robot") as publish:
-            meet(measured, self.needed)
-            yield Wired(running, measured, publish, self.url, self.rate)
+@contextlib.contextmanager
+def reached(
+    running: Running, url: str, channels: Channels, rate: float | None, needed: set[str], watchdog: float = WATCHDOG
+) -> Iterator[Wired]:
+    """A robot that is there, and its controller; for the arguments see `wiring`, for errors `linked` and `meet`."""
+    measured = Measured(running.simulator.robot, channels, watchdog)
+    running.reset(measured.sensordata)  # compiled before the robot is reached
+    with linked(url, TOPIC, ROS_TYPE, SENSORS_TOPIC, measured.receive, "robot") as publish:
+        meet(measured, needed)
+        yield Wired(running, measured, publish, url, rate)
 
 
 class RobotDriving(Driving):
@@ -391,13 +380,7 @@ class RobotDriving(Driving):
     def recording(self) -> Recording:
         """The commands, what the robot measured, and how the simulated body moved; no `replay` makes it again."""
         made = super().recording()
-        return dataclasses.replace(made, metadata={name: each for name, each in made.metadata.items()
-                                                   if name != "driven"})  # fmt: skip
-
-    @property
-    def told(self) -> dict[str, Any]:
-        """See `Driving`: how it went."""
-        return {} if self.wired is None else dataclasses.asdict(self.wired.driven)
+        return dataclasses.replace(made, metadata={**made.metadata, "driven": None})
 
     def _row(self) -> tuple[np.ndarray, ...]:
         measured = None if self.wired is None else self.wired.measured.sensordata
@@ -493,7 +476,8 @@ class SimulatedRobot:
             while seconds is None or self._ticks * self.dt < seconds - 1e-9:
                 now, due = self._clock(), begun + self._ticks * self.dt
                 for message in self.outward.arrived(now):
-                    publish(message)
+                    with contextlib.suppress(NotSentError):
+                        publish(message)
                 if now < due:
                     time.sleep(max(0.0, min(due, self.outward.next) - self._clock()))
                 else:
