@@ -156,9 +156,9 @@ class Link:
     def _handle(self, page: Any) -> None:
         with self._lock:
             before, self._page = self._page, page
-        if before is not None:
-            before.close(REPLACED, "another page drives now")
         self.inbox.put((page, True))
+        if before is not None:  # which may take its time, if that page hangs
+            threading.Thread(target=before.close, args=(REPLACED, "another page drives now"), daemon=True).start()
         try:
             for text in page:
                 self.inbox.put((page, text))
