@@ -168,6 +168,17 @@ def test_a_drive_is_made_again_bit_for_bit(tmp_path):
     assert json.loads(table.stdout)["rows"] > 50, table.output
 
 
+def test_the_command_prints_its_address_and_waits_for_a_page(tmp_path):
+    given = ["drive", "--no-browser", "--seconds", "0.1", "--record", str(tmp_path / "d.npz"), "--json"]
+    answer = CliRunner().invoke(main, given)
+    assert answer.exit_code == 0, answer.output
+    assert "drive: http://127.0.0.1:" in answer.stderr
+    assert json.loads(answer.stdout) == {"files": [], "seconds": 0.0, "factor": 1.0, "delay": None, "delay_95": None}
+    assert not (tmp_path / "d.npz").exists()
+    wrong = CliRunner().invoke(main, ["replay", str(tmp_path)])
+    assert (wrong.exit_code, "Give --row N" in wrong.stderr) == (2, True)
+
+
 @pytest.mark.browser
 @pytest.mark.skipif(BROWSER is None, reason="no Chromium")
 def test_the_robot_follows_keys_gamepad_and_hand(drive):

@@ -67,7 +67,8 @@ class Running:
         self._engine, controller = self.simulator.engine, self.simulator.controller
         self.dt, self.steps_per_tick = float(controller.dt), self.simulator.loop.steps_per_tick
         self.known = dict(quantities(controller.parameters))
-        endless = jax.tree.map(lambda default, leaf: np.full_like(leaf, default), Window(), self.batch.params.window)
+        whole = Window(begin=0.0, end=1e6, distance=1e6)
+        endless = jax.tree.map(np.full_like, self.batch.params.window, whole)
         self._params = dataclasses.replace(self.batch.params, window=endless, schedule=None)
         self._scheduled = jax.jit(scheduled)
         self._loop: Any = None
@@ -192,7 +193,7 @@ class Running:
 def _with_all_modes(setup: Setup) -> Setup:
     """The setup with every mode of the robot, those that do not act turned on after its end."""
     spine = LATERAL_MODES + (SAGITTAL_MODES if setup.robot == "nermo_41" else ())
-    on = [{"spine": "+".join(spine), "head": GAZE}]
+    on: list[dict[str, Any]] = [{"spine": "+".join(spine), "head": GAZE}]
     on += [{"tail_motion": name} for name in TAIL_MOTIONS if setup.tail != "rigid" and name != NO_MODE]
     later = tuple(Switch(1e5 * (k + 1), **one) for k, one in enumerate(on))
     return dataclasses.replace(setup, schedule=later)

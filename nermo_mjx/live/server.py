@@ -41,6 +41,13 @@ LATE: Final = 0.1
 #: Close code of a page that another one has replaced.
 REPLACED: Final = 4001
 
+#: Sliders of the page: parameter, title, unit, range.
+SLIDERS: Final = {
+    "frequency": ("frequency", "Hz", 0.2, 2.0), "stride": ("stride", "", 0.0, 1.2),
+    "pilot.turn_rate": ("turn", "", -1.0, 1.0), "spine.amplitude": ("spine amplitude", "rad", 0.0, 0.6),
+    "spine.phase": ("spine phase", "rad", -3.15, 3.15),
+}  # fmt: skip
+
 Finite = Annotated[float, Field(allow_inf_nan=False, strict=True)]
 
 
@@ -114,10 +121,6 @@ class Link:
     def close(self) -> None:
         """Close the page's socket and the server."""
         self._server.shutdown()
-        self.drop()
-
-    def drop(self) -> None:
-        """Close the page's socket."""
         if self._page is not None:
             self._page.close(1001, "the drive has ended")
 
@@ -153,9 +156,9 @@ class Link:
     def _handle(self, page: Any) -> None:
         with self._lock:
             before, self._page = self._page, page
-        if before is not None:
-            before.close(REPLACED, "another page drives now")
         self.inbox.put((page, True))
+        if before is not None:  # which may take its time, if that page hangs
+            threading.Thread(target=before.close, args=(REPLACED, "another page drives now"), daemon=True).start()
         try:
             for text in page:
                 self.inbox.put((page, text))
@@ -319,36 +322,20 @@ class Drive:
     def _tell(self) -> None:
         running = self.driving.running
         modes = {field: "+".join(sorted(names)) or "none" for field, names in running.modes.items()}
-        values = {name: running.value(name) for name in self._sliders}
+        values = {name: running.value(name) for name in SLIDERS}
         self.link.send({
             "paused": self.paused, "speed": self.speed, "gait": GAIT_NAMES.get(self._gait, self._gait),
             "steering": self._steering, **modes, "values": values, "factor": round(self.factor, 3),
         })  # fmt: skip
 
-    @property
-    def _sliders(self) -> dict[str, tuple[str, str]]:
-        """Parameters that the page has a slider for, with their titles and units."""
-        return {
-            "frequency": ("frequency", "Hz"), "stride": ("stride", ""), "pilot.turn_rate": ("turn", ""),
-            "spine.amplitude": ("spine amplitude", "rad"), "spine.phase": ("spine phase", "rad"),
-        }  # fmt: skip
-
     def _document(self) -> str:
         running = self.driving.running
-        known = {name: about for name, about in running.known.items() if name in self._sliders}
-        sliders = [
-            {"name": name, "title": title, "unit": unit, "low": max(known[name].low, RANGES.get(name, (-9e9, 9e9))[0]),
-             "high": min(known[name].high, RANGES.get(name, (-9e9, 9e9))[1])}
-            for name, (title, unit) in self._sliders.items() if name in known
-        ]  # fmt: skip
+        sliders = [{"name": name, "title": title, "unit": unit, "low": low, "high": high}
+                   for name, (title, unit, low, high) in SLIDERS.items() if name in running.known]  # fmt: skip
         # Without those that would do nothing: the harmonics, unless they have amplitudes.
         modes = {field: sorted(name for name in names if any(map(running.value, GAINS[name])))
                  for field, names in running.simulator.setup.modes.items()}  # fmt: skip
         return self._shown.document({"sliders": sliders, "modes": modes, "ours": "offset.front_left" in running.known})
-
-
-#: Ranges of the page's sliders, where those of the parameters are wider than anyone drives.
-RANGES: Final = {"frequency": (0.2, 2.0), "spine.phase": (-3.15, 3.15)}
 
 
 def sentence_of(error: Exception) -> str:

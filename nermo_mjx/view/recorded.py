@@ -475,9 +475,10 @@ def _units(recording: Recording) -> dict[str, str]:
     from nermo_mjx.robot.quantity import quantities
     from nermo_mjx.rollout import METRICS  # starts JAX
     from nermo_mjx.rollout.setup import WorldParameters
+    from nermo_mjx.rollout.transitions import TRANSITION
 
     units = {name: about.unit for name, about in quantities(WorldParameters)}
-    return units | {name: metric.unit for name, metric in METRICS.items()} | _part(recording, "units")
+    return units | {name: metric.unit for name, metric in (METRICS | TRANSITION).items()} | _part(recording, "units")
 
 
 def _number(value: Any) -> float | None:

@@ -163,6 +163,7 @@ export class Drive {
       const input = element("input");
       Object.assign(input, { type: "range", min: low, max: high, step: 0.01, id: `drive-${name}` });
       input.addEventListener("input", () => this.set(name, Number(input.value)));
+      input.addEventListener("pointerup", () => input.blur()); // so that arrows drive
       const value = element("output");
       label.append(element("span", title), input, value);
       label.dataset.unit = unit;
@@ -191,6 +192,7 @@ export class Drive {
       button.type = "button";
       button.dataset.drive = label;
       button.addEventListener("click", () => {
+        button.blur(); // so that Space pauses
         const given = typeof message === "function" ? message() : message;
         if (given) this.send(given);
       });
