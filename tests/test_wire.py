@@ -488,3 +488,51 @@ def test_when_either_side_is_killed_the_other_stops(wire, channels, running) -> 
     assert len(later) > 100
     assert np.ptp(later, axis=0).max() == 0.0, "it holds"
     assert commands[-1][0] < killed + PATIENCE + 1.0, "and ends"
+
+
+@pytest.mark.process
+@pytest.mark.slow
+def test_a_page_drives_a_robot_that_holds_when_it_hangs() -> None:
+    """A page that says what it has shown; then it hangs, and goes on; then it goes, and no command is sent."""
+    wires.needs("websockets")
+    from websockets.sync.client import connect
+
+    commands: list[float] = []
+    with (
+        wires.broker() as port,
+        linked(f"mqtt://127.0.0.1:{port}", "listener", ROS_TYPE, TOPIC, lambda angles: commands.append(angles[0])) as _,
+        process("--serve", f"mqtt://127.0.0.1:{port}") as robot,
+        process("--robot", f"mqtt://127.0.0.1:{port}", "--rate", "100", "--no-browser", "--seconds", "60") as drive,
+    ):
+        assert drive.stderr is not None
+        where = next(line.split()[1] for line in drive.stderr if line.startswith("drive: http"))
+        begin = where.removesuffix("/").rpartition("/")[0]
+
+        def show(page: Any, seconds: float) -> None:
+            end = time.monotonic() + seconds
+            while time.monotonic() < end:
+                with contextlib.suppress(TimeoutError):
+                    if isinstance(message := page.recv(timeout=0.1), bytes):
+                        page.send(json.dumps({"shown": int.from_bytes(message[:4], "little")}))
+
+        with connect(f"ws{where[4:]}socket", origin=begin, max_size=None) as page:
+            until(lambda: show(page, 0.2) or np.ptp(commands[-50:] or [0]) > 5.0)
+            time.sleep(1.0)  # hangs
+            number = len(commands)
+            time.sleep(1.0)
+            held = commands[number:]
+            assert len(held) > 30
+            assert np.ptp(held) == 0.0, "it holds"
+            show(page, 2.0)
+            assert np.ptp(commands[-50:]) > 5.0, "it walks again"
+        time.sleep(1.0)
+        number = len(commands)
+        time.sleep(0.5)
+        assert len(commands) == number, "no page, no commands"
+        drive.send_signal(signal.SIGINT)
+        out, err = drive.communicate(timeout=30)
+        assert drive.returncode == 0, err
+        robot.kill()
+    driven = json.loads(out)
+    assert driven["holds"] >= 1
+    assert driven["ended"] == ""

@@ -27,6 +27,7 @@ def wire_options(function: Any) -> Any:
     """The options of robots that are driven over topics, and of those that are simulated there."""
     listed = [
         click.option("--robot", multiple=True, metavar="NAME|URL", callback=_robot,
+                     shell_complete=options.names(*ROBOTS),
                      help=f"{' or '.join(ROBOTS)}, and the address of a real one: mqtt://HOST[:PORT] of a broker, or "
                      "ros://HOST[:PORT] of a rosbridge."),
         click.option("--serve", metavar="URL", help="Be a simulated robot that is driven from there."),
