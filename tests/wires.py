@@ -60,17 +60,18 @@ def bridge() -> Iterator[int]:
 
     def handle(peer: Any) -> None:
         types: dict[str, str] = {}
-        for text in peer:
-            frame = json.loads(text)
-            if frame["op"] == "advertise":
-                types[frame["topic"]] = frame["type"]
-            elif frame["op"] == "subscribe":
-                subscribers.setdefault(frame["topic"], []).append(peer)
-            elif frame["op"] == "publish":
-                assert frame["topic"] in types, "rosbridge publishes what was advertised only"
-                for other in list(subscribers.get(frame["topic"], [])):
-                    with contextlib.suppress(ConnectionClosed):
-                        other.send(text)
+        with contextlib.suppress(ConnectionClosed):  # of a process that was killed
+            for text in peer:
+                frame = json.loads(text)
+                if frame["op"] == "advertise":
+                    types[frame["topic"]] = frame["type"]
+                elif frame["op"] == "subscribe":
+                    subscribers.setdefault(frame["topic"], []).append(peer)
+                elif frame["op"] == "publish":
+                    assert frame["topic"] in types, "rosbridge publishes what was advertised only"
+                    for other in list(subscribers.get(frame["topic"], [])):
+                        with contextlib.suppress(ConnectionClosed):
+                            other.send(text)
 
     with serve(handle, "127.0.0.1", 0) as server:
         thread = threading.Thread(target=server.serve_forever)

@@ -323,6 +323,8 @@ def drive_command(
         wanted = plan(pilot=pilot or default, seed=None, cycles=None, duration=None, warmup=None, robot=model, **chosen)
         setup, values, about, files = wanted.setup, dict(wanted.values), dict[str, Any](), list[Path]()
         wired = None if url is None else (url, *wiring(setup, url, channels, rate), watchdog)
+        if not quiet and (headless or serve is not None):
+            click.echo("drive: Ctrl-C ends it", err=True)
         try:
             if serve is not None:
                 address(serve, "serve")

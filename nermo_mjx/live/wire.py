@@ -469,8 +469,8 @@ class SimulatedRobot:
     def run(self, url: str, seconds: float | None = None) -> dict[str, Any]:
         """Be there for a time [s], or until Ctrl-C or SIGTERM; returns `about`. For the URL see `linked`."""
         with (
-            contextlib.suppress(KeyboardInterrupt), interruptible(),
-            linked(url, SENSORS_TOPIC, SENSORS_TYPE, TOPIC, self.receive, "serve") as publish,
+            interruptible(), linked(url, SENSORS_TOPIC, SENSORS_TYPE, TOPIC, self.receive, "serve") as publish,
+            contextlib.suppress(KeyboardInterrupt),
         ):  # fmt: skip
             begun = self._clock()
             while seconds is None or self._ticks * self.dt < seconds - 1e-9:
