@@ -16,6 +16,7 @@ import re
 import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager
 from typing import Any, Final, Protocol, TypeAlias
 from urllib.parse import SplitResult, unquote, urlsplit
 
@@ -143,11 +144,10 @@ def servo_message(url: str, angles: Float[np.ndarray, " channels"], given: Float
     return {"layout": {"dim": [], "data_offset": 0}, "data": [round(a, 6) for a in np.radians(angles).tolist()]}
 
 
-@contextlib.contextmanager
 def linked(
     url: str, topic: str, kind: str, heard: str = "", receive: Receiver | None = None, field: str = "send"
-) -> Iterator[Callable[[Any], None]]:
-    """A connection over which messages go both ways, as a context manager; yields the function that publishes one.
+) -> AbstractContextManager[Callable[[Any], None]]:
+    """A connection over which messages go both ways, as a context manager that gives the function to publish one.
 
     Args:
         url: `mqtt://[USER:PASSWORD@]HOST[:1883]` of a broker, or `ws://[USER:PASSWORD@]HOST[:9090][/PATH]` of a
@@ -166,12 +166,7 @@ def linked(
     for name in (topic, heard or topic):
         if not name or (parts.scheme == "mqtt" and any(mark in name for mark in "+#\0")):
             raise ParameterError(f"topic is {name!r}: expected a name, without + and #.")
-    if parts.scheme == "mqtt":
-        with _mqtt(parts, topic, heard, receive, field) as publish:
-            yield publish
-    else:
-        with _rosbridge(parts, topic, kind, heard, receive, field) as publish:
-            yield publish
+    return (_mqtt if parts.scheme == "mqtt" else _rosbridge)(parts, topic, kind, heard, receive, field)
 
 
 def address(url: str, field: str) -> SplitResult:
@@ -198,7 +193,7 @@ def address(url: str, field: str) -> SplitResult:
 
 @contextlib.contextmanager
 def _mqtt(
-    url: SplitResult, topic: str, heard: str, receive: Receiver | None, field: str
+    url: SplitResult, topic: str, kind: str, heard: str, receive: Receiver | None, field: str
 ) -> Iterator[Callable[[Any], None]]:
     mqtt, where = _package("paho.mqtt.client", field), _place(url)
     client = mqtt.Client(mqtt.CallbackAPIVersion.VERSION2)

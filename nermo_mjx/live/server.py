@@ -180,19 +180,14 @@ class Drive:
     """
 
     def __init__(
-        self,
-        setup: Any,
-        values: dict[str, float],
-        record: Path | None = None,
-        port: int = 0,
-        driving: Driving | None = None,
+        self, setup: Any, values: dict[str, float], record: Path | None = None, port: int = 0, driving: Any = None
     ) -> None:
         """
         Args:
             setup, values: as for `Running`.
             record: file for what was driven; after a reset, what follows goes to FILE-2, FILE-3, ...
             port: see `Link`.
-            driving: of these; None for the simulated robot.
+            driving: a `Driving` of these; None to make it.
         """
         self.driving = driving or Driving(setup, values, record=record is not None)
         self._shown, self.record, self.files = Shown(self.driving), record, list[Path]()
