@@ -9,6 +9,7 @@ from nermo_mjx.control.schedule import Switch
 from nermo_mjx.live.running import Running
 from nermo_mjx.physics.c_engine import CBodies
 from nermo_mjx.robot import ParameterError
+from nermo_mjx.robot.quantity import values_of
 from nermo_mjx.rollout import Run, Setup, Simulator
 
 pytestmark = pytest.mark.compiles
@@ -70,6 +71,32 @@ def test_commands_within_a_blend_are_continuous_and_make_the_run_again_bit_for_b
     assert np.abs(np.diff(first[1], axis=0)).max() < 2 * steady
     spine = first[1][:, running.simulator.robot.servos.index("spine")]
     assert np.ptp(spine[:50]) == 0 < np.ptp(spine[100:150])
+
+
+def test_a_command_beside_a_longer_one_leaves_it_its_length(running):
+    """A slider that is moved while the gait changes: the gait is that of the gait's command alone, tick by tick."""
+    gait, stride = Switch(0, gait="lat", blend=1.0), Switch(0, values={"stride": 0.8}, blend=0.1)
+    seen = {}
+    for name, commands in {"gait": [(20, gait)], "both": [(20, gait), (50, stride), (60, stride)]}.items():
+        seen[name] = []
+        body = CBodies(running.simulator.engine, running.batch.qpos, running.batch.fields, 1)
+        running.reset(body.sensordata[0])
+        readings = np.repeat(body.sensordata, running.steps_per_tick, axis=0)
+        for tick in range(200):
+            for at, switch in commands:
+                if at == tick:
+                    running.command(switch)
+            running.tick(readings)
+            now = dict(values_of(running.control))
+            seen[name].append([float(np.asarray(now[each])[0]) for each in ("duty", "stride")])
+    duty, stride = np.array(seen["both"]).T
+    np.testing.assert_allclose(duty, np.array(seen["gait"])[:, 0], atol=1e-6)
+    assert duty[20] == 0.5 < duty[82] < 0.6 < duty[-1] == pytest.approx(0.68)
+    assert stride[49] == 1.0 > stride[56] > stride[-1] == pytest.approx(0.8)
+    running.command(gait)
+    running.command(Switch(0, gait="trt"))
+    with pytest.raises(ParameterError, match="beside the change before"):
+        running.command(Switch(0, values={"frequency": 0.1}))
 
 
 @pytest.mark.parametrize(("switch", "sentence"), [

@@ -152,7 +152,12 @@ def test_a_run_with_a_schedule_has_the_metrics_of_its_transition():
     assert set(all_metrics(setup)) - set(all_metrics()) == set(transitions.TRANSITION)
     found = Simulator(setup, "c").run({"frequency": FREQUENCY}, Run(duration=7.0, warmup=0.75), record=True)
     assert set(found.metrics) == set(all_metrics(setup))
-    assert 0.0 < found.metrics["transition_time"][0] < 1.0 / FREQUENCY
+    # From the recorded way, which is straight: 1.25 s before, 2.5 s of transition, 2.5 s after.
+    way = -found.trace.sensors["position"][0, :, 1]
+    before, during, after = (way[end - 1] - way[begin - 1] for begin, end in ((75, 200), (200, 450), (450, 700)))
+    late = (after - during) / (after / 2.5 - before / 1.25)
+    assert 0.3 < late < 2.5
+    assert found.metrics["transition_time"][0] == pytest.approx(late, rel=0.03)
     ticks = slice(round(100 * AT) - 1, round(100 * (AT + 2 / FREQUENCY)))
     roll = np.abs(np.asarray(jax.vmap(attitude)(found.trace.sensors["orientation"][0, ticks]))[:, 0]).max()
     assert found.metrics["transition_roll"][0] == pytest.approx(roll, rel=0.05)

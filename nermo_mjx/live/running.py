@@ -1,14 +1,14 @@
 """The controller of one world, tick by tick, under commands that come while it runs.
 
-A command is a `Switch` that begins when it comes. It blends from the parameters of this moment, also where an earlier
-blend has not ended, so feet and servos are continuous as in a schedule. The loop is the compiled one of engine `c`.
+A command is a `Switch` that begins when it comes. Commands whose blends overlap are added, each with its own length, so
+feet and servos are continuous as in a schedule. The loop is the compiled one of engine `c`.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import jax
@@ -72,7 +72,8 @@ class Running:
         self._params = dataclasses.replace(self.batch.params, window=endless, schedule=None)
         self._scheduled = jax.jit(scheduled)
         self._loop: Any = None
-        self._blend: tuple[Schedule, int, np.ndarray] | None = None
+        # That have not ended: tick at which each began, how long it takes [s], and by how much values change.
+        self._blends: list[tuple[int, float, dict[str, float]]] = []
         self.ticks, self.commands = 0, list[tuple[int, Switch]]()
         self._control: Any = self._params.control
 
@@ -102,7 +103,7 @@ class Running:
         # Parameters as commanded, those of modes that do not act among them, and the modes that do.
         self._commanded = self._params.control, {field: set(names) for field, names in start.modes.items()}
         self._control = self._aim = self._acting(*self._commanded)
-        self._blend, self._due = None, []
+        self._base, self._blends, self._due = dict(_numbers(self._aim)), [], []
         self.ticks, self.commands = 0, []
         self._row = self._loop.pack(self._lanes())
         self._state = self._loop.init(self._row, np.tile(rest, (LANES, 1)))
@@ -110,7 +111,7 @@ class Running:
     def command(self, switch: Switch) -> None:
         """Begin to change what a switch names; its `at` does not count.
 
-        It takes `blend` gait cycles of this moment's frequency.
+        It takes `blend` gait cycles of this moment's frequency, and is added to what earlier commands still change.
 
         Raises:
             ParameterError: an unknown parameter, a value out of range, a mode that is not there, a stride outside the
@@ -128,41 +129,81 @@ class Running:
         aim = default_precision(self._acting(commanded, modes))
         if isinstance(self.simulator.controller, ChecksParameters):
             self.simulator.controller.check(aim)
-        rate = np.array([self.cycle_rate])
-        now, then = ({name: np.asarray(each) for name, each in values_of(tree)} for tree in (self._control, aim))
-        course = {name: np.stack([now[name], *[then[name]] * MOST], -1) for name in now}
-        still = {name: np.zeros_like(each) for name, each in course.items()}
-        blend = Schedule(at=np.zeros(MOST), blend=np.full(MOST, switch.blend), share=still, value=course)
-        changed = {name for name in now if now[name] != then[name]}
-        of_changed = {field: {name: getattr(blend, field)[name] for name in changed} for field in ("share", "value")}
-        try:
-            check_schedule(self._control, dataclasses.replace(blend, **of_changed), 1, rate)
-        except ParameterError as error:
-            raise ParameterError(str(error).replace("schedule.blend.1", "blend")) from None
+        old, new = (dict(_numbers(tree)) for tree in (self._aim, aim))
+        moves = {name: new[name] - old[name] for name in new if new[name] != old[name]}
+        moves |= {name: move - round(move) for name, move in moves.items() if name.startswith("offset.")}
+        self._check_blend(switch.blend, moves)
         self._commanded, self._aim = (commanded, modes), aim
-        self._blend = default_precision(blend), self.ticks, rate
+        self._blends.append((self.ticks, switch.blend / self.cycle_rate, moves))
+        self._prepare()
         self.commands.append((self.ticks, switch))
 
     def tick(self, sensordata: Float[np.ndarray, "steps n"]) -> Float[np.ndarray, " n_servos"]:
         """Servo angles for the next tick [rad], from the readings of the last; at the start, of the body at rest."""
         while self._due and self._due[0].at <= self.ticks * self.dt + 1e-9:
             self.command(self._due.pop(0))
-        if self._blend is not None:
-            schedule, since, rate = self._blend
-            passed = (self.ticks - since) * self.dt
-            over = passed * float(rate[0]) >= float(schedule.blend[0])
-            self._control = self._aim if over else self._scheduled(self._aim, schedule, passed, rate)
-            self._blend = None if over else self._blend
+        if self._blends:
+            for blend in [each for each in self._blends if (self.ticks - each[0]) * self.dt >= each[1]]:
+                self._blends.remove(blend)
+                self._base |= {name: self._base[name] + move for name, move in blend[2].items()}
+                self._prepare()
+            self._control = self._aim
+            if self._blends:
+                at = [(began - self.ticks) * self.dt for began, _, _ in self._blends]
+                at = np.array(at + [0.0] * (MOST - len(at)))
+                schedule = default_precision(dataclasses.replace(self._schedule, at=at))
+                self._control = self._scheduled(self._aim, schedule, 0.0, np.ones(1))
+            else:
+                self._base = dict(_numbers(self._aim))
             self._row = self._loop.pack(self._lanes())
         lanes = np.tile(np.asarray(sensordata, float), (LANES, 1, 1))
         self._state, ctrl = self._loop.step(self._loop.once, self._row, self._state, lanes)
         self.ticks += 1
         return np.asarray(ctrl)[0]
 
+    def _prepare(self) -> None:
+        """The blends as a schedule, whose times are seconds since they began."""
+        unused = MOST - len(self._blends)
+        value = {}
+        for name, first in self._base.items():
+            steps = [moves.get(name, 0.0) for _, _, moves in self._blends] + [0.0] * unused
+            value[name] = np.add(first, [[0.0, *np.cumsum(steps)]])
+        seconds = np.array([seconds for _, seconds, _ in self._blends] + [1.0] * unused)
+        self._schedule = Schedule(blend=seconds, share={name: np.zeros((1, MOST + 1)) for name in value}, value=value)
+
+    def _check_blend(self, blend: float, moves: dict[str, float]) -> None:
+        """Reject a blend [cycles] by which a limb would go backward, alone or beside those that have not ended."""
+        if len(self._blends) == MOST:
+            raise ParameterError(f"{MOST} commands are still being blended: wait until one has ended.")
+        now, rate = dict(_numbers(self._control)), self.cycle_rate
+        beside = dict(moves)
+        for _, seconds, others in self._blends:
+            for name, move in others.items():
+                if name != "frequency":
+                    beside[name] = beside.get(name, 0.0) + move * blend / rate / seconds
+        for alone, each in ((True, moves), (False, beside)):
+            value = {name: np.array([[now[name]] + [now[name] + move] * MOST]) for name, move in each.items()}
+            still = {name: np.zeros((1, MOST + 1)) for name in value}
+            try:
+                check_schedule(
+                    self._control, Schedule(at=np.zeros(MOST), blend=np.full(MOST, blend), share=still, value=value), 1,
+                    np.array([rate]),
+                )  # fmt: skip
+            except ParameterError as error:
+                why = str(error).replace("schedule.blend.1", "blend")
+                raise ParameterError(
+                    why if alone else "beside the change before, a limb would go backward: wait until that has ended."
+                ) from None
+
     @property
     def state(self) -> LoopState:
         """Of the controller and the metrics, leaves without a world axis."""
         return jax.tree.map(lambda leaf: np.asarray(leaf)[0], self._loop.unpack(self._state))
+
+    @property
+    def control(self) -> Any:
+        """The controller's parameters of this moment, leaves (1, ...)."""
+        return self._control
 
     @property
     def cycle_rate(self) -> float:
@@ -188,6 +229,11 @@ class Running:
     def _lanes(self) -> LoopParameters:
         params = dataclasses.replace(self._params, control=self._control)
         return jax.tree.map(lambda leaf: np.repeat(np.asarray(leaf), LANES, 0), params)
+
+
+def _numbers(tree: Any) -> Iterator[tuple[str, float]]:
+    """The parameters of one world by name; leaves (1, ...)."""
+    return ((name, float(np.asarray(value)[0])) for name, value in values_of(tree))
 
 
 def _with_all_modes(setup: Setup) -> Setup:

@@ -411,5 +411,5 @@ def result(
         "diverged": state.diverged.astype(time.dtype),
         "failure_time": jnp.where(state.fell | state.diverged, state.failure_time, jnp.nan),
     }
-    found = {name: metrics[name] for name in METRICS}
+    found = {name: metrics[name] for name in (*METRICS, *transitions.TRANSITION) if name in metrics}
     return found if state.own is None else found | reduction.result(own, state.own, begun, time)

@@ -5,8 +5,8 @@ import { element } from "viewer/dialogs.js";
 import { SHORTCUTS as VIEWER } from "viewer/keys.js";
 
 const find = (id) => document.getElementById(id);
-/** Cycles in which a slider's new value is reached, and time between two messages of sliders [ms]. */
-const SOON = 0.15;
+/** Time in which a slider's new value is reached [s], and between two messages of sliders [ms]. */
+const SOON = 0.2;
 const PACE = 90;
 /** Turn rate of a key that is held, and steps of the keys for stride [1] and frequency [Hz]. */
 const TURN = 0.6;
@@ -93,7 +93,7 @@ export class Drive {
 
   #flush() {
     if (!Object.keys(this.wanted).length) return;
-    this.send({ set: this.wanted, blend: SOON });
+    this.send({ set: this.wanted, blend: Math.max(SOON * (this.state.values?.frequency ?? 1), 0.05) });
     this.wanted = {};
   }
 
