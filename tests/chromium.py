@@ -132,12 +132,14 @@ class Tab(Page):
     def close(self) -> None:
         self._browser.call("Target.closeTarget", targetId=self._target)
 
-    def open(self, path: Path, width: int = 1280, height: int = 720, dark: bool = False, scale: float = 1.0) -> None:
-        """Load a file in a window of so many pixels."""
+    def open(
+        self, path: Path | str, width: int = 1280, height: int = 720, dark: bool = False, scale: float = 1.0
+    ) -> None:
+        """Load a file, or what is served at an address, in a window of so many pixels."""
         self.resize(width, height, scale)
         scheme = [{"name": "prefers-color-scheme", "value": "dark" if dark else "light"}]
         self._call("Emulation.setEmulatedMedia", features=scheme)
-        self._call("Page.navigate", url=path.resolve().as_uri())
+        self._call("Page.navigate", url=path if isinstance(path, str) else path.resolve().as_uri())
 
     def resize(self, width: int, height: int, scale: float = 1.0) -> None:
         self._call(

@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import asyncio
-import importlib.util
 import json
-import logging
-import socket
 import sys
 import threading
 import time
@@ -14,6 +10,7 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
+import wires
 from click.testing import CliRunner
 
 from nermo_mjx import Setup, servo_table
@@ -25,12 +22,6 @@ from nermo_mjx.robot import LIMBS, ParameterError
 pytestmark = pytest.mark.compiles
 
 ORDER = [f"{limb}_{servo}" for limb in LIMBS for servo in ("hip", "knee")]
-
-
-def needs(*packages: str) -> None:
-    missing = [name for name in packages if importlib.util.find_spec(name) is None]
-    if missing:
-        pytest.skip(f"without {' and '.join(missing)}: pip install 'nermo-mjx[mqtt,ros]' amqtt")
 
 
 @pytest.fixture(scope="module")
@@ -105,29 +96,8 @@ def test_what_is_late_is_left_out(published) -> None:
 @pytest.fixture(scope="module")
 def broker() -> Iterator[int]:
     """An MQTT broker on this machine; its port."""
-    needs("paho", "amqtt")
-    from amqtt.broker import Broker
-
-    logging.getLogger("amqtt").setLevel(logging.ERROR)
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
-    loop = asyncio.new_event_loop()
-    thread = threading.Thread(target=loop.run_forever, daemon=True)
-    thread.start()
-    settings = {"listeners": {"default": {"type": "tcp", "bind": f"127.0.0.1:{port}"}},
-                "plugins": {"amqtt.plugins.authentication.AnonymousAuthPlugin": {"allow_anonymous": True}}}  # fmt: skip
-
-    async def begin() -> Broker:
-        started = Broker(settings)
-        await started.start()
-        return started
-
-    running = asyncio.run_coroutine_threadsafe(begin(), loop).result(20)
-    yield port
-    asyncio.run_coroutine_threadsafe(running.shutdown(), loop).result(20)
-    loop.call_soon_threadsafe(loop.stop)
-    thread.join(10)
+    with wires.broker() as port:
+        yield port
 
 
 def test_a_broker_passes_on_what_the_author_sent(published, broker) -> None:
@@ -159,7 +129,7 @@ def test_a_broker_passes_on_what_the_author_sent(published, broker) -> None:
 
 def test_a_bridge_gets_radians(published) -> None:
     """By rosbridge's protocol: the topic is advertised with its type, and each message is a Float32MultiArray."""
-    needs("websockets")
+    wires.needs("websockets")
     from websockets.sync.server import serve
 
     seen: list[dict] = []
@@ -184,7 +154,7 @@ def test_a_bridge_gets_radians(published) -> None:
     ("ws://127.0.0.1:9", "127.0.0.1:9: no rosbridge server answers there"),
 ])  # fmt: skip
 def test_nobody_there_is_a_sentence(url: str, sentence: str) -> None:
-    needs("paho" if url.startswith("mqtt") else "websockets")
+    wires.needs("paho" if url.startswith("mqtt") else "websockets")
     with pytest.raises(SendError, match=sentence), connected(url):
         pass
 

@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 
 from nermo_mjx.control.schedule import Switch, scheduled
+from nermo_mjx.kinematics.body import attitude
 from nermo_mjx.robot.parameters import FRONT_LEG, REAR_LEG
-from nermo_mjx.rollout import Run, Setup, Simulator
+from nermo_mjx.rollout import Run, Setup, Simulator, all_metrics, transitions
 from nermo_mjx.rollout.differentiable import Rollout
 from nermo_mjx.runtime import compiler_options
 from nermo_mjx.sweep import Sweep
@@ -113,6 +114,50 @@ def test_a_walk_is_that_without_a_schedule_until_its_first_switch():
     assert np.abs(ours.ctrl[:, 200:] - theirs.ctrl[:, 200:]).max() > 0.1
     # A cycle after the switch has ended the commanded servos are those of the other gait.
     np.testing.assert_allclose(ours.ctrl[:, 390:], after.ctrl[:, 390:], atol=1e-5)
+
+
+def test_the_time_to_the_new_speed_is_half_a_ramp_and_the_constant_of_an_approach():
+    """Also the largest roll and the slip: of the transition alone, whatever happens before and after."""
+    schedule = Setup(schedule=(Switch(2.0, blend=2.0, gait="lat"), Switch(5.0, gait="trt"))).world({}).schedule
+    within = transitions.span(schedule, jnp.asarray(1.0))
+    assert [float(each) for each in within] == [2.0, 7.0]
+    time = (1 + np.arange(1200)) * 0.01
+    courses = {"ramp": np.interp(time, [2.0, 5.0], [0.1, 0.3]), "approach": 0.3 - 0.2 * np.exp(-(time - 2.0) / 0.5),
+               "steady": np.full(1200, 0.1)}  # fmt: skip
+    courses["approach"][time <= 2.0] = 0.1
+    roll = np.where((time > 2.0) & (time <= 7.0), -0.2, 0.9)
+    speed = jnp.asarray(np.stack(list(courses.values())), float)
+
+    def tick(state, now):
+        time, roll, speed = now
+        slid = jnp.where(time > 7.0, 9.0, 0.06)
+        return jax.vmap(lambda state, v: transitions.update(state, within, time, 0.01, roll, slid, 3.0, v))(
+            state, speed
+        ), 0
+
+    start = jax.tree.map(lambda leaf: jnp.stack([leaf] * 3), transitions.init(jnp.zeros(())))
+    end, _ = jax.lax.scan(tick, start, (jnp.asarray(time), jnp.asarray(roll), speed.T))
+    found = jax.vmap(transitions.result)(end)
+    np.testing.assert_allclose(found["transition_time"], [1.5, 0.5, np.nan], atol=0.02)
+    np.testing.assert_allclose(found["transition_roll"], 0.2, rtol=1e-6)
+    np.testing.assert_allclose(found["transition_slip"], 0.02, rtol=1e-3)
+
+
+def test_a_run_with_a_schedule_has_the_metrics_of_its_transition():
+    setup = Setup(schedule=(Switch(AT, values={"stride": 0.5}),))
+    assert set(all_metrics(setup)) - set(all_metrics()) == set(transitions.TRANSITION)
+    found = Simulator(setup, "c").run({"frequency": FREQUENCY}, Run(duration=7.0, warmup=0.75), record=True)
+    assert set(found.metrics) == set(all_metrics(setup))
+    # From the recorded way, which is straight: 1.25 s before, 2.5 s of transition, 2.5 s after.
+    way = -found.trace.sensors["position"][0, :, 1]
+    before, during, after = (way[end - 1] - way[begin - 1] for begin, end in ((75, 200), (200, 450), (450, 700)))
+    late = (after - during) / (after / 2.5 - before / 1.25)
+    assert 0.3 < late < 2.5
+    assert found.metrics["transition_time"][0] == pytest.approx(late, rel=0.03)
+    ticks = slice(round(100 * AT) - 1, round(100 * (AT + 2 / FREQUENCY)))
+    roll = np.abs(np.asarray(jax.vmap(attitude)(found.trace.sensors["orientation"][0, ticks]))[:, 0]).max()
+    assert found.metrics["transition_roll"][0] == pytest.approx(roll, rel=0.05)
+    assert 0.001 < found.metrics["transition_slip"][0] < 0.2
 
 
 def falls(setup: Setup, phases: np.ndarray) -> list[str]:

@@ -39,8 +39,8 @@ for command in (
 for command in (
     *(jobs.sweep_command, jobs.merge_command, walk.replay_command, directories.compare_command),
     *(directories.sensitivity_command, jobs.search_command, jobs.tune_command, jobs.train_command),
-    *(jobs.landscape_command, jobs.experiment_command, jobs.identify_command, walk.walk_command, view.render_command),
-    *(view.view_command, view.play_command, directories.plot_command, directories.status_command),
+    *(jobs.landscape_command, jobs.experiment_command, jobs.identify_command, walk.walk_command, walk.drive_command),
+    *(view.render_command, view.view_command, view.play_command, directories.plot_command, directories.status_command),
     *(tools.schema_command, walk.servos_command, tools.model_command, tools.bench_command, tools.completion_command),
 ):
     main.add_command(command)

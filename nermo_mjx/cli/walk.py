@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import math
+import webbrowser
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import click
 from click.core import ParameterSource
 
-from nermo_mjx.cli import options
+from nermo_mjx.cli import options, wire
 from nermo_mjx.cli.choices import ENGINES, PILOTS, ROBOTS, TAILS
 from nermo_mjx.cli.options import LISTED, assigned
 from nermo_mjx.cli.output import Failure, WrongUse, print_json, print_table, stdout_reserved
@@ -262,34 +264,146 @@ def _run_walk(wanted: Plan, engine: str, record: bool, quiet: bool) -> RunResult
         return simulator.run(wanted.values, wanted.run, record=record, progress=progress.share)
 
 
+DRIVE_EPILOG = """\b
+Examples:
+  nermo-mjx drive
+  nermo-mjx drive --scene stairs --frequency 0.8 --record drive.npz
+  nermo-mjx drive --controller policy.npz
+  nermo-mjx drive --no-browser --port 8000
+  nermo-mjx drive --robot mqtt://192.168.0.10 --frequency 0.8
+  nermo-mjx drive --serve mqtt://localhost --delay 20 --loss 0.01
+"""
+
+
+@click.command("drive", epilog=DRIVE_EPILOG)
+@options.gait
+@click.option("--controller", metavar="FILE", help="Custom controller: FILE.py:NAME, or a policy FILE.npz.")
+@options.choice("--pilot", PILOTS, "Default: open_loop, which turns as you steer.", default=None)
+@options.scene
+@options.choice("--tail", TAILS)
+@options.physics
+@options.set_option("Any parameter that `sweep --list-parameters` prints; repeatable.")
+@options.file("--record", ".npz", "Save what was driven; after a reset what follows goes to FILE-2.npz, ...")
+@options.number("--port", "Of the page; by default any that is free.", click.IntRange(1, 65535))
+@options.number("--seconds", "Duration; by default until Ctrl-C.", options.POSITIVE)
+@click.option("--browser/--no-browser", default=True, help="Open the page, or only print its address.")
+@wire.wire_options
+@options.report
+def drive_command(
+    record: Path | None, port: int | None, seconds: float | None, browser: bool, as_json: bool, quiet: bool,
+    pilot: str | None, robot: tuple[str, str | None], serve: str | None, headless: bool, delay: float, loss: float,
+    channels: Path, rate: float | None, watchdog: float, **chosen: Any,
+) -> None:  # fmt: skip
+    """Drive the robot in the browser while it walks: keyboard, gamepad, sliders.
+
+    The page is served to this machine alone, and its address holds a secret.
+    The robot is simulated in real time by the engine c. Without a page it
+    waits.
+
+    A recording opens in `view`, `render` and `servos`, and `replay` drives it
+    again.
+
+    --robot URL drives a real robot over its topics: q_values (servo angles,
+    out) and sensors_mouse (what it measures, in). Its servos go to the start
+    of the gait slowly. Without messages, or with the page away, it holds
+    still; after 5 s the drive ends. --serve is the other side: a simulated
+    robot behind the same topics.
+    """
+    with stdout_reserved():
+        from nermo_mjx.hardware.live import SendError, address
+        from nermo_mjx.live.driving import Driving
+        from nermo_mjx.live.running import Running
+        from nermo_mjx.live.server import Drive
+        from nermo_mjx.live.wire import RobotDriving, SimulatedRobot, drive_robot, reached, wiring
+        from nermo_mjx.runs.files import make_writable
+
+        model, url = robot
+        wire.check_use(url, serve, headless)
+        default = "open_loop" if chosen["controller"] is None else None
+        wanted = plan(pilot=pilot or default, seed=None, cycles=None, duration=None, warmup=None, robot=model, **chosen)
+        setup, values, about, files = wanted.setup, dict(wanted.values), dict[str, Any](), list[Path]()
+        wired = None if url is None else (url, *wiring(setup, url, channels, rate), watchdog)
+        if not quiet and (headless or serve is not None):
+            click.echo("drive: Ctrl-C ends it", err=True)
+        try:
+            if serve is not None:
+                address(serve, "serve")
+                about = SimulatedRobot(setup, values, channels, delay / 1e3, loss).run(serve, seconds)
+            elif headless and wired is not None:
+                with reached(Running(setup, values), *wired) as there:
+                    about = dataclasses.asdict(drive_robot(there, seconds))
+            else:
+                if record is not None:
+                    make_writable(record.parent)
+                with Progress("drive", quiet=quiet, compiles=True):
+                    driving = (RobotDriving if url else Driving)(setup, values, record=record is not None)
+                with contextlib.ExitStack() as stack:
+                    if isinstance(driving, RobotDriving) and wired is not None:
+                        driving.wired = stack.enter_context(reached(driving.running, *wired))
+                    drive = Drive(setup, values, record, port or 0, driving)
+                    if isinstance(driving, RobotDriving):
+                        driving.operator = lambda: drive.away
+                    click.echo(f"drive: {drive.link.address}", err=True)
+                    if browser:
+                        webbrowser.open(drive.link.address)
+                    with contextlib.suppress(KeyboardInterrupt, SendError):
+                        drive.run(seconds)
+                about, files = drive.report(), drive.files
+                if isinstance(driving, RobotDriving) and driving.wired is not None:
+                    about |= dataclasses.asdict(driving.wired.driven)
+        except SendError as error:
+            raise Failure(f"{str(error).rstrip('.')}.") from None
+    if as_json:
+        print_json(about)
+    elif not quiet:
+        for name, value in about.items() if url or serve else ():
+            told = ", ".join(f"{each} {what}" for what, each in value.items()) if isinstance(value, dict) else value
+            click.echo(f"{name}: {f'{told:.4g}' if isinstance(told, float) else told}")
+        for file in files:
+            click.echo(f"wrote {file}")
+    if about.get("ended"):
+        raise Failure(f"{about['ended'].rstrip('.')}.")
+
+
 REPLAY_EPILOG = """\b
 Examples:
   nermo-mjx replay runs/quickstart --row 57 --video row57.mp4
   nermo-mjx replay runs/quickstart --row 57 --engine mjx --json
   nermo-mjx replay runs/atlas --row 8123 --video gait.mp4
+  nermo-mjx replay drive.npz
 """
 
 
 @click.command("replay", epilog=REPLAY_EPILOG)
-@click.argument("out", metavar="DIR", type=click.Path(path_type=Path))
-@options.number("--row", "Row of the table, from 0.", int, required=True, metavar="N")
+@click.argument("out", metavar="DIR|FILE.npz", type=click.Path(path_type=Path))
+@options.number("--row", "Row of the table, from 0; not with a FILE.npz.", int, metavar="N")
 @options.choice("--engine", ENGINES, "By default the directory's own.", default=None)
 @options.file("--record", ".npz", "Save the whole run.")
 @options.file("--video", ".mp4", "Render it; MP4, GIF or WebP.")
 @options.camera
 @options.report
 def replay_command(
-    out: Path, row: int, engine: str | None, record: Path | None, video: Path | None, camera: str, as_json: bool,
-    quiet: bool,
+    out: Path, row: int | None, engine: str | None, record: Path | None, video: Path | None, camera: str,
+    as_json: bool, quiet: bool,
 ) -> None:  # fmt: skip
-    """Rerun one row of a sweep's or a search's directory on its own.
+    """Rerun one row of a sweep's or a search's directory on its own, or a
+    recorded drive.
 
     It has the parameters, start and duration that the sweep gives it, whether
     or not the sweep has reached it; for a search, those of a row of its table.
     Its metrics are compared with those in the table: with the engine c on the
     same machine, they are bit-identical. DIR is only read.
+
+    A FILE.npz of `drive --record` is driven again, by the same commands, and
+    compared sample by sample.
     """
     files = [path for path in (record, video) if path is not None]
+    if out.suffix == ".npz":
+        if row is not None or engine is not None:
+            raise WrongUse("--row and --engine belong to a directory: a recorded drive has neither.")
+        return _replay_drive(out, record, video, camera, as_json, quiet)
+    if row is None:
+        raise WrongUse("Give --row N, a row of the table.")
     with stdout_reserved():
         from nermo_mjx.runs.files import make_writable
         from nermo_mjx.sweep.replay import find_row, replay_row, report_of
@@ -318,6 +432,28 @@ def replay_command(
         print_json(report)
     elif not quiet:
         _print_replay(found, wanted, replay, report, files)
+
+
+def _replay_drive(path: Path, record: Path | None, video: Path | None, camera: str, as_json: bool, quiet: bool) -> None:
+    """Drive a recording again, and compare."""
+    with stdout_reserved():
+        from nermo_mjx.live.driving import difference, replayed
+        from nermo_mjx.recording import RecordingError
+
+        recording = load_recording(path)
+        try:
+            with Progress("replay", quiet=quiet, compiles=True):
+                again = replayed(recording)
+        except RecordingError as error:
+            raise WrongUse(f"{path}: {error}") from None
+        save_run(again, record, video, camera, quiet)
+    differs = difference(recording, again)
+    if as_json:
+        print_json({"recording": path, "samples": len(again.time), "equal": differs is None, "differs_from": differs})
+    elif not quiet:
+        samples = f"{len(again.time):,} samples"
+        click.echo(f"All {samples} equal the recording's, to the last bit." if differs is None else
+                   f"Of {samples} those from {differs:.2f} s on differ from the recording's.")  # fmt: skip
 
 
 def _print_replay(found: SweepRow, wanted: Plan, replay: Replay, report: dict[str, Any], files: list[Path]) -> None:

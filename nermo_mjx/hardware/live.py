@@ -16,7 +16,8 @@ import re
 import threading
 import time
 from collections.abc import Callable, Iterator
-from typing import Any, Final, Protocol
+from contextlib import AbstractContextManager
+from typing import Any, Final, Protocol, TypeAlias
 from urllib.parse import SplitResult, unquote, urlsplit
 
 import numpy as np
@@ -30,6 +31,8 @@ TOPIC: Final = "q_values"
 #: How long a broker or bridge may not answer, or be away [s].
 PATIENCE: Final = 5.0
 ROS_TYPE: Final = "std_msgs/msg/Float32MultiArray"
+#: Is called with a message as its JSON reads.
+Receiver: TypeAlias = Callable[[Any], None]
 _PORTS: Final = {"mqtt": 1883, "ws": 9090, "wss": 443}
 _EXTRAS: Final = {"paho.mqtt.client": "mqtt", "websockets.sync.client": "ros"}
 
@@ -123,16 +126,53 @@ def connected(url: str, topic: str = TOPIC) -> Iterator[Sender]:
     """A connection to the robot, as a context manager.
 
     Args:
-        url: `mqtt://[USER:PASSWORD@]HOST[:1883]` of a broker, or `ws://[USER:PASSWORD@]HOST[:9090][/PATH]` (`wss` with
-            TLS) of a rosbridge server; special characters of user and password as %XX.
+        url: see `linked`.
         topic: to which angles are published.
 
     Raises:
         ParameterError: the URL or topic is invalid, or the required package is missing.
         SendError: no answer, or the connection is refused.
     """
+    with linked(url, topic, ROS_TYPE) as publish:
+        yield lambda angles, given: publish(servo_message(url, angles, given))
+
+
+def servo_message(url: str, angles: Float[np.ndarray, " channels"], given: Float[np.ndarray, " channels"]) -> Any:
+    """The message with the angles of a row [deg], as the robot behind this URL takes it."""
+    if url.startswith("mqtt"):
+        return [int(angle) if angle == int(angle) else round(float(angle), 3) for angle in given.tolist()]
+    return {"layout": {"dim": [], "data_offset": 0}, "data": [round(a, 6) for a in np.radians(angles).tolist()]}
+
+
+def linked(
+    url: str, topic: str, kind: str, heard: str = "", receive: Receiver | None = None, field: str = "send"
+) -> AbstractContextManager[Callable[[Any], None]]:
+    """A connection over which messages go both ways, as a context manager that gives the function to publish one.
+
+    Args:
+        url: `mqtt://[USER:PASSWORD@]HOST[:1883]` of a broker, or `ws://[USER:PASSWORD@]HOST[:9090][/PATH]` of a
+            rosbridge server (`ros` is another name of `ws`, and `wss` has TLS); special characters of user and
+            password as %XX.
+        topic, kind: to which messages are published, and their type in ROS.
+        heard, receive: topic that is subscribed to, and what is called with its messages, in the connection's thread:
+            with None for what is not JSON.
+        field: that the URL was given as, for errors.
+
+    Raises:
+        ParameterError: the URL or a topic is invalid, or the required package is missing.
+        SendError: no answer, or the connection is refused.
+    """
+    parts = address(url, field)
+    for name in (topic, heard or topic):
+        if not name or (parts.scheme == "mqtt" and any(mark in name for mark in "+#\0")):
+            raise ParameterError(f"topic is {name!r}: expected a name, without + and #.")
+    return (_mqtt if parts.scheme == "mqtt" else _rosbridge)(parts, topic, kind, heard, receive, field)
+
+
+def address(url: str, field: str) -> SplitResult:
+    """The parts of a URL as for `linked`; raises `ParameterError` with the field that it was given as."""
     try:
-        parts = urlsplit(url)
+        parts = urlsplit(re.sub("^ros://", "ws://", url))
         # A port out of range raises; MQTT has no path (the topic is none), and takes a user without a password.
         right = all((
             parts.scheme in _PORTS and parts.hostname, parts.port != 0, not parts.fragment,
@@ -145,28 +185,31 @@ def connected(url: str, topic: str = TOPIC) -> Iterator[Sender]:
         # Up to the last @, as a # or / that was not quoted may stand in the password.
         masked = re.sub("^([^/]*//)?.*@", r"\1...@", url, flags=re.DOTALL)
         raise ParameterError(
-            f"send is {masked!r}: allowed is mqtt://HOST[:PORT] or ws://HOST[:PORT], with a port from 1 to 65535, and "
-            "USER:PASSWORD@ before HOST, special characters as %XX."
+            f"{field} is {masked!r}: allowed is mqtt://HOST[:PORT] or ws://HOST[:PORT], with a port from 1 to 65535, "
+            "and USER:PASSWORD@ before HOST, special characters as %XX."
         )
-    if not topic or (parts.scheme == "mqtt" and any(mark in topic for mark in "+#\0")):
-        raise ParameterError(f"topic is {topic!r}: expected a name, without + and #.")
-    with (_mqtt if parts.scheme == "mqtt" else _rosbridge)(parts, topic) as sender:
-        yield sender
+    return parts
 
 
 @contextlib.contextmanager
-def _mqtt(url: SplitResult, topic: str) -> Iterator[Sender]:
-    mqtt, where = _package("paho.mqtt.client"), _place(url)
+def _mqtt(
+    url: SplitResult, topic: str, kind: str, heard: str, receive: Receiver | None, field: str
+) -> Iterator[Callable[[Any], None]]:
+    mqtt, where = _package("paho.mqtt.client", field), _place(url)
     client = mqtt.Client(mqtt.CallbackAPIVersion.VERSION2)
     if url.username:
         client.username_pw_set(unquote(url.username), None if url.password is None else unquote(url.password))
     answered, answer = threading.Event(), []
 
     def on_connect(client: Any, data: Any, flags: Any, reason: Any, properties: Any) -> None:
+        if heard:  # also after the broker was away: it may have forgotten
+            client.subscribe(heard)
         answer.append(reason)
         answered.set()
 
     client.on_connect = on_connect
+    if receive is not None:
+        client.on_message = lambda client, data, message: receive(_parsed(message.payload))
     client.connect_timeout = PATIENCE
     try:
         client.connect(url.hostname, url.port or _PORTS["mqtt"], keepalive=round(PATIENCE))
@@ -176,14 +219,13 @@ def _mqtt(url: SplitResult, topic: str) -> Iterator[Sender]:
         if answer[0].is_failure:
             raise SendError(f"{where}: the MQTT broker refuses the connection ({answer[0]}).")
 
-        def send(angles: np.ndarray, given: np.ndarray) -> None:
+        def publish(message: Any) -> None:
             # Without acknowledgement: outdated angles are useless. If the broker is away for a while, the client's
             # thread reconnects, and the messages in between are dropped.
-            values = [int(angle) if angle == int(angle) else round(float(angle), 3) for angle in given.tolist()]
-            if client.publish(topic, json.dumps(values), qos=0).rc != mqtt.MQTT_ERR_SUCCESS:
+            if client.publish(topic, json.dumps(message), qos=0).rc != mqtt.MQTT_ERR_SUCCESS:
                 raise NotSentError(f"{where}: the MQTT broker is gone")
 
-        yield send
+        yield publish
     except (OSError, UnicodeError) as error:
         raise SendError(f"{where}: no MQTT broker answers there ({getattr(error, 'strerror', '') or error}).") from None
     finally:
@@ -192,27 +234,48 @@ def _mqtt(url: SplitResult, topic: str) -> Iterator[Sender]:
 
 
 @contextlib.contextmanager
-def _rosbridge(url: SplitResult, topic: str) -> Iterator[Sender]:
-    client, where = _package("websockets.sync.client"), _place(url)
+def _rosbridge(
+    url: SplitResult, topic: str, kind: str, heard: str, receive: Receiver | None, field: str
+) -> Iterator[Callable[[Any], None]]:
+    client, where = _package("websockets.sync.client", field), _place(url)
     failures = (OSError, UnicodeError, importlib.import_module("websockets.exceptions").WebSocketException)
-    name = topic if topic.startswith("/") else f"/{topic}"
-    layout = {"dim": [], "data_offset": 0}
+    topic, heard = (name if name.startswith("/") or not name else f"/{name}" for name in (topic, heard))
+
+    def listen(socket: Any, receive: Receiver) -> None:
+        with contextlib.suppress(*failures):
+            for text in socket:
+                frame = _parsed(text)
+                if not isinstance(frame, dict):
+                    receive(None)
+                elif (frame.get("op"), frame.get("topic")) == ("publish", heard):
+                    receive(frame.get("msg"))
+
     try:
         address = url._replace(netloc=url.netloc[: url.netloc.rfind("@") + 1] + where).geturl()
         with client.connect(address, open_timeout=PATIENCE, ping_interval=PATIENCE, ping_timeout=PATIENCE) as socket:
-            socket.send(json.dumps({"op": "advertise", "topic": name, "type": ROS_TYPE}))
+            socket.send(json.dumps({"op": "advertise", "topic": topic, "type": kind}))
+            if receive is not None:
+                threading.Thread(target=listen, args=(socket, receive), daemon=True).start()
+                socket.send(json.dumps({"op": "subscribe", "topic": heard, "queue_length": 1}))
 
-            def send(angles: np.ndarray, given: np.ndarray) -> None:
-                message = {"layout": layout, "data": [round(angle, 6) for angle in np.radians(angles).tolist()]}
+            def publish(message: Any) -> None:
                 try:
-                    socket.send(json.dumps({"op": "publish", "topic": name, "msg": message}))
+                    socket.send(json.dumps({"op": "publish", "topic": topic, "msg": message}))
                 except failures:
                     raise SendError(f"{where}: the rosbridge server is gone") from None
 
-            yield send
-            socket.send(json.dumps({"op": "unadvertise", "topic": name}))
+            yield publish
+            socket.send(json.dumps({"op": "unadvertise", "topic": topic}))
     except failures as error:
         raise SendError(f"{where}: no rosbridge server answers there ({error}).") from None
+
+
+def _parsed(text: str | bytes) -> Any:
+    """What a message says; None for what is not JSON."""
+    try:
+        return json.loads(text)
+    except (ValueError, RecursionError):
+        return None
 
 
 def _place(url: SplitResult) -> str:
@@ -220,10 +283,10 @@ def _place(url: SplitResult) -> str:
     return f"{host}:{url.port or _PORTS[url.scheme]}"
 
 
-def _package(name: str) -> Any:
+def _package(name: str, field: str) -> Any:
     try:
         return importlib.import_module(name)
     except ImportError:
         extra = _EXTRAS[name]
         package = name.partition(".")[0]
-        raise ParameterError(f"send needs {package}: install nermo-mjx with its extra {extra} by pip.") from None
+        raise ParameterError(f"{field} needs {package}: install nermo-mjx with its extra {extra} by pip.") from None

@@ -175,12 +175,15 @@ class CSession:
             return list(self.engine.pool.map(run, self._blocks))
 
 
-class _Block:
-    """Some worlds of a batch: n in MuJoCo, and their loop in `LANES` lanes, of which the first n are used."""
+class CBodies:
+    """The bodies of n worlds, under servo targets `ctrl` (n, n_servos) [rad].
 
-    def __init__(
-        self, engine: CEngine, params: Any, qpos: np.ndarray, fields: dict[str, np.ndarray], threads: int
-    ) -> None:
+    Attributes:
+        qpos, qvel, sensordata: of all worlds (n, nq), (n, nv), (n, n_sensordata), live.
+        moving: worlds that are stepped.
+    """
+
+    def __init__(self, engine: CEngine, qpos: np.ndarray, fields: dict[str, np.ndarray], threads: int) -> None:
         self.engine, self.worlds = engine, len(qpos)
         self.steps = engine.loop.steps_per_tick
         self.batch = Batch(engine.model, self.worlds, nthread=threads)
@@ -188,14 +191,55 @@ class _Block:
         self.servos = _Servos(engine.model, fields[SERVO_PLAY]) if SERVO_PLAY in fields else None
         self.qpos, self.qvel, self.ctrl = (self.batch.bind(name) for name in ("qpos", "qvel", "ctrl"))
         self.qpos[...] = qpos
-        at_rest = self.batch.bind("sensordata")
+        self.sensordata = self.batch.bind("sensordata")
         self.batch.forward()
-        lanes = np.pad(at_rest, ((0, LANES - self.worlds), (0, 0)), mode="edge")
+        self.moving = np.arange(self.worlds)
+
+    def move(self, readings: np.ndarray) -> None:
+        """One tick of physics; `readings` (n, steps, n_sensordata) are overwritten, those of a failed world by NaN."""
+        ids = None if len(self.moving) == self.worlds else self.moving
+        out = readings if ids is None else readings[ids]
+        lost = self._rollout(self.steps, ids, out) if self.servos is None else self._play(self.servos, ids, out)
+        if ids is not None:
+            readings[ids] = out
+        if len(lost):
+            readings[lost] = np.nan
+        # MuJoCo stops a world that raises a warning (a non-finite or huge acceleration) and repeats its last record.
+        if self.batch.warning.any():
+            readings[self.batch.warning.reshape(self.worlds, -1).any(axis=1)] = np.nan
+
+    def _rollout(self, steps: int, ids: np.ndarray | None, out: np.ndarray) -> list[int]:
+        """Run steps of physics, and return the worlds that failed: they keep their state, the others are unaffected."""
+        try:
+            self.batch.rollout(steps, record=("sensordata",), ids=ids, out={"sensordata": out})
+        except SimulationError as error:
+            return list(error.ids)
+        return []
+
+    def _play(self, servos: _Servos, ids: np.ndarray | None, out: np.ndarray) -> list[int]:
+        """The steps of a tick one by one, each with the controls of servos with play."""
+        target, lost = self.ctrl.copy(), []
+        for step in range(self.steps):
+            self.ctrl[...] = servos.controls(target, self.qpos, self.qvel)
+            one = np.empty_like(out[:, :1])
+            lost += self._rollout(1, ids, one)
+            out[:, step : step + 1] = one
+        self.ctrl[...] = target
+        return lost
+
+
+class _Block(CBodies):
+    """Some worlds of a batch: n in MuJoCo, and their loop in `LANES` lanes, of which the first n are used."""
+
+    def __init__(
+        self, engine: CEngine, params: Any, qpos: np.ndarray, fields: dict[str, np.ndarray], threads: int
+    ) -> None:
+        super().__init__(engine, qpos, fields, threads)
+        lanes = np.pad(self.sensordata, ((0, LANES - self.worlds), (0, 0)), mode="edge")
         self.loop = engine.packed(params, lanes)
         self.params = self.loop.pack(params)
         self._state = self.loop.init(self.params, lanes)
         self._sensordata = np.repeat(lanes[:, None], self.steps, axis=1)
-        self.moving = np.arange(self.worlds)
 
     @property
     def loop_state(self) -> Any:
@@ -226,36 +270,7 @@ class _Block:
             return
         self._state, ctrl = self.loop.step(*self.arguments)
         self.ctrl[...] = np.asarray(ctrl)[: self.worlds]
-        ids = None if len(self.moving) == self.worlds else self.moving
-        readings = self._sensordata[: self.worlds]
-        out = readings if ids is None else readings[ids]
-        lost = self._rollout(self.steps, ids, out) if self.servos is None else self._play(self.servos, ids, out)
-        if ids is not None:
-            readings[ids] = out
-        if len(lost):
-            readings[lost] = np.nan
-        # MuJoCo stops a world that raises a warning (a non-finite or huge acceleration) and repeats its last record.
-        if self.batch.warning.any():
-            readings[self.batch.warning.reshape(self.worlds, -1).any(axis=1)] = np.nan
-
-    def _rollout(self, steps: int, ids: np.ndarray | None, out: np.ndarray) -> list[int]:
-        """Run steps of physics, and return the worlds that failed: they keep their state, the others are unaffected."""
-        try:
-            self.batch.rollout(steps, record=("sensordata",), ids=ids, out={"sensordata": out})
-        except SimulationError as error:
-            return list(error.ids)
-        return []
-
-    def _play(self, servos: _Servos, ids: np.ndarray | None, out: np.ndarray) -> list[int]:
-        """The steps of a tick one by one, each with the controls of servos with play."""
-        target, lost = self.ctrl.copy(), []
-        for step in range(self.steps):
-            self.ctrl[...] = servos.controls(target, self.qpos, self.qvel)
-            one = np.empty_like(out[:, :1])
-            lost += self._rollout(1, ids, one)
-            out[:, step : step + 1] = one
-        self.ctrl[...] = target
-        return lost
+        self.move(self._sensordata[: self.worlds])
 
 
 class _Servos:

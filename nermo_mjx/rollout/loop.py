@@ -18,7 +18,7 @@ from nermo_mjx.control.schedule import Schedule, scheduled
 from nermo_mjx.robot import ParameterError, Robot, Sensors, ServoAngles
 from nermo_mjx.robot.model_parameters import Servo
 from nermo_mjx.robot.terrains import TerrainShape
-from nermo_mjx.rollout import metrics
+from nermo_mjx.rollout import metrics, transitions
 from nermo_mjx.rollout.own_metrics import OwnMetric, check_metrics, described
 from nermo_mjx.rollout.setup import Setup, Start, Window, WorldParameters
 from nermo_mjx.runtime import start_jax
@@ -113,7 +113,14 @@ class ClosedLoop:
         servo = self.controller.initial_servo(own, params.start.phase).vector(self.robot.servos)
         servo = self._within_range(servo)
         first, now = jnp.zeros((), jnp.int32), jnp.zeros(())
-        return LoopState(first, now, control, metrics.init(sensors, self.own), servo.astype(now.dtype), now)
+        return LoopState(
+            first,
+            now,
+            control,
+            metrics.init(sensors, self.own, params.schedule is not None),
+            servo.astype(now.dtype),
+            now,
+        )
 
     def step(
         self, params: LoopParameters, state: LoopState, sensordata: Float[Array, "steps n"]
@@ -151,10 +158,13 @@ class ClosedLoop:
             path = controller.path(own, state.control, position)
         if isinstance(controller, PlansContact):
             stance = controller.stance(state.control)
+        within = None
+        if params.schedule is not None:
+            within = transitions.span(params.schedule, controller.cycle_rate(params.control))
         return metrics.update(
             params.window, state.metrics, sensors, state.time, controller.dt, controller.cycle_rate(own), path,
             stance, self.robot.terrain.height(position[0], position[1], params.terrain), self.own, params.servo_brake,
-            params.servo, state.clamped,
+            params.servo, state.clamped, within,
         )  # fmt: skip
 
     def last_reading(self, measured: metrics.MetricState, sensordata: Float[Array, "steps n"]) -> Sensors:

@@ -27,7 +27,7 @@ from nermo_mjx.control.path import PathPoint
 from nermo_mjx.kinematics.body import attitude, uprightness
 from nermo_mjx.robot import LIMBS, ModelParameters, Sensors
 from nermo_mjx.robot.model_parameters import Servo
-from nermo_mjx.rollout import electrical, eye_metrics, path_metrics, reduction
+from nermo_mjx.rollout import electrical, eye_metrics, path_metrics, reduction, transitions
 from nermo_mjx.rollout.measuring import MeasuredPart, begins_in_run, measured_part
 from nermo_mjx.rollout.own_metrics import ANGLES, METRICS, PAIRS, OwnMetric
 from nermo_mjx.rollout.path_metrics import root
@@ -109,6 +109,7 @@ class MetricState:
             is deeper than the sole is thick [s].
         penetration: depth of the deepest contact since the start [m].
         own: accumulators of custom metrics; None without any.
+        transition: while switches act; None without a schedule.
         on_path: whether the pilot has a path.
         lost: whether the readings have become invalid, including after the run's end.
         failure_time: end of the tick in which the run failed [s]; 0 until then.
@@ -144,6 +145,7 @@ class MetricState:
     sunk: Scalar
     penetration: Scalar
     own: reduction.OwnState | None
+    transition: transitions.TransitionState | None
     on_path: Truth
     lost: Truth
     failure_time: Scalar
@@ -153,8 +155,8 @@ class MetricState:
     finished: Truth
 
 
-def init(sensors: Sensors, own: tuple[OwnMetric, ...] = ()) -> MetricState:
-    """Accumulators before the first tick, from the readings at rest, with those of custom metrics."""
+def init(sensors: Sensors, own: tuple[OwnMetric, ...] = (), switches: bool = False) -> MetricState:
+    """Accumulators before the first tick, from the readings at rest, with those of custom metrics and of switches."""
     position, angles = sensors.position, attitude(sensors.orientation)
     zero, three, four = jnp.zeros((), position.dtype), jnp.zeros_like(position), jnp.zeros_like(sensors.foot_force)
     readings = jnp.append(angles, zero)
@@ -166,7 +168,8 @@ def init(sensors: Sensors, own: tuple[OwnMetric, ...] = ()) -> MetricState:
         swing=four, swing_loaded=four, load=jnp.append(four, zero), tail_loaded=zero, path=path_metrics.init(position),
         eyes=eye_metrics.init(sensors), drawn=electrical.Drawn(zero, zero, zero), clamped=zero, airborne=zero,
         sunk=zero, penetration=zero,
-        own=reduction.init(own, sensors) if own else None, on_path=no,
+        own=reduction.init(own, sensors) if own else None,
+        transition=transitions.init(zero) if switches else None, on_path=no,
         lost=no, failure_time=zero, fell=no, diverged=no, begun=no, finished=no,
     )  # fmt: skip
 
@@ -185,6 +188,7 @@ def update(
     brake: Any = None,
     servo: Servo | None = None,
     clamped: Any = 0.0,
+    transition: tuple[Scalar, Scalar] | None = None,
 ) -> MetricState:
     """Add one control tick.
 
@@ -202,6 +206,7 @@ def update(
         brake: of the servos by their back-EMF (`Servo.brake`); None for servos without.
         servo: parameters of the servos; the defaults if None.
         clamped: 1 if a servo was asked for an angle beyond its range, else 0.
+        transition: when it begins and ends [s], with a schedule.
     """
     # If the accelerometer is non-finite, so are the velocities one step later; not reading it saves computing it.
     told = jax.tree.leaves(dataclasses.replace(sensors, accelerometer=sensors.gyro))
@@ -248,6 +253,12 @@ def update(
     swings = jnp.zeros_like(bears) if stance is None else jnp.where(stance, 0.0, 1.0).astype(bears.dtype)
     force = jnp.append(sensors.foot_force.mean(axis=0), sensors.tail_force.mean())
     speed = jnp.sqrt(jnp.sum(sensors.foot_velocity[..., :2] ** 2, axis=-1) + 1e-12)
+    switching = None
+    if state.transition is not None and transition is not None:
+        slid, feet = (contact * speed).mean(axis=0).sum(), contact.mean(axis=0).sum()
+        switching = transitions.update(
+            state.transition, transition, time, part.weight, angles[0], slid, feet, step / dt
+        )  # fmt: skip
     return MetricState(
         time=part.elapsed,
         work=state.work + part.weight * power,
@@ -284,6 +295,7 @@ def update(
             judged & ~lost, jnp.maximum(state.penetration, -sensors.contact_distance.min()), state.penetration
         ),
         own=None if state.own is None else reduction.update(own, state.own, sensors, part, share, ~lost & (time > 0.0)),
+        transition=switching,
         on_path=jnp.asarray(path is not None),
         lost=lost,
         failure_time=jnp.where(judged & (fallen | lost), time, state.failure_time),
@@ -367,6 +379,7 @@ def result(
         values = {"mean": state.mean[i], "std": std[i], "min": state.low[i], "max": state.high[i]}
         metrics |= {f"{angle}_{name}": value for name, value in values.items()}
     metrics |= eye_metrics.result(state.eyes, time)
+    metrics |= {} if state.transition is None else transitions.result(state.transition)
     metrics |= electrical.result(state.drawn, time, supply or electrical.Supply.of(ModelParameters()))
     metrics |= {
         "electrical_cost_of_transport": jnp.where(
@@ -398,5 +411,5 @@ def result(
         "diverged": state.diverged.astype(time.dtype),
         "failure_time": jnp.where(state.fell | state.diverged, state.failure_time, jnp.nan),
     }
-    found = {name: metrics[name] for name in METRICS}
+    found = {name: metrics[name] for name in (*METRICS, *transitions.TRANSITION) if name in metrics}
     return found if state.own is None else found | reduction.result(own, state.own, begun, time)

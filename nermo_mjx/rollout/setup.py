@@ -46,6 +46,7 @@ from nermo_mjx.robot.quantity import (
 from nermo_mjx.robot.scene import Scene, is_mjcf, load_scene
 from nermo_mjx.robot.terrains import scenes_reading, terrain_values
 from nermo_mjx.rollout.own_metrics import METRICS, Metric, OwnMetric, load_metrics
+from nermo_mjx.rollout.transitions import TRANSITION
 
 # ---
 # Everything that may differ between the worlds of a batch, under one set of names.
@@ -148,7 +149,7 @@ def check_names(controller: ControllerLike, metrics: Sequence[OwnMetric]) -> Non
     """Reject parameters of a controller, and custom metrics, whose names are taken."""
     seen: dict[str, str] = {}
     for own in metrics:
-        if own.name in METRICS or own.name in TAKEN:
+        if own.name in METRICS or own.name in TAKEN or own.name in TRANSITION:
             whose = "a metric that every run has" if own.name in METRICS else "a column that every table has"
             raise ParameterError(f"metrics has {own.place}, but {own.name} is {whose}: give it another name.")
         if own.name in seen:
@@ -486,13 +487,13 @@ def with_own(
 
 
 def all_metrics(setup: Setup | None = None) -> dict[str, Metric]:
-    """Every metric of a run of `setup`, in the order of the columns: built-in and custom ones.
+    """Every metric of a run of `setup`, in the order of the columns: built-in ones, those of switches, custom ones.
 
     >>> all_metrics()["cost_of_transport"].better
     'low'
     """
     own = () if setup is None else setup.own_metrics
-    return METRICS | {each.name: each for each in own}
+    return METRICS | (TRANSITION if setup is not None and setup.schedule else {}) | {each.name: each for each in own}
 
 
 def without_presettings(setup: Setup) -> Setup:

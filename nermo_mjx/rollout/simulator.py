@@ -259,7 +259,7 @@ class Simulator:
         geometry = params.model.geometry if names_geometry(values) else None
         control = scheduled(params.control, params.schedule, 0.0, self.controller.cycle_rate(params.control))
         return Batch(
-            params=_single(loop_parameters(self.robot, params, window, values)),
+            params=default_precision(loop_parameters(self.robot, params, window, values)),
             qpos=self.start.batch(control, params.start, terrain, geometry),
             fields=self.variation.batch(params.model, worlds, values),
             ticks=int(np.ceil(window.end.max() / self.controller.dt - 1e-6)) + 1,
@@ -462,7 +462,7 @@ def _window(run: Run, params: WorldParameters, controller: ControllerLike, world
     return Window(begin=begin, end=end, distance=distance)
 
 
-def _single(tree: Any) -> Any:
+def default_precision(tree: Any) -> Any:
     """Floats in JAX's default precision; integers and flags are unchanged."""
     real = jax.dtypes.canonicalize_dtype(float)
     return jax.tree.map(lambda leaf: np.asarray(leaf, real if leaf.dtype.kind == "f" else None), tree)

@@ -25,6 +25,7 @@ from nermo_mjx.files import FileError, read_bytes
 from nermo_mjx.robot.quantity import ParameterError, Quantity
 from nermo_mjx.robot.scene import is_mjcf, scene_name
 from nermo_mjx.rollout import METRICS, Setup
+from nermo_mjx.rollout.transitions import TRANSITION
 from nermo_mjx.runs.files import parquet_bytes, parquet_table
 from nermo_mjx.specs.controllers import code_identity
 from nermo_mjx.specs.fields import Fields, JsonSchema, Refused, optional, read
@@ -338,7 +339,7 @@ def read_row_table(doc: Document, given: Any) -> RowTable:
             refuse_parameter(name, more=STRUCTURES)
         except Refused as refused:
             message = str(refused)
-            if name in METRICS or name in _RESULTS:
+            if name in METRICS or name in TRANSITION or name in _RESULTS:
                 message = (
                     "is a column of results, and the file does not say which columns are parameters (a table that "
                     "pandas or polars wrote has lost it): keep only the parameters' columns, or filter "

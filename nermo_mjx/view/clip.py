@@ -85,9 +85,14 @@ class Packer:
         content = json.dumps(value, ensure_ascii=False, separators=(",", ":"), allow_nan=False).encode()
         return self._add(content, "json", (len(content),))
 
+    @property
+    def content(self) -> bytes:
+        """All arrays."""
+        return b"".join(self._parts)
+
     def text(self) -> str:
         """All arrays, gzipped, in base 64."""
-        return base64.b64encode(gzip.compress(b"".join(self._parts), 9, mtime=0)).decode("ascii")
+        return base64.b64encode(gzip.compress(self.content, 9, mtime=0)).decode("ascii")
 
     def _add(self, content: bytes, kind: str, shape: tuple[int, ...]) -> dict[str, Any]:
         padding = bytes(-self._size % 4)

@@ -71,11 +71,12 @@ def document(
         title: of the window.
         header: JSON header of the page.
         parts: packed arrays that the header points into.
-        folders: of `web/` whose modules the page has.
+        folders: of `web/` whose modules and style the page has.
     """
+    styles = [name for each in folders if (_WEB / (name := f"{each}/style.css".lstrip("/"))).is_file()]
     content = {
         "title": html.escape(title),
-        "style": text("style.css"),
+        "style": "\n".join(map(text, styles)),
         "imports": as_json({"imports": _modules(folders)}),
         "header": as_json(header),
         "data": "\n".join(map(_part, parts)),

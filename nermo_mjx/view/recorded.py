@@ -118,20 +118,24 @@ class Motion:
     contacts: tuple[Contact, ...]
 
 
-def motion_of(recording: Recording, model: mujoco.MjModel, most: int | None = None) -> Motion:
+def motion_of(
+    recording: Recording, model: mujoco.MjModel, most: int | None = None, data: mujoco.MjData | None = None
+) -> Motion:
     """Evaluate a model at a recording's samples, up to the first that is not finite.
 
     Args:
         recording: the run.
         model: that was simulated, with the run's parameters (`recorded_model`).
         most: maximum number of samples; of a longer recording every second, third, ... one is kept.
+        data: of the model, to be used again where the recording is known to fit it.
 
     Raises:
         RecordingError: it does not fit the model, or has no finite state.
     """
-    recording.check_model(model)
+    if data is None:
+        recording.check_model(model)
     samples = finite_samples(recording, most)
-    data = mujoco.MjData(model)
+    data = data or mujoco.MjData(model)
     position = np.empty((len(samples), model.nbody, 3))
     quaternion = np.empty((len(samples), model.nbody, 4))
     tension = np.zeros((len(samples), model.ntendon))
@@ -471,9 +475,10 @@ def _units(recording: Recording) -> dict[str, str]:
     from nermo_mjx.robot.quantity import quantities
     from nermo_mjx.rollout import METRICS  # starts JAX
     from nermo_mjx.rollout.setup import WorldParameters
+    from nermo_mjx.rollout.transitions import TRANSITION
 
     units = {name: about.unit for name, about in quantities(WorldParameters)}
-    return units | {name: metric.unit for name, metric in METRICS.items()} | _part(recording, "units")
+    return units | {name: metric.unit for name, metric in (METRICS | TRANSITION).items()} | _part(recording, "units")
 
 
 def _number(value: Any) -> float | None:

@@ -1,7 +1,7 @@
 // Keyboard shortcuts, and the list of them that the help shows.
 
 /** `[keys, what they do, how the help names them]`; `actions` has a function for each second entry. */
-const SHORTCUTS = [
+export const SHORTCUTS = [
   [[" ", "k"], "play", "Space", "play, pause"],
   [["ArrowLeft"], "back", "←", "one sample back; with Shift ten"],
   [["ArrowRight"], "forth", "→", "one sample forward; with Shift ten"],
@@ -43,6 +43,6 @@ export function wireKeys(actions, shortcuts = SHORTCUTS) {
 }
 
 /** Rows of the help: key and meaning. */
-export function shortcutRows(two) {
-  return SHORTCUTS.filter(([, name]) => two || name !== "compare").map(([, , key, meaning]) => [key, meaning]);
+export function shortcutRows(two, shortcuts = SHORTCUTS) {
+  return shortcuts.filter(([, name]) => two || name !== "compare").map(([, , key, meaning]) => [key, meaning]);
 }

@@ -20,11 +20,13 @@ async function start() {
   const parts = await unpackAll();
   await prepare();
   const models = header.models.map((model) => new Model(model, parts));
-  const clips = header.clips.map((clip) => new Clip(clip, models[clip.model], parts));
+  const live = header.live && { ...(await import("viewer/live/clip.js")), ...(await import("viewer/live/drive.js")) };
+  const Kind = live ? live.LiveClip : Clip;
+  const clips = header.clips.map((clip) => new Kind(clip, models[clip.model], parts, header.live));
   const player = new Player(clips);
   fillHead(clips);
   fillDetails(clips);
-  fillHelp(shortcutRows(clips.length > 1));
+  fillHelp(shortcutRows(clips.length > 1, live?.SHORTCUTS));
   if (!clips[0].plots.length) {
     document.body.classList.add("no-plots");
     find("plots-toggle").hidden = true;
@@ -33,7 +35,8 @@ async function start() {
   const stage = makeStage(clips);
   const plots = new Plots(find("plot-list"), clips, player);
   wireTransport(player);
-  wireControls(player, stage, plots, clips);
+  const drive = live && new live.Drive(header.live, clips[0], player, stage, plots);
+  wireControls(player, stage, plots, clips, drive && { actions: drive.actions(), shortcuts: live.SHORTCUTS });
 
   const paint = () => {
     const colours = theme();
@@ -48,10 +51,10 @@ async function start() {
   });
   player.seek(player.begin);
   stage?.look("three_quarter");
-  if (!matchMedia("(prefers-reduced-motion: reduce)").matches) player.toggle(true);
+  if (!live && !matchMedia("(prefers-reduced-motion: reduce)").matches) player.toggle(true);
   run(player, stage);
   // For scripts and tests.
-  window.viewer = { player, stage, plots, clips };
+  window.viewer = { player, stage, plots, clips, drive };
   document.documentElement.dataset.ready = "yes";
 }
 
@@ -69,7 +72,7 @@ function makeStage(clips) {
   }
 }
 
-function wireControls(player, stage, plots, clips) {
+function wireControls(player, stage, plots, clips, driven) {
   const views = Object.keys(VIEWS).filter((view) => view !== "eyes" || clips[0].model.eyes);
   const setView = wireViews(views, (view) => look(view));
   const look = (view) => {
@@ -80,7 +83,8 @@ function wireControls(player, stage, plots, clips) {
   };
   const states = {
     follow: true, tendons: true, forces: true, trail: false, shadows: true, collisions: false,
-    "plots-toggle": true, window: false,
+    // The picture of a drive needs a telephone's height.
+    "plots-toggle": !driven || innerWidth > 719, window: Boolean(driven),
   };
   const set = wireToggles(states, (id) => {
     if (id === "follow") stage?.setFollow(states.follow);
@@ -119,7 +123,12 @@ function wireControls(player, stage, plots, clips) {
     help: () => togglePanel("help"),
     close: () => togglePanel("help", false),
     ...Object.fromEntries(["follow", "tendons", "forces", "trail", "shadows", "collisions", "window"].map((id) => [id, toggle(id)])),
-  });
+    ...driven?.actions,
+  }, driven?.shortcuts);
+  if (driven) {
+    plots.setWindowed(true);
+    document.body.classList.toggle("no-plots", !states["plots-toggle"]);
+  }
 }
 
 /** Advances the time with the screen's frames; draws only changes. */

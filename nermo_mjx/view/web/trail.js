@@ -23,7 +23,15 @@ export class TrailView {
     );
     this.prints.frustumCulled = this.whole.frustumCulled = this.past.frustumCulled = false;
     clip.footprints.forEach(([, , x, y], i) => this.prints.setMatrixAt(i, new Matrix4().makeTranslation(x, y, ABOVE)));
+    this.whole.visible = !clip.grows;
     this.group.add(this.whole, this.past, this.prints);
+  }
+
+  /** The path of a clip whose rows come while it is shown. */
+  #grow() {
+    const { position } = this.past.geometry.attributes;
+    for (let i = 0; i < 3 * this.clip.time.length; i++) position.array[i] = i % 3 === 2 ? ABOVE : this.clip.origin[i];
+    position.needsUpdate = true;
   }
 
   setColours(colours, own) {
@@ -34,6 +42,7 @@ export class TrailView {
   }
 
   setTime(time) {
+    if (this.clip.grows && this.group.visible) this.#grow();
     this.past.geometry.setDrawRange(0, this.clip.rowAt(time) + 1);
     let count = 0;
     while (count < this.clip.footprints.length && this.clip.footprints[count][0] <= time) count++;

@@ -1,0 +1,342 @@
+"""The page of a drive, served to this machine alone, its messages, and the loop that keeps real time.
+
+The address holds a random token, without which there is neither page nor socket; `Host` must name the loopback and
+`Origin` the same address, so that no other site's page gets in. One page drives: a second one takes over, and the first
+one says so. While no page is there, the robot stands still in time.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import logging
+import math
+import queue
+import secrets
+import threading
+import time
+from collections.abc import Callable, Iterator
+from http import HTTPStatus
+from pathlib import Path
+from typing import Annotated, Any, Final, Literal
+from urllib.parse import urlsplit
+
+import numpy as np
+from pydantic import BaseModel, Field, ValidationError
+
+from nermo_mjx.control.schedule import GAINS, Switch
+from nermo_mjx.live.driving import Driving
+from nermo_mjx.live.showing import Shown
+from nermo_mjx.robot.parameters import GAIT_NAMES
+from nermo_mjx.robot.quantity import ParameterError
+
+#: Longest message of a page [bytes], and how many may wait.
+LONGEST: Final = 4096
+WAITING: Final = 256
+#: Pictures per second at most [Hz], and how many may be under way to the page.
+PICTURES: Final = 50.0
+UNDER_WAY: Final = 2
+#: Lateness above which the drive is slower than the clock, instead of hurrying after it [s].
+LATE: Final = 0.1
+#: Close code of a page that another one has replaced.
+REPLACED: Final = 4001
+
+#: Sliders of the page: parameter, title, unit, range.
+SLIDERS: Final = {
+    "frequency": ("frequency", "Hz", 0.2, 2.0), "stride": ("stride", "", 0.0, 1.2),
+    "pilot.turn_rate": ("turn", "", -1.0, 1.0), "spine.amplitude": ("spine amplitude", "rad", 0.0, 0.6),
+    "spine.phase": ("spine phase", "rad", -3.15, 3.15),
+}  # fmt: skip
+
+Finite = Annotated[float, Field(allow_inf_nan=False, strict=True)]
+
+
+class _Push(BaseModel, extra="forbid"):
+    body: Annotated[int, Field(strict=True)]
+    force: tuple[Finite, Finite, Finite]
+    seconds: Finite
+
+
+class Message(BaseModel, extra="forbid"):
+    """What a page may say, each part as it likes.
+
+    Attributes:
+        gait, steering, spine, head, tail_motion, blend, set: a command, as a switch of a schedule.
+        push: a force on a body.
+        reset: back to the start. pause: stand still in time. speed: of time.
+        shown: number of the picture that is on the screen now.
+    """
+
+    gait: str | None = None
+    steering: str | None = None
+    spine: str | None = None
+    head: str | None = None
+    tail_motion: str | None = None
+    blend: Finite = 1.0
+    set: dict[str, Finite] = {}
+    push: _Push | None = None
+    reset: Literal[True] | None = None
+    pause: Annotated[bool, Field(strict=True)] | None = None
+    speed: Annotated[float, Field(ge=0.05, le=4, allow_inf_nan=False, strict=True)] | None = None
+    shown: Annotated[int, Field(strict=True)] | None = None
+
+
+class Link:
+    """The server, and the page that drives.
+
+    Attributes:
+        address: of the page, with its token.
+        inbox: `(page, text)` of each message, `(page, True)` of a page that came, `(page, False)` of one that went.
+    """
+
+    def __init__(self, page: Callable[[], str], port: int = 0) -> None:
+        """
+        Args:
+            page: makes the document.
+            port: of the loopback; 0 for any that is free.
+
+        Raises:
+            ParameterError: the port is taken, or the package websockets is missing.
+        """
+        try:
+            from websockets.sync.server import serve
+        except ImportError:
+            raise ParameterError("drive needs websockets: install nermo-mjx with its extra drive by pip.") from None
+        self._token, self._made = secrets.token_urlsafe(16), page
+        self._page: Any = None
+        self._lock = threading.Lock()
+        self.inbox: queue.Queue[tuple[Any, str | bytes | bool]] = queue.Queue(WAITING)
+        silent = logging.getLogger(__name__)  # browsers open connections that they do not use
+        silent.setLevel(logging.CRITICAL)
+        try:
+            self._server = serve(
+                self._handle, "127.0.0.1", port, process_request=self._answer, max_size=LONGEST, compression=None,
+                logger=silent,
+            )  # fmt: skip
+        except OSError as error:
+            raise ParameterError(f"port is {port}: it cannot be opened ({error.strerror or error}).") from None
+        self.address = f"http://127.0.0.1:{self._server.socket.getsockname()[1]}/{self._token}/"
+        threading.Thread(target=self._server.serve_forever, daemon=True).start()
+
+    def close(self) -> None:
+        """Close the page's socket and the server."""
+        self._server.shutdown()
+        if self._page is not None:
+            self._page.close(1001, "the drive has ended")
+
+    def send(self, message: bytes | dict[str, Any]) -> None:
+        """To the page that drives, if there is one."""
+        from websockets.exceptions import ConnectionClosed
+
+        with contextlib.suppress(ConnectionClosed, AttributeError):
+            self._page.send(message if isinstance(message, bytes) else json.dumps(message))
+
+    def is_driving(self, page: Any) -> bool:
+        """Whether no other page has taken over."""
+        return page is self._page
+
+    def _answer(self, connection: Any, request: Any) -> Any:
+        """The page, or None to let the socket open; anything else is refused."""
+        host = request.headers.get("Host", "")
+        if urlsplit(f"//{host}").hostname not in ("127.0.0.1", "localhost"):
+            return connection.respond(HTTPStatus.FORBIDDEN, "This address is for this machine alone.\n")
+        token, _, rest = request.path.lstrip("/").partition("/")
+        if not secrets.compare_digest(token.encode(), self._token.encode()) or rest not in ("", "socket"):
+            return connection.respond(HTTPStatus.NOT_FOUND, "Open the address that nermo-mjx drive has printed.\n")
+        if rest == "socket":
+            if request.headers.get("Origin") != f"http://{host}":
+                return connection.respond(HTTPStatus.FORBIDDEN, "Only its own page may drive.\n")
+            return None
+        answer = connection.respond(HTTPStatus.OK, self._made())
+        del answer.headers["Content-Type"]
+        answer.headers.update({"Content-Type": "text/html; charset=utf-8", "Cache-Control": "no-store",
+                               "Referrer-Policy": "no-referrer", "X-Frame-Options": "DENY"})  # fmt: skip
+        return answer
+
+    def _handle(self, page: Any) -> None:
+        with self._lock:
+            before, self._page = self._page, page
+        self.inbox.put((page, True))
+        if before is not None:  # which may take its time, if that page hangs
+            threading.Thread(target=before.close, args=(REPLACED, "another page drives now"), daemon=True).start()
+        try:
+            for text in page:
+                self.inbox.put((page, text))
+        finally:
+            self.inbox.put((page, False))
+            with self._lock:
+                self._page = None if self._page is page else self._page
+
+
+class Drive:
+    """A drive under a page, in real time.
+
+    Attributes:
+        driving, link, record: its robot, its page, its file.
+        paused, speed: whether time stands still, and seconds of the drive per second.
+        over: set it to end the drive.
+        factor: seconds of the drive per second, over those while it was neither paused nor slowed down.
+        delays: from the end of a tick to its picture on the screen, of the latest pictures [s].
+    """
+
+    def __init__(
+        self, setup: Any, values: dict[str, float], record: Path | None = None, port: int = 0, driving: Any = None
+    ) -> None:
+        """
+        Args:
+            setup, values: as for `Running`.
+            record: file for what was driven; after a reset, what follows goes to FILE-2, FILE-3, ...
+            port: see `Link`.
+            driving: a `Driving` of these; None to make it.
+        """
+        self.driving = driving or Driving(setup, values, record=record is not None)
+        self._shown, self.record, self.files = Shown(self.driving), record, list[Path]()
+        self._gait, self._steering = setup.gait, str(setup.steering)
+        self.paused, self.speed, self.over, self._began = False, 1.0, False, False
+        self._sent = dict[int, float]()
+        self._number, self.delays, self._spent = 0, list[float](), [0.0, 0.0]
+        self.link = Link(self._document, port)
+
+    @property
+    def away(self) -> float:
+        """How long the page has not shown what it was sent [s]."""
+        now = time.perf_counter()
+        return now - min(self._sent.values(), default=now)
+
+    def run(self, seconds: float | None = None) -> None:
+        """For seconds of the clock, or until it is interrupted; then what was driven is saved."""
+        try:
+            self._run(math.inf if seconds is None else time.perf_counter() + seconds)
+        finally:
+            self.link.close()
+            self._save()
+
+    def report(self) -> dict[str, Any]:
+        """What came of it: files, seconds driven, real-time factor, and delay of the picture (median, 95 %) [s]."""
+        delays = np.quantile(self.delays, (0.5, 0.95)).tolist() if self.delays else [None, None]
+        return {"files": [str(file) for file in self.files], "seconds": self.driving.time, "factor": self.factor,
+                "delay": delays[0], "delay_95": delays[1]}  # fmt: skip
+
+    def _run(self, end: float) -> None:
+        due, picture = time.perf_counter(), 0.0
+        while not self.over and time.perf_counter() < end:
+            begun = time.perf_counter()
+            for page, message in self._messages(0.05 if self._stands else max(due - begun, 0.0)):
+                self._receive(page, message)
+            if self._stands:
+                due = time.perf_counter()
+                continue
+            if (now := time.perf_counter()) < due:
+                continue
+            self.driving.tick()
+            if not self.driving.is_finite:
+                self.link.send({"refused": "The simulation has lost its numbers: it starts again."})
+                self._restart()
+            due += self.driving.running.dt / self.speed
+            late = time.perf_counter() - due
+            if late > LATE:
+                due += late
+            if self.speed == 1.0:
+                self._spent[0] += self.driving.running.dt
+                self._spent[1] += self.driving.running.dt + (late if late > LATE else 0.0)
+            if now - picture >= 0.99 / PICTURES and len(self._sent) < UNDER_WAY:
+                picture = now
+                self._show()
+
+    @property
+    def _stands(self) -> bool:
+        return self.paused or not self._began
+
+    @property
+    def factor(self) -> float:
+        """See the class."""
+        return self._spent[0] / self._spent[1] if self._spent[1] else 1.0
+
+    def _messages(self, patience: float) -> Iterator[tuple[Any, Any]]:
+        """Those that wait, or the first one that comes in time [s]."""
+        with contextlib.suppress(queue.Empty):
+            yield self.link.inbox.get(timeout=patience) if patience > 0 else self.link.inbox.get_nowait()
+            while True:
+                yield self.link.inbox.get_nowait()
+
+    def _receive(self, page: Any, message: str | bytes | bool) -> None:
+        if message is False:
+            if self.link.is_driving(page) or self.link.is_driving(None):
+                self.paused, self._sent = True, {}
+            return
+        if not self.link.is_driving(page):
+            return
+        if message is True:
+            self._began, self._sent = True, {}
+            self._show()
+        else:
+            try:
+                said = Message.model_validate_json(message)
+                if said.shown is not None:
+                    if (sent := self._sent.pop(said.shown, None)) is not None:
+                        self.delays = [*self.delays[-999:], time.perf_counter() - sent]
+                    return
+                self._obey(said)
+            except (ValidationError, ParameterError) as error:
+                self.link.send({"refused": sentence_of(error)})
+                return
+        self._tell()
+
+    def _obey(self, message: Message) -> None:
+        driving, given = self.driving, message.model_dump(include={"gait", "steering", "spine", "head", "tail_motion"})
+        if message.set or any(given.values()):
+            driving.running.command(Switch(driving.time, message.blend, **given, values=message.set))
+            self._gait, self._steering = message.gait or self._gait, message.steering or self._steering
+        if message.push is not None:
+            driving.push(message.push.body, message.push.force, message.push.seconds)
+        self.paused = self.paused if message.pause is None else message.pause
+        self.speed = message.speed or self.speed
+        if message.reset:
+            self._restart()
+
+    def _restart(self) -> None:
+        self._save()
+        setup = self.driving.running.setup
+        self.driving.reset()
+        self._gait, self._steering = setup.gait, str(setup.steering)
+        self._shown.restart()
+        self.link.send({"restart": True})
+        self._show()
+
+    def _save(self) -> None:
+        if self.record is not None and self.driving.running.ticks:
+            number = f"-{len(self.files) + 1}" if self.files else ""
+            path = self.record.with_name(f"{self.record.stem}{number}{self.record.suffix}")
+            self.files.append(self.driving.recording().save(path))
+
+    def _show(self) -> None:
+        self._number += 1
+        self._sent[self._number] = time.perf_counter()
+        self.link.send(self._number.to_bytes(4, "little") + self._shown.row())
+
+    def _tell(self) -> None:
+        running = self.driving.running
+        modes = {field: "+".join(sorted(names)) or "none" for field, names in running.modes.items()}
+        values = {name: running.value(name) for name in SLIDERS}
+        self.link.send({
+            "paused": self.paused, "speed": self.speed, "gait": GAIT_NAMES.get(self._gait, self._gait),
+            "steering": self._steering, **modes, "values": values, "factor": round(self.factor, 3),
+        })  # fmt: skip
+
+    def _document(self) -> str:
+        running = self.driving.running
+        sliders = [{"name": name, "title": title, "unit": unit, "low": low, "high": high}
+                   for name, (title, unit, low, high) in SLIDERS.items() if name in running.known]  # fmt: skip
+        # Without those that would do nothing: the harmonics, unless they have amplitudes.
+        modes = {field: sorted(name for name in names if any(map(running.value, GAINS[name])))
+                 for field, names in running.simulator.setup.modes.items()}  # fmt: skip
+        return self._shown.document({"sliders": sliders, "modes": modes, "ours": "offset.front_left" in running.known})
+
+
+def sentence_of(error: Exception) -> str:
+    """What was wrong with a message."""
+    if isinstance(error, ValidationError):
+        first = error.errors()[0]
+        where = ".".join(map(str, first["loc"])) or "message"
+        return f"{where}: {first['msg'][0].lower()}{first['msg'][1:]}."[:200]
+    return str(error)

@@ -1,0 +1,531 @@
+"""One controller for the twin and the robot: the loop closed over the topics of a robot, real or simulated.
+
+    controller ── q_values: servo angles ──► robot ── sensors_mouse: what it measures ──► controller
+
+Topics and messages are those of the author's ROS package (github.com/a-rohr/mouse_controller, commit 4dc4214):
+`q_values` as in `nermo_mjx.hardware.live`, and `sensors_mouse` (msg/mouse_sensors.msg), filled as in
+scripts/mouse_simulation.py. The author sends no sensors over MQTT; there it is the same message as JSON. His message
+has no time: of one with ROS's `header` before its fields the order of stamps is checked, another one is taken as it is.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import heapq
+import math
+import queue
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, Final
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.interpreters.partial_eval import dce_jaxpr
+from jaxtyping import Float
+
+from nermo_mjx.control.controller import canonical
+from nermo_mjx.hardware.channels import Channels
+from nermo_mjx.hardware.live import PATIENCE, ROS_TYPE, TOPIC, NotSentError, SendError, address, linked, servo_message
+from nermo_mjx.hardware.table import channels_of, sent_angles
+from nermo_mjx.live.driving import Driving
+from nermo_mjx.live.running import Running
+from nermo_mjx.physics.c_engine import CBodies, CEngine
+from nermo_mjx.recording import Recording
+from nermo_mjx.robot import ParameterError, Robot, Sensors
+from nermo_mjx.rollout import Run, Setup, Simulator
+from nermo_mjx.rollout.metrics import DIVERGED_SPEED
+from nermo_mjx.runs.interruption import interruptible
+
+#: The author's topic and message of the sensors.
+SENSORS_TOPIC: Final = "sensors_mouse"
+SENSORS_TYPE: Final = "mouse_controller/mouse_sensors"
+#: Servos among `servo_pos_leg`; the others are in `servo_pos_aux`.
+_LEG_SERVOS: Final = 8
+#: Parts of `imu_sensor`, in its order, and their lengths.
+_IMU: Final = {"position": 3, "orientation": 4, "linear_velocity": 3, "accelerometer": 3, "gyro": 3}
+#: Speed at which servos go to the pose in which the gait begins [rad/s].
+APPROACH: Final = 1.0
+#: A command is this near to that pose when the gait begins [rad].
+_NEAR: Final = 1e-6
+#: Without messages for this long the robot holds still [s].
+WATCHDOG: Final = 0.25
+#: Largest number of a message that can be a measurement.
+_LARGEST: Final = 1e4
+
+
+def needed_sensors(setup: Setup) -> set[str]:
+    """The fields of `Sensors` on which a setup's controller depends, found in its program."""
+    robot, controller = setup.load(), setup.make_controller()
+    rest = robot.sensors(robot.sensordata_at_rest(jnp.asarray(robot.model.qpos0)))
+
+    def run(sensors: Sensors) -> Any:
+        state = canonical(controller.init(controller.parameters, sensors, jnp.zeros(())))
+        return controller.update(controller.parameters, state, sensors)
+
+    program = jax.make_jaxpr(run)(rest).jaxpr
+    _, used = dce_jaxpr(program, [True] * len(program.outvars))
+    return {field.name for field, is_used in zip(dataclasses.fields(rest), used, strict=True) if is_used}
+
+
+def _numbers(given: Any, *lengths: int) -> np.ndarray:
+    """A message's list of numbers; raises `ValueError` with what is wrong with it."""
+    try:
+        found = np.asarray([] if given is None else given, float)
+    except (TypeError, ValueError, OverflowError):
+        raise ValueError("garbage") from None
+    if found.ndim != 1 or len(found) not in lengths:
+        raise ValueError("of a wrong size")
+    if not (np.abs(found) < _LARGEST).all():  # NaN, too
+        raise ValueError("not finite")
+    return found
+
+
+class Measured:
+    """What a robot says that it measures, message by message.
+
+    Attributes:
+        sensordata: as of the last message; what it did not tell is that of the robot at rest (n_sensordata,).
+        told: fields of `Sensors` that the last message told; empty before the first.
+        arrived: when that came [s].
+        counts: messages by what became of them: `taken`, or why they were left out.
+        needed: what a message must tell.
+    """
+
+    def __init__(self, robot: Robot, channels: Channels, watchdog: float = WATCHDOG,
+                 clock: Callable[[], float] = time.monotonic) -> None:  # fmt: skip
+        self.robot, self.channels, self.watchdog, self.clock = robot, channels, watchdog, clock
+        at_rest = robot.sensordata_at_rest(jnp.asarray(robot.model.qpos0))
+        self.sensordata, self.told = np.array(at_rest, float), frozenset[str]()
+        self.counts, self.arrived, self._stamp = {"taken": 0}, -math.inf, -math.inf
+        self._places, self.needed = robot.sensors(np.arange(len(self.sensordata))), set[str]()
+
+    def receive(self, message: Any) -> None:
+        """Take a message, or leave it out; called in the connection's thread."""
+        now = self.clock()
+        try:
+            found, stamp = self._read(message)
+            # A robot that has been away may have another clock now.
+            if stamp is not None and stamp <= self._stamp and now - self.arrived <= self.watchdog:
+                raise ValueError("out of order")
+        except ValueError as error:
+            self.counts[str(error)] = self.counts.get(str(error), 0) + 1
+            return
+        data = self.sensordata.copy()
+        for name, values in found.items():
+            data[getattr(self._places, name)] = values
+        self.counts["taken"] += 1
+        self._stamp = -math.inf if stamp is None else stamp
+        self.sensordata, self.told, self.arrived = data, frozenset(found), now
+
+    def _read(self, message: Any) -> tuple[dict[str, np.ndarray], float | None]:
+        """Readings by field of `Sensors`, and the message's time [s]."""
+        if not isinstance(message, dict):
+            raise ValueError("garbage")
+        rest = max(0, len(self.channels.servos) - _LEG_SERVOS)
+        legs, aux = (_numbers(message.get(f"servo_pos_{part}"), 0, size)
+                     for part, size in (("leg", len(self.channels.servos) - rest), ("aux", rest)))  # fmt: skip
+        contact, imu = _numbers(message.get("contact_sensors"), 0, 4), _numbers(message.get("imu_sensor"), 0, 16)
+        found: dict[str, np.ndarray] = {"foot_force": contact} if len(contact) else {}
+        if len(imu):
+            found |= dict(zip(_IMU, np.split(imu, np.cumsum([*_IMU.values()])[:-1]), strict=True))
+            length = np.linalg.norm(found["orientation"])
+            if not 0.5 < length < 2.0 or np.abs(found["linear_velocity"]).max() > DIVERGED_SPEED:
+                raise ValueError("not finite")
+            found["orientation"] = found["orientation"] / length
+        if len(legs) + len(aux) == len(self.channels.servos):
+            degrees = np.degrees([*legs, *aux])
+            found["servo_angle"] = own_angles(self.channels, self.robot, degrees, self.pose)
+        if not found or self.needed - found.keys():
+            raise ValueError("of a wrong size" if found else "garbage")
+        return found, _stamp(message.get("header"))
+
+    @property
+    def pose(self) -> Float[np.ndarray, " n_servos"]:
+        """The servos' angles [rad]."""
+        return self.sensordata[self._places.servo_angle]
+
+    @property
+    def silence(self) -> float:
+        """How long no message was taken [s]."""
+        return self.clock() - self.arrived
+
+
+def _stamp(header: Any) -> float | None:
+    """Seconds of a `std_msgs/Header`, of ROS 2 or ROS 1; None without."""
+    if header is None:
+        return None
+    try:
+        stamp = {name.removesuffix("s"): value for name, value in header["stamp"].items()}
+        return int(stamp["sec"]) + 1e-9 * int(stamp["nanosec" if "nanosec" in stamp else "nsec"])
+    except (AttributeError, KeyError, OverflowError, TypeError, ValueError):
+        raise ValueError("garbage") from None
+
+
+@dataclasses.dataclass
+class Driven:
+    """How a drive went.
+
+    Attributes:
+        messages: of the robot, by what became of them, see `Measured`.
+        walked, held: for how long the controller ran, and for how long it stood still as there were no messages [s].
+        holds: how often it stood still.
+        sent, unsent: commands; those that the broker did not take.
+        limited: commands with an angle that was brought within its servo's limits.
+        skipped: ticks that this machine was too late for.
+        ended: why it ended early; empty if it did not.
+    """
+
+    messages: dict[str, int]
+    walked: float = 0.0
+    held: float = 0.0
+    holds: int = 0
+    sent: int = 0
+    unsent: int = 0
+    limited: int = 0
+    skipped: int = 0
+    ended: str = ""
+
+
+def meet(measured: Measured, needed: set[str], wait: Callable[[float], None] = time.sleep) -> None:
+    """Wait for the robot's first message.
+
+    Args:
+        measured: of the robot.
+        needed: fields that the controller reads. If it reads none, a robot that says nothing is driven, too.
+
+    Raises:
+        SendError: there is none.
+        ParameterError: it does not tell all that is needed.
+    """
+    end = measured.clock() + (PATIENCE if needed else 2 * measured.watchdog)
+    while not measured.told and measured.clock() < end:
+        wait(0.01)
+    what = f"the controller reads {', '.join(sorted(needed - measured.told))}"
+    if needed and not measured.told:
+        why = "".join(f"; {number} messages were {what}" for what, number in measured.counts.items() if number)
+        raise SendError(f"no message of the robot for {PATIENCE:g} s, and {what}: a robot without sensors walks with "
+                        f"the pilot open_loop{why}.")  # fmt: skip
+    if needed - measured.told:
+        raise ParameterError(f"robot does not tell all that is needed: {what}; its messages tell "
+                             f"{', '.join(sorted(measured.told))}.")  # fmt: skip
+    measured.needed = needed
+
+
+class Wired:
+    """A controller that drives a robot over its topics.
+
+    The servos go from the robot's pose to that in which the gait starts, and then the controller runs. Without messages
+    for `measured.watchdog` it stands still, and the last angles are sent; when they come back, the servos go from where
+    they are to these angles, and the walk goes on. After `PATIENCE` the drive ends. A robot that has never said a thing
+    is driven without this watch, and from the pose of the gait's start.
+
+    Attributes:
+        driven: how it goes.
+        pose: the last command, before limits of channels [rad].
+    """
+
+    def __init__(
+        self, running: Running, measured: Measured, publish: Callable[[Any], None], url: str, rate: float | None = None
+    ) -> None:
+        """
+        Args:
+            running: the controller; see `meet` for what it may read.
+            measured: of the robot, with its channels.
+            publish, url: of the connection, see `linked`.
+            rate: of commands [Hz], at most one per tick; by default one each.
+        """
+        self.running, self.measured, self.driven = running, measured, Driven(messages=measured.counts)
+        self._publish, self._url, self._period = publish, url, 0.0 if rate is None else 1.0 / rate
+        ends = ([getattr(channel, end) for channel in measured.channels] for end in ("low", "high"))
+        self._low, self._high = map(np.array, ends)
+        self._slots, self._due, self._reached = 0, 0.0, measured.clock()
+        self.pose = self.restart()
+
+    def restart(self) -> Float[np.ndarray, " n_servos"]:
+        """Begin anew, from wherever the robot is; returns the pose in which the gait starts."""
+        self._target = self.running.reset(self.measured.sensordata)
+        self._away, self._there = True, False
+        return self._target
+
+    def tick(self, operator: float = 0.0) -> None:
+        """One tick of the controller, or of the approach, or of standing still; `driven.ended` says if it was the last.
+
+        Args:
+            operator: how long the operator has been away [s].
+        """
+        running, measured, driven, dt = self.running, self.measured, self.driven, self.running.dt
+        silence = max(measured.silence if measured.told else 0.0, operator)
+        if silence > PATIENCE:
+            driven.ended = f"no message {'of the robot ' if operator < silence else ''}for {PATIENCE:g} s"
+            return
+        if silence > measured.watchdog:
+            driven.holds += driven.walked > 0.0 and not self._away
+            driven.held, self._away = driven.held + dt, True
+        elif self._away:
+            self.pose = measured.pose if "servo_angle" in measured.told else self.pose
+            self._away = self._there = False
+        elif self._there:
+            readings = np.tile(measured.sensordata, (running.steps_per_tick, 1))
+            self.pose = self._target = running.tick(readings)
+            driven.walked += dt
+        else:
+            self.pose = self.pose + np.clip(self._target - self.pose, -APPROACH * dt, APPROACH * dt)
+            self._there = bool(np.abs(self._target - self.pose).max() < _NEAR)
+            if self._there and not running.ticks and not running.commands:
+                running.reset(measured.sensordata)  # the walk begins where the robot stands now
+        self._slots += 1
+        if self._slots * dt >= self._due - 1e-9:
+            self._due = max(self._due + self._period, self._slots * dt)
+            self._send()
+
+    def _send(self) -> None:
+        channels, driven, clock = self.measured.channels, self.driven, self.measured.clock
+        if not np.isfinite(self.pose).all():
+            driven.ended = "the controller asks for an angle that is not a number"
+            return
+        asked = sent_angles(channels, self.measured.robot.servos, np.degrees(self.pose)[None])[0]
+        degrees = np.clip(asked, self._low, self._high)
+        driven.limited += bool(np.abs(degrees - asked).max() > 1e-6)
+        try:
+            self._publish(servo_message(self._url, degrees, channels.given(degrees)))
+            driven.sent, self._reached = driven.sent + 1, clock()
+        except SendError as error:
+            driven.unsent += 1
+            if not isinstance(error, NotSentError) or clock() - self._reached > PATIENCE:
+                driven.ended = str(error)
+
+
+def drive_robot(wired: Wired, seconds: float | None = None, wait: Callable[[float], None] = time.sleep) -> Driven:
+    """Drive a robot in real time, without a page.
+
+    Args:
+        wired: the robot and its controller.
+        seconds: duration of the walk, without approach and holds; None until a `KeyboardInterrupt`.
+        wait: function for waiting [s].
+    """
+    measured, driven, dt = wired.measured, wired.driven, wired.running.dt
+    due = measured.clock()
+    with contextlib.suppress(KeyboardInterrupt):
+        while not driven.ended and (seconds is None or driven.walked < seconds - 1e-9):
+            early = due - measured.clock()
+            if early > 1e-6:
+                wait(early)
+                continue
+            if -early > measured.watchdog:  # this machine was away: the gait goes on late, instead of hurrying
+                driven.skipped, due = driven.skipped + int(-early / dt), due - early
+            wired.tick()
+            due += dt
+    return driven
+
+
+def wiring(setup: Setup, url: str, channels: Any, rate: float | None = None) -> tuple[Channels, float | None, set[str]]:
+    """The channels of a robot, the rate of its commands [Hz], and what its controller reads, before anything compiles.
+
+    Args:
+        setup, url: of the robot, see `linked`.
+        channels: see `servo_table`.
+        rate: of commands [Hz]; by default that of the channels. None is one per tick.
+
+    Raises:
+        ParameterError: the URL, a channel or the rate is invalid.
+    """
+    address(url, "robot")
+    connected, most = channels_of(channels, setup.load()), 1.0 / setup.make_controller().dt
+    rate = rate or connected.rate
+    if rate is not None and rate > most + 1e-6:
+        raise ParameterError(f"rate is {rate:g} Hz: allowed is (0, {most:g}], the controller's.")
+    return connected, rate, needed_sensors(setup)
+
+
+@contextlib.contextmanager
+def reached(
+    running: Running, url: str, channels: Channels, rate: float | None, needed: set[str], watchdog: float = WATCHDOG
+) -> Iterator[Wired]:
+    """A robot that is there, and its controller; for the arguments see `wiring`, for errors `linked` and `meet`."""
+    measured = Measured(running.simulator.robot, channels, watchdog)
+    running.reset(measured.sensordata)  # compiled before the robot is reached
+    with linked(url, TOPIC, ROS_TYPE, SENSORS_TOPIC, measured.receive, "robot") as publish:
+        meet(measured, needed)
+        yield Wired(running, measured, publish, url, rate)
+
+
+class RobotDriving(Driving):
+    """The drive of a robot under a page, which shows a simulated body that gets the same commands.
+
+    Attributes:
+        wired: the robot, from when it is there.
+        operator: how long the page has been away [s].
+    """
+
+    wired: Wired | None = None
+    operator: Callable[[], float] = staticmethod(lambda: 0.0)
+
+    def reset(self) -> None:
+        """See `Driving`; the robot goes slowly to the start of the gait."""
+        super().reset()
+        if self.wired is not None:
+            self.wired.restart()
+
+    def commanded(self) -> Float[np.ndarray, " n_servos"]:
+        """See `Driving`. Raises `SendError` when the drive has ended."""
+        assert self.wired is not None
+        self.wired.tick(self.operator())
+        if self.wired.driven.ended:
+            raise SendError(self.wired.driven.ended)
+        return self.wired.pose
+
+    def recording(self) -> Recording:
+        """The commands, what the robot measured, and how the simulated body moved; no `replay` makes it again."""
+        made = super().recording()
+        return dataclasses.replace(made, metadata={**made.metadata, "driven": None})
+
+    def _row(self) -> tuple[np.ndarray, ...]:
+        measured = None if self.wired is None else self.wired.measured.sensordata
+        return super()._row() if measured is None else (*super()._row()[:3], measured)
+
+
+class Way:
+    """Messages on their way: some get lost, and each takes between half and one and a half times `delay` [s], so that
+    some overtake others."""
+
+    def __init__(self, delay: float, loss: float, random: np.random.Generator) -> None:
+        self._delay, self._loss, self._random = delay, loss, random
+        self._under_way: list[tuple[float, int, Any]] = []
+        self.messages = self.lost = 0
+
+    def put(self, now: float, message: Any) -> None:
+        """A message sets out."""
+        due, lost = now + self._delay * self._random.uniform(0.5, 1.5), self._random.random() < self._loss
+        self.messages, self.lost = self.messages + 1, self.lost + lost
+        if not lost:
+            heapq.heappush(self._under_way, (due, self.messages, message))
+
+    def arrived(self, now: float) -> Iterator[Any]:
+        """Those that have arrived, in the order of arrival."""
+        while self.next <= now:
+            yield heapq.heappop(self._under_way)[2]
+
+    @property
+    def next(self) -> float:
+        """When the next one arrives [s]."""
+        return self._under_way[0][0] if self._under_way else math.inf
+
+
+class SimulatedRobot:
+    """A simulated robot on the topics of a real one, in real time on the engine c.
+
+    It stands as the setup starts until it is given commands, and goes where the last one said, as servos do: at their
+    speed, and still there when no more come. It says what it measures at the end of each tick.
+    """
+
+    def __init__(
+        self, setup: Setup, values: Mapping[str, float], channels: Any, delay: float = 0.0, loss: float = 0.0,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:  # fmt: skip
+        """
+        Args:
+            setup, values: of the body; the gait decides the pose at the start.
+            channels: of the servos, see `servo_table`.
+            delay, loss: mean time that a message takes [s], and share that gets lost, each way; see `Way`.
+            clock: function for the time [s].
+        """
+        simulator = Simulator(setup, "c")
+        batch, self.robot = simulator.prepare(values, Run(duration=1.0)), simulator.robot
+        self._channels = channels_of(channels, self.robot)
+        assert isinstance(simulator.engine, CEngine)
+        self._body, self.dt = CBodies(simulator.engine, batch.qpos, batch.fields, 1), float(simulator.controller.dt)
+        self._reach = float(batch.params.servo.top_speed[0]) * self.dt
+        self._readings = np.repeat(self._body.sensordata[:, None], simulator.loop.steps_per_tick, axis=1)
+        start = self.robot.sensors(self._readings[0, -1].copy())
+        self._ctrl = self._target = np.asarray(start.servo_angle)
+        self._start, self._clock, self._heard, self._ticks = start.position, clock, math.nan, 0
+        self._counts, self._received = Counter[str](), queue.SimpleQueue[tuple[float, Any]]()
+        self._inward, self.outward = (Way(delay, loss, np.random.default_rng(seed)) for seed in (0, 1))
+
+    def receive(self, message: Any) -> None:
+        """Take a command; called in the connection's thread."""
+        self._received.put((self._clock(), message))
+
+    def tick(self, now: float) -> None:
+        """A tick that begins at a time [s], with the commands that have arrived by then."""
+        while not self._received.empty():
+            self._inward.put(*self._received.get())
+        for message in self._inward.arrived(now):
+            try:
+                self._target, self._heard = _commanded(message, self._channels, self.robot, self._target), now
+                self._counts["taken"] += 1
+            except ValueError as error:
+                self._counts[str(error)] += 1
+        self._ctrl = self._ctrl + np.clip(self._target - self._ctrl, -self._reach, self._reach)
+        self._body.ctrl[0] = self._ctrl
+        self._body.move(self._readings)
+        self._ticks += 1
+        told = sensor_message(self.robot, self._channels, self._readings[0, -1], self._ticks * self.dt)
+        self.outward.put(now + self.dt, told)
+
+    def run(self, url: str, seconds: float | None = None) -> dict[str, Any]:
+        """Be there for a time [s], or until Ctrl-C or SIGTERM; returns `about`. For the URL see `linked`."""
+        with (
+            interruptible(), linked(url, SENSORS_TOPIC, SENSORS_TYPE, TOPIC, self.receive, "serve") as publish,
+            contextlib.suppress(KeyboardInterrupt),
+        ):  # fmt: skip
+            begun = self._clock()
+            while seconds is None or self._ticks * self.dt < seconds - 1e-9:
+                now, due = self._clock(), begun + self._ticks * self.dt
+                for message in self.outward.arrived(now):
+                    with contextlib.suppress(NotSentError):
+                        publish(message)
+                if now < due:
+                    time.sleep(max(0.0, min(due, self.outward.next) - self._clock()))
+                else:
+                    self.tick(due)
+        return self.about
+
+    @property
+    def about(self) -> dict[str, Any]:
+        """`seconds`, `distance`: for how long it was there, and how far its IMU got [s, m]; `commands` by what became
+        of them; `silence` since the last one [s], None if there was none; `tilt` of the torso now [rad]."""
+        now = self.robot.sensors(self._readings[0, -1])
+        _, x, y, _ = now.orientation
+        return {
+            "seconds": self._ticks * self.dt, "distance": float(np.linalg.norm((now.position - self._start)[:2])),
+            "commands": {**self._counts, "lost": self._inward.lost},
+            "silence": None if math.isnan(self._heard) else self._clock() - self._heard,
+            "tilt": float(np.arccos(np.clip(1.0 - 2.0 * (x * x + y * y), -1.0, 1.0))),
+        }  # fmt: skip
+
+
+def _commanded(message: Any, channels: Channels, robot: Robot, before: np.ndarray) -> np.ndarray:
+    """The servos' angles of a message [rad]; servos that it does not name stay where they are."""
+    given, in_radians = (message.get("data"), True) if isinstance(message, dict) else (message, False)
+    if not isinstance(given, list):
+        raise ValueError("garbage")
+    found = _numbers(given, len(channels.servos))
+    degrees = np.degrees(found) if in_radians else found
+    return np.clip(own_angles(channels, robot, degrees, before), *robot.model.actuator_ctrlrange.T)
+
+
+def own_angles(channels: Channels, robot: Robot, degrees: np.ndarray, before: np.ndarray) -> np.ndarray:
+    """The robot's servo angles [rad] of what its channels say [deg], the inverse of `sent_angles`."""
+    angles = before.copy()
+    for channel, angle in zip(channels, degrees, strict=True):
+        if channel.servo in robot.servos:
+            angles[robot.servos.index(channel.servo)] = np.radians(channel.direction * (angle - channel.zero))
+    return angles
+
+
+def sensor_message(robot: Robot, channels: Channels, sensordata: np.ndarray, stamp: float) -> dict[str, Any]:
+    """What a robot says that it measures at a time [s]: its servos' angles, contacts and IMU."""
+    sensors = robot.sensors(sensordata)
+    angles = np.radians(sent_angles(channels, robot.servos, np.degrees(sensors.servo_angle)[None])[0])
+    imu = np.concatenate([getattr(sensors, name) for name in _IMU])
+    parts = {
+        "servo_pos_leg": angles[:_LEG_SERVOS], "servo_pos_aux": angles[_LEG_SERVOS:],
+        "contact_sensors": sensors.foot_force, "imu_sensor": imu,
+    }  # fmt: skip
+    when = {"sec": int(stamp), "nanosec": int(1e9 * (stamp % 1.0))}
+    told = {name: values.round(7).tolist() for name, values in parts.items()}
+    return {"header": {"stamp": when, "frame_id": "imu"}, **told}

@@ -1,0 +1,235 @@
+"""Driving in the browser: who gets in, what a page may say, keys, gamepad and pushes, and the drive made again."""
+
+from __future__ import annotations
+
+import json
+import threading
+import time
+import urllib.error
+import urllib.request
+from collections.abc import Iterator
+from pathlib import Path
+
+import chromium
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.sync.client import connect
+
+from nermo_mjx.cli import main
+from nermo_mjx.live.driving import Driving, difference, replayed
+from nermo_mjx.live.server import REPLACED, Drive
+from nermo_mjx.recording import Recording, RecordingError
+from nermo_mjx.rollout import Setup
+
+pytestmark = pytest.mark.compiles
+BROWSER = chromium.find()
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory) -> Iterator[Drive]:
+    """One that runs in a thread."""
+    made = Drive(Setup(pilot="open_loop"), {"frequency": 0.8}, tmp_path_factory.mktemp("drive") / "drive.npz")
+    thread = threading.Thread(target=made.run)
+    thread.start()
+    yield made
+    made.over = True
+    thread.join(30)
+
+
+@pytest.fixture
+def page(drive):
+    """A socket that drives, as a page would open it."""
+    with socket(drive) as opened:
+        said(opened, wanted=lambda told: not told["paused"] and told["speed"] == 1.0, pause=False, speed=1.0)
+        said(opened, reset=True)
+        yield opened
+
+
+def socket(drive: Drive, **headers):
+    address = drive.link.address.replace("http", "ws") + "socket"
+    origin = headers.pop("origin", drive.link.address.rpartition("/")[0].rpartition("/")[0])
+    return connect(address, origin=origin, compression=None, additional_headers=headers)
+
+
+def said(page, text: str | bytes = "", wanted=None, **message) -> dict:
+    """The first state after a message that has the values of the message, or what is wanted."""
+    page.send(text or json.dumps(message))
+    wanted = wanted or (lambda told: all(told.get(name, value) == value for name, value in message.items()))
+    while True:
+        told = page.recv(timeout=30)
+        if isinstance(told, bytes):
+            page.send(json.dumps({"shown": int.from_bytes(told[:4], "little")}))
+        elif "restart" not in (found := json.loads(told)) and wanted(found):
+            return found
+
+
+def status(address: str, **headers) -> int:
+    try:
+        with urllib.request.urlopen(urllib.request.Request(address, headers=headers), timeout=10) as answer:
+            return answer.status
+    except urllib.error.HTTPError as error:
+        return error.code
+
+
+def test_only_its_own_page_gets_in(drive):
+    address = drive.link.address
+    assert address.startswith("http://127.0.0.1:")
+    assert status(address) == 200
+    assert status(address[:-2] + "x/") == status(address.rpartition("/")[0].rpartition("/")[0] + "/") == 404
+    assert status(address, Host="attacker.example") == 403
+    for origin in ("http://attacker.example", None):
+        with pytest.raises(InvalidStatus, match="403"):
+            socket(drive, origin=origin)
+
+
+@pytest.mark.parametrize(("message", "sentence"), [
+    ("garbage", "invalid JSON"),
+    (b"\0\1", "invalid JSON"),
+    ("[1, 2]", "message:"),
+    ('{"speed": NaN}', "speed"),
+    ('{"speed": 1e9}', "speed: input should be less than or equal to 4"),
+    ('{"open": "a file"}', "open: extra inputs are not permitted"),
+    ('{"set": {"frequency": 9}}', r"frequency is 9: allowed is (0, 5] Hz."),
+    ('{"gait": "walzer"}', "gait is 'walzer'"),
+    ('{"set": {}, "gait": "trot", "blend": 0.001}', "blend is 0.001"),
+    ('{"push": {"body": 0, "force": [1, 0, 0], "seconds": 0.1}}', "push.body is 0"),
+    ('{"push": {"body": 1, "force": [99, 0, 0], "seconds": 0.1}}', "push.force"),
+])  # fmt: skip
+def test_garbage_is_refused_in_a_sentence_and_changes_nothing(drive, page, message, sentence):
+    before = len(drive.driving.running.commands), len(drive.driving.pushes), drive.speed
+    told = said(page, message, lambda told: "refused" in told)["refused"]
+    assert sentence in told
+    assert told.endswith(".")
+    assert (len(drive.driving.running.commands), len(drive.driving.pushes), drive.speed) == before
+    assert not drive.paused
+
+
+def test_a_message_that_is_too_long_ends_the_page_and_pauses(drive, page):
+    page.send("x" * 5000)
+    assert closed(page) == 1009
+    assert paused(drive)
+
+
+def closed(page) -> int:
+    """The code with which the drive closes a page's socket."""
+    try:
+        while True:
+            page.recv(timeout=10)
+    except ConnectionClosed as end:
+        return end.rcvd.code
+
+
+def paused(drive: Drive) -> bool:
+    """Whether it pauses soon, and stands still then."""
+    deadline = time.monotonic() + 10
+    while not drive.paused and time.monotonic() < deadline:
+        time.sleep(0.02)
+    before = drive.driving.running.ticks
+    time.sleep(0.2)
+    return drive.paused and drive.driving.running.ticks == before
+
+
+def test_a_second_page_takes_over_and_one_that_goes_away_pauses(drive, page):
+    with socket(drive) as second:
+        said(second, speed=0.5)
+        assert closed(page) == REPLACED
+        assert not drive.paused
+    assert paused(drive)
+    with socket(drive) as third:
+        assert said(third, speed=1.0)["paused"]
+        said(third, wanted=lambda told: not told["paused"], pause=False)
+
+
+def test_a_drive_is_made_again_bit_for_bit(tmp_path):
+    from nermo_mjx.control.schedule import Switch
+
+    driving = Driving(Setup(pilot="open_loop", schedule=(Switch(0.4, values={"stride": 0.8}),)), {"frequency": 0.8})
+    for tick in range(150):
+        if tick == 50:
+            driving.running.command(Switch(driving.time, gait="lat", spine="stride_extension"))
+        if tick == 70:
+            driving.push(1, (1.5, 0.0, 0.5), 0.2)
+        driving.tick()
+    recording = Recording.load(driving.recording().save(tmp_path / "drive.npz"))
+    again = replayed(recording)
+    assert difference(recording, again) is None
+    answer = CliRunner().invoke(main, ["replay", str(tmp_path / "drive.npz"), "--json"])
+    assert json.loads(answer.stdout)["equal"], answer.output
+    # What happened mattered.
+    calm = dict(recording.metadata["driven"]) | {"pushes": []}
+    other = Recording(**{**vars(recording), "metadata": {**recording.metadata, "driven": calm}})
+    assert difference(recording, replayed(other)) == pytest.approx(0.71)
+    with pytest.raises(RecordingError, match="not of a drive"):
+        replayed(Recording(**{**vars(recording), "metadata": {}}))
+    table = CliRunner().invoke(
+        main, ["servos", "--recording", str(tmp_path / "drive.npz"), "--out", str(tmp_path / "t.csv"), "--json"]
+    )
+    assert json.loads(table.stdout)["rows"] > 50, table.output
+
+
+def test_the_command_prints_its_address_and_waits_for_a_page(tmp_path):
+    given = ["drive", "--no-browser", "--seconds", "0.1", "--record", str(tmp_path / "d.npz"), "--json"]
+    answer = CliRunner().invoke(main, given)
+    assert answer.exit_code == 0, answer.output
+    assert "drive: http://127.0.0.1:" in answer.stderr
+    assert json.loads(answer.stdout) == {"files": [], "seconds": 0.0, "factor": 1.0, "delay": None, "delay_95": None}
+    assert not (tmp_path / "d.npz").exists()
+    wrong = CliRunner().invoke(main, ["replay", str(tmp_path)])
+    assert (wrong.exit_code, "Give --row N" in wrong.stderr) == (2, True)
+
+
+@pytest.mark.browser
+@pytest.mark.skipif(BROWSER is None, reason="no Chromium")
+def test_the_robot_follows_keys_gamepad_and_hand(drive):
+    running = drive.driving.running
+    with chromium.browser(BROWSER) as browser, browser.tab() as tab:
+        tab.open(drive.link.address)
+        tab.wait('document.documentElement?.dataset.ready === "yes"')
+        tab.evaluate("viewer.drive.send({reset: true, pause: false, speed: 1})")
+        tab.wait("viewer.drive.state.paused === false && viewer.player.time > 0.3")
+        tab.key("v")
+        tab.wait('viewer.drive.state.gait === "walking_trot"')
+        tab.key("x")
+        tab.wait('viewer.drive.state.spine === "stride_extension"')
+        assert running.modes["spine"] == {"stride_extension"}
+        tab.key("ArrowDown")
+        tab.wait("Math.abs(viewer.drive.state.values.stride - 0.9) < 1e-6")
+        # A key that is held turns, and no longer when it is released.
+        tab.evaluate('dispatchEvent(new KeyboardEvent("keydown", {key: "a"}))')
+        tab.wait('viewer.drive.state.values["pilot.turn_rate"] > 0.5')
+        tab.evaluate('dispatchEvent(new KeyboardEvent("keyup", {key: "a"}))')
+        tab.wait('viewer.drive.state.values["pilot.turn_rate"] === 0')
+        # A stick to the right turns right, and the robot follows.
+        yaw = "viewer.clip0.plots.find((plot) => plot.key === 'attitude').lines[2].values.at(-1)"
+        tab.evaluate("viewer.clip0 = viewer.clips[0]; window.pad = {connected: true, axes: [0.8, -1], buttons: []}; "
+                     "navigator.getGamepads = () => [window.pad]; 1")  # fmt: skip
+        tab.wait('viewer.drive.state.values["pilot.turn_rate"] < -0.7')
+        before = tab.evaluate(yaw)
+        time.sleep(2.5)
+        assert tab.evaluate(yaw) < before - 5
+        tab.evaluate("window.pad = {connected: true, axes: [0, 0], buttons: [{pressed: true}]}; 1")
+        tab.wait('viewer.drive.state.gait === "lateral_walk" && viewer.drive.state.values.stride === 0')
+        # A drag with Shift pushes the body that is next to it.
+        tab.evaluate("""(() => {
+            const canvas = document.getElementById("canvas");
+            const {left, top, width, height} = canvas.getBoundingClientRect();
+            const at = (kind, x, y) => canvas.dispatchEvent(new PointerEvent(kind, {shiftKey: true, pointerId: 1,
+                bubbles: true, clientX: left + x * width, clientY: top + y * height}));
+            canvas.setPointerCapture = () => {};
+            at("pointerdown", 0.5, 0.5); at("pointermove", 0.6, 0.5); at("pointerup", 0.6, 0.5);
+        })()""")
+        deadline = time.monotonic() + 10
+        while not drive.driving.pushes and time.monotonic() < deadline:
+            time.sleep(0.05)
+        assert np.linalg.norm(drive.driving.pushes[0].force) > 0.2
+        tab.key(" ")
+        tab.wait("viewer.drive.state.paused")
+        assert tab.complaints() == []
+        assert [each for each in tab.requests() if not each.startswith(drive.link.address)] == []
+    assert paused(drive)
+    assert len(drive.delays) > 50
+    path = drive.driving.recording().save(Path(drive.record).with_name("browser.npz"))
+    recording = Recording.load(path)
+    assert difference(recording, replayed(recording)) is None

@@ -1,0 +1,538 @@
+"""A controller and a robot on the same topics: their messages, the watchdog, and two processes that walk together."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import json
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import wires
+from command import call
+
+from nermo_mjx import Run, Setup, Simulator
+from nermo_mjx.hardware import Channels, read_channels
+from nermo_mjx.hardware.live import PATIENCE, ROS_TYPE, TOPIC, NotSentError, SendError, linked
+from nermo_mjx.live.driving import replayed
+from nermo_mjx.live.running import Running
+from nermo_mjx.live.wire import (
+    APPROACH,
+    SENSORS_TOPIC,
+    Measured,
+    RobotDriving,
+    SimulatedRobot,
+    Wired,
+    drive_robot,
+    meet,
+    needed_sensors,
+    sensor_message,
+)
+from nermo_mjx.recording import RecordingError
+from nermo_mjx.robot import ParameterError, load_robot
+
+pytestmark = pytest.mark.compiles
+
+#: The author's order, with angles that are not cut to whole degrees.
+CHANNELS = dataclasses.replace(read_channels("published"), whole_degrees=None)
+#: A message of the author's simulation: eight leg servos, tail, neck, head and spine, four feet, and the IMU's place,
+#: quaternion, velocity, acceleration and turning.
+AUTHORS = {
+    "servo_pos_leg": [0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8],
+    "servo_pos_aux": [0.25, -0.1, 0.0, 0.35],
+    "contact_sensors": [1.0, 0.0, 0.5, 2.0],
+    "imu_sensor": [1.0, -2.0, 0.05, 1.0, 0.0, 0.0, 0.0, 0.01, -0.02, 0.03, 0.0, 0.1, 9.8, 0.4, 0.5, 0.6],
+}
+
+
+class Clock:
+    """A time that passes where it is told to."""
+
+    def __init__(self) -> None:
+        self.now = 100.0
+
+    def __call__(self) -> float:
+        return self.now
+
+    def wait(self, seconds: float) -> None:
+        self.now += seconds
+
+
+@pytest.fixture(scope="module")
+def running() -> Running:
+    return Running(Setup())
+
+
+def stamped(seconds: float, **more: Any) -> dict[str, Any]:
+    return {"header": {"stamp": {"sec": int(seconds), "nanosec": round(1e9 * (seconds % 1.0))}}, **AUTHORS, **more}
+
+
+def test_the_authors_message_is_read_by_meaning() -> None:
+    robot, clock = load_robot(), Clock()
+    measured = Measured(robot, CHANNELS, clock=clock)
+    assert not measured.told
+    measured.receive(AUTHORS)
+    found = robot.sensors(measured.sensordata)
+    legs = dict(zip(["front_left_hip", "front_left_knee", "front_right_hip", "front_right_knee", "rear_left_hip",
+                     "rear_left_knee", "rear_right_hip", "rear_right_knee"], AUTHORS["servo_pos_leg"],
+                    strict=True))  # fmt: skip
+    for name, angle in {**legs, "spine": 0.35, "neck": -0.1}.items():
+        assert found.servo_angle[robot.servos.index(name)] == pytest.approx(angle, abs=1e-12)
+    np.testing.assert_array_equal(found.foot_force, [1.0, 0.0, 0.5, 2.0])
+    np.testing.assert_array_equal(found.position, [1.0, -2.0, 0.05])
+    np.testing.assert_array_equal(found.orientation, [1.0, 0.0, 0.0, 0.0])
+    np.testing.assert_array_equal(found.linear_velocity, [0.01, -0.02, 0.03])
+    np.testing.assert_array_equal(found.accelerometer, [0.0, 0.1, 9.8])
+    np.testing.assert_array_equal(found.gyro, [0.4, 0.5, 0.6])
+    assert measured.told == {"servo_angle", "foot_force", "position", "orientation", "linear_velocity",
+                             "accelerometer", "gyro"}  # fmt: skip
+    measured.receive({"imu_sensor": AUTHORS["imu_sensor"]})
+    assert "servo_angle" not in measured.told
+
+
+def test_a_wired_servo_is_read_as_it_is_commanded() -> None:
+    """Direction and zero of a channel, and an articulated tail against the author's."""
+    robot = load_robot(tail="articulated")
+    channels = read_channels({"spine": {"channel": 0, "direction": -1, "zero": 90}, "tail": {"channel": 1, "zero": 10}})
+    measured = Measured(robot, channels)
+    measured.receive({"servo_pos_leg": np.radians([80.0, 15.0]).tolist()})
+    assert np.degrees(measured.pose[robot.servos.index("spine")]) == pytest.approx(10.0)
+    assert np.degrees(measured.pose[robot.servos.index("tail")]) == pytest.approx(5.0)
+    data = measured.sensordata.copy()
+    told = sensor_message(robot, CHANNELS, data, 2.25)
+    assert np.degrees(told["servo_pos_aux"]) == pytest.approx([-5.0, 0.0, 0.0, 10.0], abs=1e-4)
+    assert told["header"]["stamp"] == {"sec": 2, "nanosec": 250_000_000}
+
+
+@pytest.mark.parametrize(("message", "why"), [
+    (None, "garbage"), ("Hello World! mqtt publisher here", "garbage"), ([1, 2], "garbage"), ({}, "garbage"),
+    ({"servo_pos_leg": "abc"}, "garbage"), ({"imu_sensor": [{}] * 16}, "garbage"),
+    (AUTHORS | {"servo_pos_leg": [0.1] * 7}, "of a wrong size"),
+    (AUTHORS | {"imu_sensor": [0.0] * 17}, "of a wrong size"),
+    (AUTHORS | {"servo_pos_aux": [[0.1]] * 4}, "of a wrong size"),
+    (AUTHORS | {"servo_pos_aux": [0.0, float("nan"), 0.0, 0.0]}, "not finite"),
+    (AUTHORS | {"contact_sensors": [None] * 4}, "not finite"),
+    (AUTHORS | {"contact_sensors": [1e300] * 4}, "not finite"),
+    (AUTHORS | {"imu_sensor": [0.0] * 16}, "not finite"),
+    (AUTHORS | {"header": {"stamp": 3}}, "garbage"), (AUTHORS | {"header": {"stamp": {"sec": 10**400, "nanosec": 0}}},
+                                                      "garbage"),
+])  # fmt: skip
+def test_what_is_no_measurement_is_left_out_and_counted(message: Any, why: str) -> None:
+    measured = Measured(load_robot(), CHANNELS)
+    before = measured.sensordata
+    measured.receive(message)
+    assert measured.counts == {"taken": 0, why: 1}
+    assert measured.sensordata is before
+    assert not measured.told
+
+
+def test_a_message_that_was_overtaken_is_left_out() -> None:
+    clock = Clock()
+    measured = Measured(load_robot(), CHANNELS, clock=clock)
+    for seconds, feet in ((5.00, 1.0), (5.02, 2.0), (5.01, 3.0), (5.02, 4.0), (5.03, 5.0)):
+        measured.receive(stamped(seconds, contact_sensors=[feet] * 4))
+        clock.wait(0.01)
+    assert measured.counts == {"taken": 3, "out of order": 2}
+    assert measured.robot.sensors(measured.sensordata).foot_force[0] == 5.0
+    measured.receive(AUTHORS | {"header": {"stamp": {"secs": 5, "nsecs": 0}}})
+    assert measured.counts["out of order"] == 3, "ROS 1 writes its stamps so"
+    clock.wait(1.0)
+    measured.receive(stamped(0.5))
+    assert measured.counts["taken"] == 4, "a robot that was away may have started anew"
+
+
+def test_what_a_controller_reads_is_found_and_must_be_told() -> None:
+    assert needed_sensors(Setup(pilot="open_loop", spine="stride_extension")) == set()
+    assert needed_sensors(Setup()) >= {"position", "orientation"}
+    assert "gyro" in needed_sensors(Setup(pilot="open_loop", head="gaze"))
+    clock = Clock()
+    measured = Measured(load_robot(), CHANNELS, clock=clock)
+    meet(measured, set(), clock.wait)
+    measured.receive("nonsense")
+    with pytest.raises(SendError, match=r"no message .* for 5 s.*position.*open_loop; 1 messages were garbage"):
+        meet(measured, {"position"}, clock.wait)
+    measured.receive({"contact_sensors": [0.0] * 4})
+    with pytest.raises(ParameterError, match="the controller reads position; its messages tell foot_force"):
+        meet(measured, {"position", "foot_force"}, clock.wait)
+    meet(measured, {"foot_force"}, clock.wait)
+    measured.receive({"servo_pos_leg": [0.0] * 8, "servo_pos_aux": [0.0] * 4})
+    assert measured.counts["of a wrong size"] == 1, "what the controller reads may not be left out later"
+
+
+class Together:
+    """A controller and a simulated robot, tick by tick in one time."""
+
+    def __init__(self, running: Running, channels: Channels = CHANNELS, delay: float = 0.0, loss: float = 0.0,
+                 rate: float | None = None, values: dict[str, float] | None = None) -> None:  # fmt: skip
+        self.clock, self.silent = Clock(), False
+        self.body = SimulatedRobot(running.setup, values or {}, channels, delay, loss, self.clock)
+        self.measured = Measured(self.body.robot, channels, clock=self.clock)
+        self.commands: list[np.ndarray] = []
+        self.body.outward.put(-1.0, sensor_message(self.body.robot, channels, self.body._readings[0, -1], 0.0))
+        self.tell()
+        self.wired = Wired(running, self.measured, self.publish, "ros://", rate)
+
+    def publish(self, message: Any) -> None:
+        self.commands.append(np.array(message["data"]))
+        self.body.receive(message)
+
+    def tell(self) -> None:
+        for message in self.body.outward.arrived(self.clock() + 1e-9):
+            if not self.silent:
+                self.measured.receive(message)
+
+    def walk(self, seconds: float) -> None:
+        for _ in range(round(seconds / self.body.dt)):
+            self.tell()
+            self.wired.tick()
+            self.body.tick(self.clock())
+            self.clock.now += self.body.dt
+
+
+def test_over_topics_it_walks_as_far_as_without_and_almost_so_with_delay_and_loss(running) -> None:
+    """6 s, against the plain walk; then with 20 ms (10 to 30) and 1 % lost, both ways, within the 5 % allowed."""
+    history = Simulator(Setup(), "c").run({}, Run(duration=6.0), record=True).recording().sensors["position"]
+    plain = np.linalg.norm((history[-1] - history[0])[:2])
+    near = Together(running)
+    near.walk(6.0)
+    assert near.body.about["distance"] == pytest.approx(plain, rel=0.005)
+    far = Together(running, delay=0.02, loss=0.01)
+    far.walk(6.0)
+    assert far.body.about["distance"] == pytest.approx(plain, rel=0.05)
+    assert far.measured.counts["out of order"] > 20, "messages did overtake each other"
+    assert far.body.about["commands"]["lost"] > 0
+    assert far.wired.driven.holds == 0
+
+
+def test_servos_go_slowly_from_where_the_robot_is_to_the_start_of_the_gait(running) -> None:
+    both = Together(running, values={"start.phase": 0.5})
+    away = both.measured.pose.copy()
+    both.walk(2.0)
+    steps = np.abs(np.diff([np.zeros(12), *both.commands], axis=0))[1:]
+    begins = int(np.argmax(steps.max(axis=1) > APPROACH * running.dt + 1e-5))
+    assert begins > 20, "the poses at phases 0 and 1/2 are that far apart"
+    assert steps[:begins].max() <= APPROACH * running.dt + 1e-5
+    assert np.abs(both.commands[0][[0, 2, 4, 6]] - away[:4]).max() < 1e-5
+    assert both.wired.driven.walked == pytest.approx((len(both.commands) - begins) * running.dt, abs=0.05)
+    top = np.radians(np.degrees(running.batch.params.servo.top_speed[0])) * running.dt
+    assert steps.max() <= top + 1e-5
+
+
+def test_without_messages_it_holds_then_goes_on_and_at_last_ends(running) -> None:
+    both = Together(running)
+    both.walk(1.0)
+    both.silent, sent, before = True, len(both.commands), both.body.about["distance"]
+    both.walk(2.0)
+    watch = round(both.measured.watchdog / running.dt)
+    held = np.array(both.commands[sent + watch + 2 :])
+    assert len(held) > 100
+    assert np.ptp(held, axis=0).max() == 0.0
+    assert both.wired.driven.holds == 1
+    assert both.wired.driven.held == pytest.approx(2.0 - both.measured.watchdog, abs=0.05)
+    assert both.body.about["distance"] - before < 0.05
+    assert both.body.about["tilt"] < 0.2
+    both.silent = False
+    both.walk(1.0)
+    assert both.body.about["distance"] > before + 0.03
+    assert np.abs(np.diff(both.commands, axis=0)).max() < 0.2, "no jump: where it was, slowly to where it held"
+    both.silent = True
+    both.walk(PATIENCE + 0.5)
+    assert both.wired.driven.ended == "no message of the robot for 5 s"
+
+
+def test_an_operator_who_is_away_is_as_silent_as_a_robot(running) -> None:
+    both = Together(running)
+    both.walk(0.5)
+    both.wired.tick(operator=0.1)
+    walked = both.wired.driven.walked
+    both.wired.tick(operator=0.3)
+    assert (both.wired.driven.walked, both.wired.driven.holds) == (walked, 1)
+    both.wired.tick(operator=6.0)
+    assert both.wired.driven.ended == "no message for 5 s"
+
+
+def test_limits_of_channels_are_kept_and_commands_come_at_their_rate(running) -> None:
+    narrow = dataclasses.replace(CHANNELS, servos=tuple(dataclasses.replace(each, low=-5.0, high=5.0)
+                                                        for each in CHANNELS))  # fmt: skip
+    both = Together(running, narrow, rate=30.0)
+    both.walk(2.0)
+    assert np.abs(np.degrees(both.commands)).max() <= 5.0 + 1e-4
+    assert both.wired.driven.limited > 20
+    assert len(both.commands) == pytest.approx(60, abs=2)
+
+
+def test_a_broker_that_is_away_for_long_ends_the_drive(running) -> None:
+    both = Together(running)
+
+    def fail(message: Any) -> None:
+        raise NotSentError("a:1: the MQTT broker is gone")
+
+    both.wired._publish = fail
+
+    def wait(seconds: float) -> None:
+        both.clock.wait(seconds)
+        both.measured.receive(AUTHORS)
+
+    driven = drive_robot(both.wired, None, wait)
+    assert driven.ended == "a:1: the MQTT broker is gone"
+    assert driven.unsent == pytest.approx(PATIENCE / running.dt, rel=0.02)
+
+
+def test_an_angle_that_is_not_a_number_is_not_sent(running, monkeypatch) -> None:
+    both = Together(running)
+    both.walk(0.5)
+    sent = len(both.commands)
+    monkeypatch.setattr(running, "tick", lambda readings: np.full(10, np.nan))
+    both.wired.tick()
+    assert both.wired.driven.ended == "the controller asks for an angle that is not a number"
+    assert len(both.commands) == sent
+
+
+def test_a_robot_leaves_out_commands_that_are_none(running) -> None:
+    both = Together(running)
+    for message in (None, "abc", [1.0] * 11, {"data": [0.0] * 11 + [float("inf")]}, {"data": None}, [0.0] * 12):
+        both.body.receive(message)
+    both.body.tick(both.clock())
+    assert both.body.about["commands"] == {"garbage": 3, "of a wrong size": 1, "not finite": 1, "taken": 1, "lost": 0}
+
+
+def test_under_a_page_the_twin_gets_the_robots_commands(running, tmp_path) -> None:
+    """And the recording has what the robot measured. A reset leads the robot back slowly; no page is no message."""
+    driving = RobotDriving(running.setup)
+    both = Together(driving.running)
+    driving.wired, sent = both.wired, both.commands
+
+    def drive(seconds: float) -> None:
+        for _ in range(round(seconds / driving.running.dt)):
+            both.tell()
+            driving.tick()
+            both.body.tick(both.clock())
+            both.clock.now += driving.running.dt
+
+    drive(2.0)
+    made = driving.recording()
+    assert both.body.about["distance"] > 0.1
+    walked = np.linalg.norm((made.qpos[-1] - made.qpos[0])[:2])
+    assert walked == pytest.approx(both.body.about["distance"], rel=0.1)
+    np.testing.assert_allclose(made.ctrl[-1][[0, 8]], [sent[-1][0], sent[-1][11]], atol=1e-5)
+    np.testing.assert_array_equal(made.sensors["position"][-1], both.measured.sensordata[:3])
+    assert both.wired.driven.walked > 1.9
+    with pytest.raises(RecordingError, match="the recording is not of a drive"):
+        replayed(made)
+    driving.reset()
+    drive(0.5)
+    assert np.abs(np.diff(sent, axis=0)).max() < 0.2, "no jump, but for what servos differ from what they were told"
+    driving.operator = lambda: 0.3
+    walked = both.wired.driven.walked
+    drive(0.2)
+    assert both.wired.driven.walked == walked
+    driving.operator = lambda: 6.0
+    with pytest.raises(SendError, match="no message for 5 s"):
+        driving.tick()
+
+
+def test_wrong_use_is_a_sentence() -> None:
+    for words, sentence in (
+        (["--robot", "mqtt://a", "--serve", "mqtt://a"], "Give --robot URL or --serve URL, not both."),
+        (["--rate", "30"], "--rate has no effect without --robot URL."),
+        (["--robot", "mqtt://a", "--loss", "0.5"], "--loss has no effect without --serve URL."),
+        (["--robot", "mqtt://a", "--headless", "--port", "8000"], "--port has no effect without a page."),
+        (["--robot", "nermo_5"], "'nermo_5' is not one of 'nermo_lite', 'nermo_41'"),
+        (["--robot", "mqtt://a", "--robot", "ros://b"], "give one name and one address at most"),
+        (
+            ["--robot", "mqtt://a", "--headless", "--rate", "200"],
+            "rate is 200 Hz: allowed is (0, 100], the controller's.",
+        ),
+        (["--robot", "tcp://me:secret@a", "--headless"], "robot is 'tcp://...@a': allowed is mqtt://HOST[:PORT]"),
+        (["--serve", "mqtt://me:secret@a:99999"], "serve is 'mqtt://...@a:99999': allowed is mqtt://HOST[:PORT]"),
+    ):
+        done = call("drive", *words)
+        assert done.exit_code == 2, done.output
+        assert sentence in done.stderr.replace("\n", " "), done.stderr
+        assert "secret" not in done.output
+
+
+@contextlib.contextmanager
+def process(*words: str | Path) -> Iterator[subprocess.Popen[str]]:
+    """`nermo-mjx drive` with these words; killed in the end."""
+    command = [sys.executable, "-m", "nermo_mjx", "drive", *map(str, words), "--json"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as started:
+        try:
+            yield started
+        finally:
+            started.kill()
+
+
+def walking(url: str, channels: Path) -> tuple[str | Path, ...]:
+    """Options of a controller that reads the sensors, at 100 Hz."""
+    return "--robot", url, "--headless", "--pilot", "straight", "--rate", "100", "--channels", channels
+
+
+@pytest.fixture(params=["mqtt", "ros"])
+def wire(request) -> Iterator[str]:
+    """The address of a broker, or of a bridge."""
+    with wires.broker() if request.param == "mqtt" else wires.bridge() as port:
+        yield f"{request.param}://127.0.0.1:{port}"
+
+
+def until(is_so: Callable[[], Any], seconds: float = 120.0) -> None:
+    deadline = time.monotonic() + seconds
+    while not is_so():
+        assert time.monotonic() < deadline, "it did not happen in time"
+        time.sleep(0.02)
+
+
+@pytest.fixture
+def channels(tmp_path) -> Path:
+    """`CHANNELS`, as a file."""
+    file = tmp_path / "channels.yaml"
+    file.write_text("".join(f"{each.servo}: {{channel: {each.number}, direction: {each.direction:g}, missing: 0}}\n"
+                            for each in CHANNELS))  # fmt: skip
+    return file
+
+
+@pytest.mark.process
+@pytest.mark.slow
+def test_two_processes_walk_together(wire, channels) -> None:
+    """At 100 Hz, with 20 ms of delay and 1 % of loss both ways, for 8 s, as far as without within 5 %."""
+    history = Simulator(Setup(), "c").run({}, Run(duration=8.0), record=True).recording().sensors["position"]
+    measured = Measured(load_robot(), CHANNELS)
+    with (
+        linked(wire, "listener", ROS_TYPE, SENSORS_TOPIC, measured.receive) as _,
+        process("--serve", wire, "--delay", "20", "--loss", "0.01", "--channels", channels) as robot,
+    ):
+        until(lambda: measured.told)
+        with process(
+            "--robot",
+            wire,
+            "--headless",
+            "--pilot",
+            "straight",
+            "--rate",
+            "100",
+            "--seconds",
+            "8",
+            "--channels",
+            channels,
+        ) as drive:
+            out, err = drive.communicate(timeout=180)
+        assert drive.returncode == 0, err
+        time.sleep(0.2)
+        robot.send_signal(signal.SIGTERM)
+        served, err = robot.communicate(timeout=30)
+        assert robot.returncode == 0, err
+    driven, served = json.loads(out), json.loads(served)
+    assert driven["walked"] == pytest.approx(8.0)
+    assert driven["sent"] + driven["skipped"] > 780
+    assert driven["messages"]["out of order"] > 0
+    assert served["commands"]["taken"] > 750
+    assert served["commands"]["lost"] > 0
+    assert served["tilt"] < 0.2
+    assert served["distance"] == pytest.approx(np.linalg.norm((history[-1] - history[0])[:2]), rel=0.05)
+
+
+@pytest.mark.process
+@pytest.mark.slow
+def test_when_either_side_is_killed_the_other_stops(wire, channels, running) -> None:
+    """The controller, and the robot stands still upright; then the robot, and the next controller holds and ends."""
+    measured, commands = Measured(load_robot(), CHANNELS), []
+    place = lambda: measured.robot.sensors(measured.sensordata)  # noqa: E731
+
+    def taken(message: Any) -> None:
+        angles = message["data"] if isinstance(message, dict) else np.radians(message)
+        commands.append((time.monotonic(), np.array(angles)))
+
+    with (
+        linked(wire, "listener", ROS_TYPE, SENSORS_TOPIC, measured.receive) as _,
+        linked(wire, "listener", ROS_TYPE, TOPIC, taken) as _,
+        process("--serve", wire, "--channels", channels) as robot,
+    ):
+        until(lambda: measured.told)
+        start = place().position
+        with process(
+            "--robot", wire, "--headless", "--pilot", "straight", "--rate", "100", "--channels", channels
+        ) as drive:
+            until(lambda: np.linalg.norm(place().position - start) > 0.1)
+            drive.kill()
+            drive.wait()
+        time.sleep(1.0)
+        stood, number = place().position, len(commands)
+        time.sleep(1.0)
+        assert len(commands) == number, "nobody commands"
+        assert np.linalg.norm(place().position - stood) < 0.002, "it stands"
+        assert place().position[2] > 0.04, "upright"
+
+        mine, driven = Measured(load_robot(), CHANNELS), []
+        with linked(wire, TOPIC, ROS_TYPE, SENSORS_TOPIC, mine.receive) as publish:
+            meet(mine, {"position"})
+            wired = Wired(running, mine, publish, wire)
+            thread = threading.Thread(target=lambda: driven.append(drive_robot(wired)))
+            thread.start()
+            until(lambda: np.linalg.norm(place().position - stood) > 0.05)
+            robot.kill()
+            robot.wait()
+            killed = time.monotonic()
+            thread.join(60)
+        assert driven[0].ended == "no message of the robot for 5 s"
+    jump = np.abs(np.diff([angles for _, angles in commands[number:]], axis=0)).max()
+    assert jump < 0.25, "taken over from where it stood"
+    later = np.array([angles for at, angles in commands if killed + 0.75 < at])
+    assert len(later) > 100
+    assert np.ptp(later, axis=0).max() == 0.0, "it holds"
+    assert commands[-1][0] < killed + PATIENCE + 1.0, "and ends"
+
+
+@pytest.mark.process
+@pytest.mark.slow
+def test_a_page_drives_a_robot_that_holds_when_it_hangs() -> None:
+    """A page that says what it has shown; then it hangs, and goes on; then it goes, and no command is sent."""
+    wires.needs("websockets")
+    from websockets.sync.client import connect
+
+    commands: list[float] = []
+    with (
+        wires.broker() as port,
+        linked(f"mqtt://127.0.0.1:{port}", "listener", ROS_TYPE, TOPIC, lambda angles: commands.append(angles[0])) as _,
+        process("--serve", f"mqtt://127.0.0.1:{port}") as robot,
+        process("--robot", f"mqtt://127.0.0.1:{port}", "--rate", "100", "--no-browser", "--seconds", "60") as drive,
+    ):
+        assert drive.stderr is not None
+        where = next(line.split()[1] for line in drive.stderr if line.startswith("drive: http"))
+        begin = where.removesuffix("/").rpartition("/")[0]
+
+        def show(page: Any, seconds: float) -> None:
+            end = time.monotonic() + seconds
+            while time.monotonic() < end:
+                with contextlib.suppress(TimeoutError):
+                    if isinstance(message := page.recv(timeout=0.1), bytes):
+                        page.send(json.dumps({"shown": int.from_bytes(message[:4], "little")}))
+
+        with connect(f"ws{where[4:]}socket", origin=begin, max_size=None) as page:
+            until(lambda: show(page, 0.2) or np.ptp(commands[-50:] or [0]) > 5.0)
+            time.sleep(1.0)  # hangs
+            number = len(commands)
+            time.sleep(1.0)
+            held = commands[number:]
+            assert len(held) > 30
+            assert np.ptp(held) == 0.0, "it holds"
+            show(page, 2.0)
+            assert np.ptp(commands[-50:]) > 5.0, "it walks again"
+        time.sleep(1.0)
+        number = len(commands)
+        time.sleep(0.5)
+        assert len(commands) == number, "no page, no commands"
+        drive.send_signal(signal.SIGINT)
+        out, err = drive.communicate(timeout=30)
+        assert drive.returncode == 0, err
+        robot.kill()
+    driven = json.loads(out)
+    assert driven["holds"] >= 1
+    assert driven["ended"] == ""
