@@ -555,6 +555,9 @@ def test_bench_passes_its_options_on_and_keeps_the_run(monkeypatch: pytest.Monke
     assert page.count("10,000") == 1
     for figure in re.findall(r"\]\((plots/.*?)\)", page):
         assert (tmp_path / figure).stat().st_size > 1000
+    (tmp_path / "results.md").write_text("a user's remarks")
+    assert f"moved aside in {tmp_path}, to results.md.aside-1." in call("bench", "--into", tmp_path).stderr
+    assert (tmp_path / "results.md.aside-1").read_text() == "a user's remarks"
 
 
 def test_what_libraries_print_does_not_reach_json(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -192,9 +192,10 @@ def test_each_part_of_the_published_controller_can_be_replaced() -> None:
     waving = Controller(spine=lambda params, phase, turn_rate, feet, stance: params.spine.amplitude * phase)
     params = Setup(controller=waving, gait="lat").world({"spine.amplitude": 0.2}).control
     assert params.gait.duty == pytest.approx(0.68)
-    state = waving.init(params, Setup().load().sensors(np.zeros(Setup().load().model.nsensordata)), 0.5)
+    robot = Setup().load()
+    state = jax.jit(waving.init)(params, robot.sensors(np.zeros(robot.model.nsensordata)), 0.5)
     assert float(state.spine) == pytest.approx(0.1)
-    assert float(waving.servo_angles(params, state).spine) == pytest.approx(0.1)
+    assert float(jax.jit(waving.servo_angles)(params, state).spine) == pytest.approx(0.1)
 
 
 # --- in files

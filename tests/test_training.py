@@ -161,7 +161,7 @@ def test_a_policy_walks_in_a_simulator_as_in_its_environment(policy):
 
 
 @pytest.fixture(scope="module")
-def evaluated(policy, shared_simulators):
+def evaluated(policy):
     """The evaluation of a policy on two scenes with corridors of their own, and the same without corridors."""
     scenes = [{"scene": "flat"}, {"scene": "planks"}]
     fields = {
