@@ -39,8 +39,8 @@ def trained(spec: Path, seed: int, out: Path, *more: str) -> list[tuple[float, f
         time.sleep(0.02)
         ended = process.poll()  # before the file is looked at: what it wrote last is not missed
         written = held.stat().st_mtime - began if held.exists() else 0.0
-        if written and (not found or written > found[-1][0]):
-            found.append((written, cpu_seconds(process.pid), shutil.copy(held, out / f"policy-{len(found)}.npz")))
+        if written and (not found or held.read_bytes() != found[-1][2].read_bytes()):
+            found.append((written, cpu_seconds(process.pid), Path(shutil.copy(held, out / f"policy-{len(found)}.npz"))))
     if ended:
         raise SystemExit(f"the training of seed {seed} failed with exit code {ended}")
     return found

@@ -260,8 +260,8 @@ class Training(WalkSpec, Described):
         pairs = [known.get(scene, (dataclasses.replace(self.setup, scene=scene), self.task))
                  for scene in self.evaluation.scenes] or here  # fmt: skip
         if (physics := self.evaluation.physics) is not None:
-            preset = {"physics": physics, "timestep": PRESETS[physics].timestep}
-            pairs = [(dataclasses.replace(setup, **preset), task) for setup, task in pairs]
+            step = PRESETS[physics].timestep
+            pairs = [(dataclasses.replace(setup, physics=physics, timestep=step), task) for setup, task in pairs]
         return [(setup, _evaluated(setup, task, self.evaluation)) for setup, task in pairs]
 
     def check_division(self) -> None:
