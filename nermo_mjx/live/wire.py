@@ -218,9 +218,10 @@ class Wired:
     """A controller that drives a robot over its topics.
 
     The servos go from the robot's pose to that in which the gait starts, and then the controller runs. Without messages
-    for `measured.watchdog` it stands still, and the last angles are sent; when they come back, the servos go from where
-    they are to these angles, and the walk goes on. After `PATIENCE` the drive ends. A robot that has never said a thing
-    is driven without this watch, and from the pose of the gait's start.
+    for `measured.watchdog` it stands still, and nothing is sent: servos hold their last angle. When messages have come
+    for as long, so that none is old, the servos go from where they are to these angles, and the walk goes on. After
+    `PATIENCE` the drive ends. A robot that has never said a thing is driven without this watch, and from the pose of
+    the gait's start.
 
     Attributes:
         driven: how it goes.
@@ -247,7 +248,7 @@ class Wired:
     def restart(self) -> Float[np.ndarray, " n_servos"]:
         """Begin anew, from wherever the robot is; returns the pose in which the gait starts."""
         self._target = self.running.reset(self.measured.sensordata)
-        self._away, self._there = True, False
+        self._away, self._there, self._quiet = True, False, self.measured.clock()
         return self._target
 
     def tick(self, operator: float = 0.0) -> None:
@@ -263,8 +264,11 @@ class Wired:
             return
         if silence > measured.watchdog:
             driven.holds += driven.walked > 0.0 and not self._away
-            driven.held, self._away = driven.held + dt, True
-        elif self._away:
+            self._away, self._quiet = True, measured.clock()
+        if self._away and measured.told and measured.clock() - self._quiet < measured.watchdog:
+            driven.held += dt
+            return
+        if self._away:
             self.pose = measured.pose if "servo_angle" in measured.told else self.pose
             self._away = self._there = False
         elif self._there:

@@ -14,7 +14,7 @@ const STEPS = { stride: 0.1, frequency: 0.1 };
 /** A stick nearer to its centre is at rest. */
 const DEAD = 0.12;
 /** Force of a push by the length of its drag [N per pixel], at most [N], and how long it lasts [s]. */
-const PUSH = { newton: 0.02, most: 5, seconds: 0.2 };
+const PUSH = { newton: 0.005, most: 3, seconds: 0.1 };
 /** Time between two drawings of the plots [ms]: of a window that moves, and of the whole. */
 const DRAWN = { window: 80, whole: 500 };
 const called = (name) => name.replaceAll("_", " ");
