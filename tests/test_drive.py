@@ -202,13 +202,17 @@ def test_the_robot_follows_keys_gamepad_and_hand(drive):
         tab.evaluate('dispatchEvent(new KeyboardEvent("keyup", {key: "a"}))')
         tab.wait('viewer.drive.state.values["pilot.turn_rate"] === 0')
         # A stick to the right turns right, and the robot follows.
-        yaw = "viewer.clip0.plots.find((plot) => plot.key === 'attitude').lines[2].values.at(-1)"
-        tab.evaluate("viewer.clip0 = viewer.clips[0]; window.pad = {connected: true, axes: [0.8, -1], buttons: []}; "
+        # Over a gait cycle, in which the torso sways by 10 degrees to either side.
+        tab.evaluate("""window.yaw = () => {
+            const clip = viewer.clips[0], yaw = clip.plots.find((plot) => plot.key === "attitude").lines[2].values;
+            const last = yaw.subarray(clip.rowAt(clip.end - 1.25));
+            return last.reduce((sum, each) => sum + each, 0) / last.length;
+        }; 1""")
+        tab.evaluate("window.pad = {connected: true, axes: [0.8, -1], buttons: []}; "
                      "navigator.getGamepads = () => [window.pad]; 1")  # fmt: skip
         tab.wait('viewer.drive.state.values["pilot.turn_rate"] < -0.7')
-        before = tab.evaluate(yaw)
-        time.sleep(2.5)
-        assert tab.evaluate(yaw) < before - 5
+        before = tab.evaluate("yaw()")
+        tab.wait(f"yaw() < {before - 10}")
         tab.evaluate("window.pad = {connected: true, axes: [0, 0], buttons: [{pressed: true}]}; 1")
         tab.wait('viewer.drive.state.gait === "lateral_walk" && viewer.drive.state.values.stride === 0')
         # A drag with Shift pushes the body that is next to it.

@@ -149,8 +149,8 @@ class Running:
                 self._prepare()
             self._control = self._aim
             if self._blends:
-                at = [(began - self.ticks) * self.dt for began, _, _ in self._blends]
-                at = np.array(at + [0.0] * (MOST - len(at)))
+                at = np.zeros(MOST)
+                at[: len(self._blends)] = [(began - self.ticks) * self.dt for began, _, _ in self._blends]
                 schedule = default_precision(dataclasses.replace(self._schedule, at=at))
                 self._control = self._scheduled(self._aim, schedule, 0.0, np.ones(1))
             else:
