@@ -129,7 +129,6 @@ def test_a_broker_passes_on_what_the_author_sent(published, broker) -> None:
 
 def test_a_bridge_gets_radians(published) -> None:
     """By rosbridge's protocol: the topic is advertised with its type, and each message is a Float32MultiArray."""
-    wires.needs("websockets")
     from websockets.sync.server import serve
 
     seen: list[dict] = []
@@ -154,7 +153,7 @@ def test_a_bridge_gets_radians(published) -> None:
     ("ws://127.0.0.1:9", "127.0.0.1:9: no rosbridge server answers there"),
 ])  # fmt: skip
 def test_nobody_there_is_a_sentence(url: str, sentence: str) -> None:
-    wires.needs("paho" if url.startswith("mqtt") else "websockets")
+    wires.needs(*["paho"] * url.startswith("mqtt"))
     with pytest.raises(SendError, match=sentence), connected(url):
         pass
 

@@ -318,7 +318,6 @@ def test_a_broker_that_goes_away_is_noticed_and_the_password_unquoted() -> None:
 
 
 def test_a_bridge_that_goes_away_is_noticed() -> None:
-    pytest.importorskip("websockets.sync.server")
     from websockets.sync.server import serve
 
     from nermo_mjx import servo_table
@@ -344,7 +343,6 @@ def test_a_bridge_that_goes_away_is_noticed() -> None:
                                      "u:s3cret@[::1", "u:s3cret@127.0.0.1:9", "s3cret@127.0.0.1:9"])  # fmt: skip
 def test_no_password_is_repeated(scheme: str, address: str) -> None:
     pytest.importorskip("paho.mqtt.client")
-    pytest.importorskip("websockets.sync.client")
     from nermo_mjx.hardware import connected
 
     for url in (f"{scheme}://{address}", f"{scheme}s://{address}", address):

@@ -493,7 +493,6 @@ def test_when_either_side_is_killed_the_other_stops(wire, channels, running) -> 
 @pytest.mark.slow
 def test_a_page_drives_a_robot_that_holds_when_it_hangs() -> None:
     """A page that says what it has shown; then it hangs, and goes on; then it goes, and no command is sent."""
-    wires.needs("websockets")
     from websockets.sync.client import connect
 
     commands: list[float] = []

@@ -18,7 +18,7 @@ import pytest
 def needs(*packages: str) -> None:
     missing = [name for name in packages if importlib.util.find_spec(name) is None]
     if missing:
-        pytest.skip(f"without {' and '.join(missing)}: pip install 'nermo-mjx[mqtt,ros]' amqtt")
+        pytest.skip(f"without {' and '.join(missing)}: pip install '.[test]'")
 
 
 @contextlib.contextmanager
@@ -52,7 +52,6 @@ def broker() -> Iterator[int]:
 @contextlib.contextmanager
 def bridge() -> Iterator[int]:
     """What a rosbridge server does with `advertise`, `subscribe` and `publish`; its port."""
-    needs("websockets")
     from websockets.exceptions import ConnectionClosed
     from websockets.sync.server import serve
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import importlib
 import json
 import math
 import re
@@ -22,6 +21,8 @@ from urllib.parse import SplitResult, unquote, urlsplit
 
 import numpy as np
 from jaxtyping import Float
+from websockets.exceptions import WebSocketException
+from websockets.sync import client
 
 from nermo_mjx.hardware.table import ServoTable
 from nermo_mjx.robot.quantity import ParameterError
@@ -34,7 +35,6 @@ ROS_TYPE: Final = "std_msgs/msg/Float32MultiArray"
 #: Is called with a message as its JSON reads.
 Receiver: TypeAlias = Callable[[Any], None]
 _PORTS: Final = {"mqtt": 1883, "ws": 9090, "wss": 443}
-_EXTRAS: Final = {"paho.mqtt.client": "mqtt", "websockets.sync.client": "ros"}
 
 
 class SendError(ParameterError):
@@ -195,7 +195,11 @@ def address(url: str, field: str) -> SplitResult:
 def _mqtt(
     url: SplitResult, topic: str, kind: str, heard: str, receive: Receiver | None, field: str
 ) -> Iterator[Callable[[Any], None]]:
-    mqtt, where = _package("paho.mqtt.client", field), _place(url)
+    try:
+        from paho.mqtt import client as mqtt
+    except ImportError:
+        raise ParameterError(f"{field} needs paho: install nermo-mjx with its extra mqtt by pip.") from None
+    where = _place(url)
     client = mqtt.Client(mqtt.CallbackAPIVersion.VERSION2)
     if url.username:
         client.username_pw_set(unquote(url.username), None if url.password is None else unquote(url.password))
@@ -237,8 +241,7 @@ def _mqtt(
 def _rosbridge(
     url: SplitResult, topic: str, kind: str, heard: str, receive: Receiver | None, field: str
 ) -> Iterator[Callable[[Any], None]]:
-    client, where = _package("websockets.sync.client", field), _place(url)
-    failures = (OSError, UnicodeError, importlib.import_module("websockets.exceptions").WebSocketException)
+    where, failures = _place(url), (OSError, UnicodeError, WebSocketException)
     topic, heard = (name if name.startswith("/") or not name else f"/{name}" for name in (topic, heard))
 
     def listen(socket: Any, receive: Receiver) -> None:
@@ -281,12 +284,3 @@ def _parsed(text: str | bytes) -> Any:
 def _place(url: SplitResult) -> str:
     host = f"[{url.hostname}]" if ":" in str(url.hostname) else url.hostname
     return f"{host}:{url.port or _PORTS[url.scheme]}"
-
-
-def _package(name: str, field: str) -> Any:
-    try:
-        return importlib.import_module(name)
-    except ImportError:
-        extra = _EXTRAS[name]
-        package = name.partition(".")[0]
-        raise ParameterError(f"{field} needs {package}: install nermo-mjx with its extra {extra} by pip.") from None

@@ -23,6 +23,8 @@ from urllib.parse import urlsplit
 
 import numpy as np
 from pydantic import BaseModel, Field, ValidationError
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.server import serve
 
 from nermo_mjx.control.schedule import GAINS, Switch
 from nermo_mjx.live.driving import Driving
@@ -96,12 +98,8 @@ class Link:
             port: of the loopback; 0 for any that is free.
 
         Raises:
-            ParameterError: the port is taken, or the package websockets is missing.
+            ParameterError: the port is taken.
         """
-        try:
-            from websockets.sync.server import serve
-        except ImportError:
-            raise ParameterError("drive needs websockets: install nermo-mjx with its extra drive by pip.") from None
         self._token, self._made = secrets.token_urlsafe(16), page
         self._page: Any = None
         self._lock = threading.Lock()
@@ -126,8 +124,6 @@ class Link:
 
     def send(self, message: bytes | dict[str, Any]) -> None:
         """To the page that drives, if there is one."""
-        from websockets.exceptions import ConnectionClosed
-
         with contextlib.suppress(ConnectionClosed, AttributeError):
             self._page.send(message if isinstance(message, bytes) else json.dumps(message))
 

@@ -37,7 +37,7 @@ from nermo_mjx.recording import Recording
 from nermo_mjx.robot import ParameterError, Robot, Sensors
 from nermo_mjx.rollout import Run, Setup, Simulator
 from nermo_mjx.rollout.metrics import DIVERGED_SPEED
-from nermo_mjx.runs.interruption import interruptible
+from nermo_mjx.runs.job import interruptible
 
 #: The author's topic and message of the sensors.
 SENSORS_TOPIC: Final = "sensors_mouse"
