@@ -50,8 +50,8 @@ def test_what_depends_on_the_address_is_up_to_date(address: ModuleType) -> None:
 
 
 def test_no_other_address_is_named_anywhere(address: ModuleType) -> None:
-    """While the code is not published, there is none."""
-    known = {"OWNER", *(address.repository() or "").split("/")[-2:-1]}
+    """While the code is not published, there is none but the author's."""
+    known = {"OWNER", "a-rohr", *(address.repository() or "").split("/")[-2:-1]}
     for path in (*READ, *address.texts(None)):
         for owner in re.findall(r"github(?:\.com)?/([\w.-]+)/nermo", path.read_text(encoding="utf-8")):
             assert owner in known, path

@@ -196,7 +196,7 @@ def _mqtt(
     url: SplitResult, topic: str, kind: str, heard: str, receive: Receiver | None, field: str
 ) -> Iterator[Callable[[Any], None]]:
     try:
-        from paho.mqtt import client as mqtt
+        import paho.mqtt.client as mqtt
     except ImportError:
         raise ParameterError(f"{field} needs paho: install nermo-mjx with its extra mqtt by pip.") from None
     where = _place(url)
@@ -216,7 +216,7 @@ def _mqtt(
         client.on_message = lambda client, data, message: receive(_parsed(message.payload))
     client.connect_timeout = PATIENCE
     try:
-        client.connect(url.hostname, url.port or _PORTS["mqtt"], keepalive=round(PATIENCE))
+        client.connect(str(url.hostname), url.port or _PORTS["mqtt"], keepalive=round(PATIENCE))
         client.loop_start()
         if not answered.wait(PATIENCE):
             raise SendError(f"{where}: no MQTT broker answers there.")
@@ -273,7 +273,7 @@ def _rosbridge(
         raise SendError(f"{where}: no rosbridge server answers there ({error}).") from None
 
 
-def _parsed(text: str | bytes) -> Any:
+def _parsed(text: str | bytes | bytearray) -> Any:
     """What a message says; None for what is not JSON."""
     try:
         return json.loads(text)
