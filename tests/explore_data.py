@@ -92,7 +92,7 @@ def many(out: Path, rows: int) -> Path:
         "radius": (np.exp(random.normal(0, 3, rows)), {"role": "metric", "unit": "m"}),
         **numbers,
         "status": (np.where(random.random(rows) < 0.05, "fell", "ok"), {"role": "status", "unit": "1"}),
-    }  # fmt: skip
+    }
     (out / "results").mkdir(parents=True)
     pq.write_table(table(columns, sampler="sobol"), out / "results" / "part-0-0123456789abcdef.parquet")
     (out / "run.json").write_text(json.dumps({"kind": "sweep"}))

@@ -52,8 +52,9 @@ class PointMass:
         seen, known = self._sensed(body)
         zero, no = jnp.zeros(self.worlds), jnp.zeros(self.worlds, bool)
         tick = jax.random.randint(left, (self.worlds,), 0, EPISODE)  # episodes do not end all at once
-        return State(seen, known, zero, {"near": zero, "push": zero}, no, no, seen, known, body, tick,
-                     jax.random.key_data(left))  # fmt: skip
+        return State(
+            seen, known, zero, {"near": zero, "push": zero}, no, no, seen, known, body, tick, jax.random.key_data(left)
+        )
 
     def _step(self, state: State, action: Any) -> State:
         push = jnp.clip(action, -1.0, 1.0)

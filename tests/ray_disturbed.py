@@ -129,9 +129,10 @@ def account(log):
             by_process.setdefault((drivers, node, process), []).append(chunk)
     again = [(chunk, each) for chunk, several in by_chunk.items() for each in several[:-1]]
     unexplained = [
-        chunk for chunk, each in again
+        chunk
+        for chunk, each in again
         if not (each[1] in killed or each[0] < drivers) or chunk not in by_process[each][-2:]
-    ]  # fmt: skip
+    ]
     return {"nodes_killed": len(killed), "drivers_lost": drivers - 1, "chunks": len(by_chunk), "ended": ended,
             "in_flight": len(again), "unexplained": len(unexplained), "processes": len(by_process)}  # fmt: skip
 

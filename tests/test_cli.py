@@ -431,8 +431,9 @@ def test_experiments_in_use_or_of_other_code_are_refused_by_exit_code(
     with RunDirectory(tmp_path, "experiments"):
         result = call(*run)
     assert (result.exit_code, result.stderr) == (
-        1, f"nermo-mjx: another process works in {tmp_path}; wait for it, or choose another directory.\n",
-    )  # fmt: skip
+        1,
+        f"nermo-mjx: another process works in {tmp_path}; wait for it, or choose another directory.\n",
+    )
     assert call(*run).exit_code == 0
     monkeypatch.setattr("nermo_mjx.runs.code.__version__", "9.9.9")
     result = call(*run)

@@ -302,7 +302,7 @@ def test_a_gain_in_speed_stands_beside_both_costs(drawing) -> None:
         ({"by": "spine", "drawn": ["sped"]}, "metric is 'sped', which no table has or one lacks; did you"),
         ({}, "compare two directories, or with by two values of a column in one"),
     ],
-)  # fmt: skip
+)
 def test_what_cannot_be_compared_says_why(asked: dict, said: str) -> None:
     """In a sentence with what there is."""
     with pytest.raises(ParameterError) as error:
@@ -330,7 +330,7 @@ def test_tables_without_common_variants_are_refused(tmp_path: Path) -> None:
         ("{by: frequency, for: frequency}", "2: field 'compare.for' names 'frequency', whose values are compared"),
         ("{by: frequency, of: speed}", "2: field 'compare.of' is not a field of a comparison; allowed are by"),
     ],
-)  # fmt: skip
+)
 def test_a_wrong_section_is_refused_before_anything_runs(section: str, said: str) -> None:
     """With line, field and what is allowed."""
     with pytest.raises(SpecError) as error:

@@ -107,10 +107,9 @@ _DRY = Small(
     <geom type="capsule" fromto="0 0 0 0 0 -.1" size=".01" mass=".05" contype="0" conaffinity="0"/></body></body>
     </worldbody><tendon><fixed name="t" frictionloss=".01"><joint joint="j" coef="1"/><joint joint="k" coef=".5"/>
     </fixed></tendon>""",
-    (("dof_frictionloss", (0,)), ("tendon_frictionloss", (0,)), ("body_mass", (1,)),
-     ("dof_solref", (1, 0))),
+    (("dof_frictionloss", (0,)), ("tendon_frictionloss", (0,)), ("body_mass", (1,)), ("dof_solref", (1, 0))),
     qvel=(2.0, 0.5),
-)  # fmt: skip
+)
 MODELS = {
     "a pendulum at its limit": _PENDULUM,
     "a pendulum at its limit, RK4": dataclasses.replace(_PENDULUM, integrator="RK4"),

@@ -26,9 +26,7 @@ SETUP = Setup(physics="fast")
 RANDOMIZED = {"frequency": (0.6, 1.0), "contact.friction": (1.0, 1.6), "mass.front": (0.15, 0.19)}
 #: Short episodes, so that worlds start new ones in a test; a custom term.
 HEIGHT = Term("height", "m", "of the IMU", lambda m: m.sensors.position[2])
-TASK = Task(
-    rewards={"progress": 2.0, "work": -1.0, "failed": -1.0, HEIGHT: 0.5}, randomize=RANDOMIZED, duration=0.2
-)  # fmt: skip
+TASK = Task(rewards={"progress": 2.0, "work": -1.0, "failed": -1.0, HEIGHT: 0.5}, randomize=RANDOMIZED, duration=0.2)
 STEPS = 30
 
 

@@ -51,8 +51,7 @@ def settled(model: mujoco.MjModel, moment: dict[str, float]) -> mujoco.MjData:
 
 def angle(model: mujoco.MjModel, qpos: np.ndarray, joint: str) -> float:
     """Of a joint, or of all that begin so: the sum over the hinges [rad]."""
-    return sum(qpos[model.jnt_qposadr[i]] for i in range(model.njnt)
-               if chain_of(model.joint(i).name).startswith(joint))  # fmt: skip
+    return sum(qpos[model.jnt_qposadr[i]] for i in range(model.njnt) if chain_of(model.joint(i).name).startswith(joint))
 
 
 @pytest.mark.parametrize("hinges", CHAINS)

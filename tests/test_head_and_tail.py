@@ -65,9 +65,10 @@ def test_the_gaze_is_where_the_torso_will_be_when_the_servos_have_followed() -> 
     torso = TILTED[0]
     then = torso * Rotation.from_rotvec(rate * lead)
     course = head_and_tail.Course(jnp.asarray(0.3, jnp.float32), jnp.zeros(()))
-    angles = [np.array(named_head("gaze").update(params_with(head_lead=ahead), course, seen, PACE, 1e-9)[1])
-              for ahead, seen in ((lead, sensors_at(torso, tuple(rate))), (0.0, sensors_at(then)),
-                                  (0.0, sensors_at(torso)))]  # fmt: skip
+    angles = [
+        np.array(named_head("gaze").update(params_with(head_lead=ahead), course, seen, PACE, 1e-9)[1])
+        for ahead, seen in ((lead, sensors_at(torso, tuple(rate))), (0.0, sensors_at(then)), (0.0, sensors_at(torso)))
+    ]
     assert np.abs(angles[0] - angles[1]).max() < 1e-3 < 0.03 < np.abs(angles[2] - angles[1]).max()
 
 

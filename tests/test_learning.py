@@ -144,8 +144,9 @@ def test_the_actors_gradient_is_that_of_the_discounted_return():
     """Along a random direction, against central differences, in float64."""
     with jax.enable_x64(True):
         environment, shac = PointMass(8), ShortHorizon(horizon=10, hidden=(8,))
-        learned = jax.tree.map(lambda x: jnp.asarray(x, float) if x.dtype == "float32" else x,
-                               shac.begin(environment, 0))  # fmt: skip
+        learned = jax.tree.map(
+            lambda x: jnp.asarray(x, float) if x.dtype == "float32" else x, shac.begin(environment, 0)
+        )
         state = environment.reset(jax.random.key(1))
         noise = jax.random.normal(jax.random.key(2), (10, 8, 2))
         weights = 0.97 ** jnp.arange(10.0)

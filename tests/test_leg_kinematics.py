@@ -264,8 +264,9 @@ def test_jacobian_is_the_finite_difference(routing):
         low, high, _ = knee_range(legs, q1, routing)
         inner = np.asarray((theta > low + 0.02) & (theta < high - 0.02))
         for column, step in enumerate(1e-6 * np.eye(2)):
-            difference = (forward(legs, servo + step, routing=routing).foot
-                          - forward(legs, servo - step, routing=routing).foot) / 2e-6  # fmt: skip
+            difference = (
+                forward(legs, servo + step, routing=routing).foot - forward(legs, servo - step, routing=routing).foot
+            ) / 2e-6
             np.testing.assert_allclose(ours[..., column][inner], difference[inner], rtol=1e-5, atol=1e-8)
 
 

@@ -74,8 +74,9 @@ class Clock:
 def test_rows_are_sent_at_their_times_again_and_again(published) -> None:
     """Three cycles: each row at its time, and after the last one the first."""
     clock, seen = Clock(), []
-    sent = play(published, lambda angles, given: seen.append((clock.now - 100.0, given)), 3 / 0.8, clock=clock,
-                wait=clock.wait)  # fmt: skip
+    sent = play(
+        published, lambda angles, given: seen.append((clock.now - 100.0, given)), 3 / 0.8, clock=clock, wait=clock.wait
+    )
     rows = len(published.time)
     assert (sent.messages, sent.skipped, len(seen)) == (3 * rows, 0, 3 * rows)
     np.testing.assert_allclose([at for at, _ in seen], np.arange(3 * rows) / published.rate, atol=1e-9)
@@ -85,8 +86,9 @@ def test_rows_are_sent_at_their_times_again_and_again(published) -> None:
 def test_what_is_late_is_left_out(published) -> None:
     """After half a second in which nothing could be sent the gait is where it would be without."""
     clock, seen = Clock(jump_at=0.5, jump=0.5), []
-    sent = play(published, lambda angles, given: seen.append((clock.now - 100.0, given)), 2.0, clock=clock,
-                wait=clock.wait)  # fmt: skip
+    sent = play(
+        published, lambda angles, given: seen.append((clock.now - 100.0, given)), 2.0, clock=clock, wait=clock.wait
+    )
     assert sent.skipped == pytest.approx(0.5 * published.rate, abs=1)
     for at, given in seen:
         row = int(at * published.rate + 1e-6)

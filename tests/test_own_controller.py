@@ -354,8 +354,9 @@ def test_the_gradient_of_a_network_is_that_of_the_c_engine() -> None:
         controller = without_touch(load_controller(f"{EXAMPLES / 'network.py'}:Network"))
         rollout = Rollout(run=run, controller=controller)
         random = np.random.default_rng(0)
-        policy = jax.tree.map(lambda leaf: jnp.asarray(leaf + 0.1 * random.normal(size=leaf.shape), float),
-                              controller.parameters)  # fmt: skip
+        policy = jax.tree.map(
+            lambda leaf: jnp.asarray(leaf + 0.1 * random.normal(size=leaf.shape), float), controller.parameters
+        )
         way = jax.tree.map(lambda leaf: random.normal(size=leaf.shape) / leaf.size**0.5, policy)
         program = jax.jit(
             jax.grad(lambda policy: rollout({}, policy=policy)["speed"]), compiler_options=compiler_options()

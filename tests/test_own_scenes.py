@@ -275,9 +275,10 @@ def test_the_defaults_of_the_ground_are_the_scenes_gravity():
 def test_a_slope_takes_its_share_of_the_weight(simulator):
     """In steady walks the mean force on feet and tail is m g cos(slope), and the mass's; uphill the rear bears more."""
     values = {
-        "frequency": 0.8, "ground.slope": np.array([0.0, 0.15, -0.15, 0.0]),
+        "frequency": 0.8,
+        "ground.slope": np.array([0.0, 0.15, -0.15, 0.0]),
         "ground.gravity": np.array([9.81, 9.81, 9.81, 5.0]),
-    }  # fmt: skip
+    }
     result = simulator().run(values, Run(cycles=6, warmup_cycles=2))
     assert list(result.status) == ["ok"] * 4
     metrics, mass = result.metrics, simulator().robot.model.body_mass.sum()
@@ -287,8 +288,9 @@ def test_a_slope_takes_its_share_of_the_weight(simulator):
     assert share[1] < share[0] < share[2]
     assert speed[1] < speed[0] < speed[2]
     weight = mass * values["ground.gravity"]
-    np.testing.assert_allclose(metrics["cost_of_transport"], metrics["servo_work"] / weight / metrics["distance"],
-                               rtol=1e-5)  # fmt: skip
+    np.testing.assert_allclose(
+        metrics["cost_of_transport"], metrics["servo_work"] / weight / metrics["distance"], rtol=1e-5
+    )
 
 
 @pytest.mark.parametrize(("direction", "axis"), [(0.0, 1), (np.pi / 2, 0)])

@@ -44,8 +44,9 @@ def six_walks(**fixed: float) -> dict[str, np.ndarray]:
     """Every gait at both frequencies, as parameters of one batch."""
     rows = [
         published_values(gait, steering="mix") | {"frequency": frequency} | fixed
-        for gait in GAITS for frequency in FREQUENCIES
-    ]  # fmt: skip
+        for gait in GAITS
+        for frequency in FREQUENCIES
+    ]
     return {name: np.array([row[name] for row in rows]) for name in rows[0]}
 
 

@@ -364,8 +364,9 @@ def kinds_of_files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[
     for folder in (landscape / "batches", identified, bench):
         folder.mkdir(parents=True)
     np.savez(landscape / "batches" / "a-5-000000.npz", value=np.zeros(5))
-    columns = {name: np.array(["exact", "as_built"] if name in ("profile", "gait", "status") else [0.5, 0.8])
-               for name in ABOUT}  # fmt: skip
+    columns = {
+        name: np.array(["exact", "as_built"] if name in ("profile", "gait", "status") else [0.5, 0.8]) for name in ABOUT
+    }
     experiments = Directory(top / "experiments")
     (experiments.out / "results").mkdir(parents=True)
     about = {"started": "2026-01-01", "engine": "c", "recordings": {}, "code": "0"}
@@ -486,12 +487,13 @@ HUGE = {
     "texture": scene('<asset><texture name="a" type="2d" builtin="flat" width="30000" height="30000"/></asset>'),
     "cube": scene('<asset><texture name="a" type="cube" builtin="flat" width="9000" height="54000"/></asset>'),
     "hfield": scene('<asset><hfield name="a" nrow="20000" ncol="20000" size="1 1 1 1"/></asset>'),
-    "user numbers": scene('<size nuser_geom="200000000"/>'), "keyframes": scene('<size nkey="2000000000"/>'),
+    "user numbers": scene('<size nuser_geom="200000000"/>'),
+    "keyframes": scene('<size nkey="2000000000"/>'),
     "numeric": scene('<custom><numeric name="a" size="2000000000"/></custom>'),
     "replicate": scene(f"<worldbody>{nested(100, 3)}</worldbody>"),
     "deep replicate": scene(f"<worldbody>{nested(10, 30)}</worldbody>"),
     "composite": scene('<worldbody><composite type="cable" count="999 1 1"/></worldbody>'),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", HUGE)
@@ -585,9 +587,10 @@ def test_a_recording_names_no_code(tmp_path: Path, canary: Path) -> None:
     theirs = dataclasses.replace(recording.between(1.0, 1.1), metadata={**recording.metadata, "setup": setup})
     path = theirs.save(tmp_path / "walk.npz")
     for words in (
-        ("view", path, "--no-open", "--out", tmp_path / "page.html"), ("play", path, "--xml", tmp_path / "walk.xml"),
+        ("view", path, "--no-open", "--out", tmp_path / "page.html"),
+        ("play", path, "--xml", tmp_path / "walk.xml"),
         ("plot", path, "--out", tmp_path / "plots", "--format", "png"),
-    ):  # fmt: skip
+    ):
         result = call(*words)
         assert result.exit_code == 0, result.stderr
     assert not canary.exists()

@@ -323,7 +323,8 @@ def test_the_command_merges_and_says_what_is_missing(tmp_path):
     content = json.loads(CliRunner().invoke(main, [*command, "--json"]).stdout)
     assert content["complete"] is False
     simulator = Counting()
-    whole = run_sweep(tmp_path / "c" / "sweep.yaml", tmp_path / "c", simulator=simulator,
-                      use=[tmp_path / "a", tmp_path / "b"])  # fmt: skip
+    whole = run_sweep(
+        tmp_path / "c" / "sweep.yaml", tmp_path / "c", simulator=simulator, use=[tmp_path / "a", tmp_path / "b"]
+    )
     assert whole.complete
     assert simulator.rows == 1

@@ -209,9 +209,10 @@ def results(speed: list[float], status: list[str], variant: list[int]) -> Result
 
 def test_the_best_of_each_variant_and_the_first_that_fell_are_kept() -> None:
     table = results(
-        speed=[0.3, 0.9, 0.5, 0.6, 9.0, np.nan, 0.4], variant=[0, 0, 1, 1, 2, 2, 3],
+        speed=[0.3, 0.9, 0.5, 0.6, 9.0, np.nan, 0.4],
+        variant=[0, 0, 1, 1, 2, 2, 3],
         status=["ok", "ok", "ok", "ok", "fell", "diverged", "fell"],
-    )  # fmt: skip
+    )
     assert kept_rows(table, Keep(best=2)) == {1: "number 1 by speed", 3: "number 2 by speed"}
     assert [*kept_rows(table, Keep(best=9, metric="own"))] == [0, 2]
     assert kept_rows(table, Keep(fell=1, diverged=4, unsolved=2)) == {4: "fell", 5: "diverged"}

@@ -136,7 +136,7 @@ WRONG = {
     "no rows": ("frequency\n", "holds no rows"),
     "empty": ("", "an empty file"),
     "beyond the legs": ("stride,stance.swing_amplitude\n1.0,0.03\n", "values that do not go together"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize(("text", "sentence"), WRONG.values(), ids=WRONG)
@@ -160,7 +160,7 @@ WRONG_FILES = {
     "two sources of a structure": ("gait: trt\nrows:\n  - {gait: lat}", 3, "varied and also given as 'gait'"),
     "the pilot": ("rows:\n  - {pilot: {arc: {radius: 1}}}\n  - {pilot: {ark: {radius: 1}}}", 3, "did you mean 'arc'?"),
     "none": ("rows: []", 1, "holds no rows"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize(("text", "line", "sentence"), WRONG_FILES.values(), ids=WRONG_FILES)

@@ -130,8 +130,9 @@ def test_the_simulator_of_all_structures_travels_and_reuses_programs(asked):
     for structure in (0, 1, 2, 3, 0):
         there((structure, {"frequency": np.full(2, 0.7)}))
     assert [(setup.gait, setup.spine) for setup, _, _ in asked] == [
-        *itertools.product(["trt", "lat"], SPINES), ("trt", "none"),
-    ]  # fmt: skip
+        *itertools.product(["trt", "lat"], SPINES),
+        ("trt", "none"),
+    ]
     assert len(there._kept) == 2
     assert {here.stamp(k).id for k in range(4)} == {there.stamp().id}
 

@@ -20,8 +20,8 @@ GROUNDS = {
     "box upside down": "<geom type='box' size='0.5 0.3 0.1' pos='0.1 0.2 0.3' euler='180 0 25'/>",
     "field": "<geom type='hfield' hfield='hills' pos='0.1 0.2 0.3' euler='0 0 25'/>",
     "all": "<geom type='hfield' hfield='hills'/><geom type='box' size='0.5 0.3 0.1' euler='0 20 0'/>"
-           "<geom type='plane' size='9 9 1' pos='0 0 0.02'/>",
-}  # fmt: skip
+    "<geom type='plane' size='9 9 1' pos='0 0 0.02'/>",
+}
 
 
 def compiled(geoms: str) -> mujoco.MjModel:

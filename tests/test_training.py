@@ -67,8 +67,9 @@ def done(tmp_path_factory):
 @pytest.fixture(scope="module")
 def policy():
     """A policy with weights, and the environment that it is of."""
-    environment = Environment(Setup(), worlds=2, task=Task(randomize={"contact.friction": (1.0, 1.2)}, decimation=2,
-                                                           duration=0.1))  # fmt: skip
+    environment = Environment(
+        Setup(), worlds=2, task=Task(randomize={"contact.friction": (1.0, 1.2)}, decimation=2, duration=0.1)
+    )
     learned = PPO().begin(environment, 0)
     *hidden, (weights, bias) = learned.actor.layers
     weights = 0.3 * jax.random.normal(jax.random.key(1), weights.shape)

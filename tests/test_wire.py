@@ -259,8 +259,9 @@ def test_an_operator_who_is_away_is_as_silent_as_a_robot(running) -> None:
 
 
 def test_limits_of_channels_are_kept_and_commands_come_at_their_rate(running) -> None:
-    narrow = dataclasses.replace(CHANNELS, servos=tuple(dataclasses.replace(each, low=-5.0, high=5.0)
-                                                        for each in CHANNELS))  # fmt: skip
+    narrow = dataclasses.replace(
+        CHANNELS, servos=tuple(dataclasses.replace(each, low=-5.0, high=5.0) for each in CHANNELS)
+    )
     both = Together(running, narrow, rate=30.0)
     both.walk(2.0)
     assert np.abs(np.degrees(both.commands)).max() <= 5.0 + 1e-4

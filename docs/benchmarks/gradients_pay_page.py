@@ -67,7 +67,7 @@ _INTRODUCTION: Final = (
     "At equal simulated time a gradient in reverse mode counts as five runs; the curves are the searches' own values.",
     "*Line search*: the mean direction of gradients at four points; 16 points along it are walked on the engine `c`;",
     "its constants were chosen on seed 1 of the trot's speed with 32 parameters, so all other seeds are predictions.",
-)  # fmt: skip
+)
 
 
 def _rows(cell: Cell, own: Sequence[Line]) -> list[list[str]]:
@@ -94,8 +94,9 @@ def _verdicts(cell: Cell, own: Sequence[Line]) -> Iterator[str]:
         seeds = set.intersection(*({x["seed"] for x in own if x["method"] == name} for name in (method, "cma")))
         if not seeds:
             continue
-        ends, rival = (np.median([_end(x) for x in own if x["method"] == name and x["seed"] in seeds])
-                       for name in (method, "cma"))  # fmt: skip
+        ends, rival = (
+            np.median([_end(x) for x in own if x["method"] == name and x["seed"] in seeds]) for name in (method, "cma")
+        )
         higher = cell[1] == "speed"
         wins, unit = (ends > rival) == higher, " mm/s" if higher else ""
         many = "1 seed" if len(seeds) == 1 else f"medians of {len(seeds)} seeds"

@@ -72,9 +72,9 @@ def profile(engine: str, worlds: int = 64, setup: Setup | None = None) -> dict[s
     if engine not in ("c", "mjx"):
         raise ParameterError(f"engine is {engine!r}: allowed is 'c' or 'mjx'.")
     simulator = Simulator(setup or Setup(spine="stride_extension"), engine)
-    batch = simulator.prepare({
-        "frequency": 0.8, "spine.amplitude": np.linspace(0.0, 0.4, worlds), "spine.phase": np.linspace(-1, 0, worlds)
-    })  # fmt: skip
+    batch = simulator.prepare(
+        {"frequency": 0.8, "spine.amplitude": np.linspace(0.0, 0.4, worlds), "spine.phase": np.linspace(-1, 0, worlds)}
+    )
     walk = CEngine(simulator.robot, simulator.loop).open(batch.params, batch.qpos, batch.fields).record(WARMUP + TICKS)
     rows = _c_stages(simulator, walk) if engine == "c" else _mjx_stages(simulator, walk)
     total = sum(row["us"] for row in rows)

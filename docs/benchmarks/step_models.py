@@ -113,8 +113,9 @@ def touching(model: mujoco.MjModel, steps: int) -> mujoco.MjData:
     low, high = _control_ranges(model)
     data.ctrl[:] = np.clip(
         data.ctrl + 0.02 * (high - low) * np.random.default_rng(1).uniform(-1.0, 1.0, model.nu),
-        low + 0.01 * (high - low), high - 0.01 * (high - low),
-    )  # fmt: skip
+        low + 0.01 * (high - low),
+        high - 0.01 * (high - low),
+    )
     mujoco.mj_forward(model, data)
     return data
 

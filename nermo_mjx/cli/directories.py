@@ -171,7 +171,7 @@ Examples:
 @options.report
 def plot_command(
     path: Path, out: Path | None, form: str | None, as_json: bool, quiet: bool, **chosen: str | None
-) -> None:  # fmt: skip
+) -> None:
     """Redraw the figures of PATH from its tables; nothing is simulated.
 
     PATH is the directory of a sweep, a search, a tuning, a training, a
@@ -187,8 +187,9 @@ def plot_command(
     kind = RECORDING if path.is_file() else kind_of_directory(path)
     if not set(chosen) <= set(kind.options) and any(chosen.values()):
         place = "" if kind is RECORDING else "the directory of "
-        raise WrongUse(f"--x, --y and --color choose columns of a sweep or a search, but {path} is {place}"
-                       f"{kind.called}.")  # fmt: skip
+        raise WrongUse(
+            f"--x, --y and --color choose columns of a sweep or a search, but {path} is {place}{kind.called}."
+        )
     if out is None and kind is RECORDING:
         raise WrongUse(f"{path} is a recording: give the directory for its figures with --out DIR.")
     notes: list[str] = []

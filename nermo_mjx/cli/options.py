@@ -112,8 +112,9 @@ def assigned(texts: Iterable[str], known: Mapping[str, Quantity], unknown: str) 
         pattern, equals, number = text.partition("=")
         names = matches(pattern.strip(), known) if equals and is_pattern(pattern) else [pattern]
         if not names:
-            raise WrongUse(f"--set {text}: {pattern.strip()} matches no parameter; `nermo-mjx sweep --list-parameters` "
-                           "prints all.")  # fmt: skip
+            raise WrongUse(
+                f"--set {text}: {pattern.strip()} matches no parameter; `nermo-mjx sweep --list-parameters` prints all."
+            )
         values |= dict(_assignment(name + equals + number, known, unknown) for name in names)
     return values
 

@@ -164,9 +164,7 @@ def plane_cylinder(one: GeomInfo, other: GeomInfo) -> Contacts:
     lowest = other.size[0] * _unit(down * (normal @ down) - normal, other.mat[:, 0])
     end = other.size[1] * down
     aside = _unit(spatial.cross(lowest, end)) * other.size[0] * 0.75**0.5
-    points = other.pos + jnp.stack([
-        end + lowest, lowest - end, end - 0.5 * lowest + aside, end - 0.5 * lowest - aside
-    ])  # fmt: skip
+    points = other.pos + jnp.stack([end + lowest, lowest - end, end - 0.5 * lowest + aside, end - 0.5 * lowest - aside])
     dist = (points - one.pos) @ normal
     return dist, points - 0.5 * dist[:, None] * normal, jnp.broadcast_to(math.make_frame(normal), (4, 3, 3))
 

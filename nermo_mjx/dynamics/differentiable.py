@@ -89,8 +89,9 @@ def _forward(model: Model, data: mjx.Data) -> mjx.Data:
 def _checked(model: mjx.Model, data: mjx.Data) -> Model:
     """The model as the stages take it. Rejects, at trace time, what is not simulated or would fail deep inside MJX."""
     for name, given, kind, maker in (
-        ("model", model, mjx.Model, "mjx.put_model"), ("data", data, mjx.Data, "mjx.make_data or mjx.put_data"),
-    ):  # fmt: skip
+        ("model", model, mjx.Model, "mjx.put_model"),
+        ("data", data, mjx.Data, "mjx.make_data or mjx.put_data"),
+    ):
         if not isinstance(given, kind):
             made = f"{type(given).__module__.partition('.')[0]}.{type(given).__name__}"
             raise ValueError(f"{name} is of {made}: allowed is an mjx.{kind.__name__}, as of {maker}.")

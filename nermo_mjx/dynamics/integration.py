@@ -97,9 +97,10 @@ def _lone_bodies(model: Model) -> list[tuple[int, int]]:
     """Bodies with a free joint alone and without children, and the first degree of freedom of each."""
     parents, bodies = np.asarray(model.body_parentid), np.asarray(model.jnt_bodyid)
     return [
-        (int(body), int(model.jnt_dofadr[joint])) for joint, body in enumerate(bodies)
+        (int(body), int(model.jnt_dofadr[joint]))
+        for joint, body in enumerate(bodies)
         if model.jnt_type[joint] == mjx.JointType.FREE and np.sum(bodies == body) == 1 and body not in parents
-    ]  # fmt: skip
+    ]
 
 
 def _lone_bias(model: Model, data: mjx.Data, body: int, turn: Float[Array, " 3"]) -> Float[Array, " 6"]:

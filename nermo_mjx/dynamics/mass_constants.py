@@ -93,8 +93,9 @@ class MassConstants:
             mujoco.mju_sparse2dense(tendon, data.ten_J, model.ten_J_rownnz, model.ten_J_rowadr, model.ten_J_colind)
         moment = np.zeros((model.nu, model.nv))
         if model.nu:
-            mujoco.mju_sparse2dense(moment, data.actuator_moment, data.moment_rownnz, data.moment_rowadr,
-                                    data.moment_colind)  # fmt: skip
+            mujoco.mju_sparse2dense(
+                moment, data.actuator_moment, data.moment_rownnz, data.moment_rowadr, data.moment_colind
+            )
         self._jacobians = Jacobians(jacobians[:, 0], jacobians[:, 1], principal, tendon, moment)
         self._constants = Constants(model)
 

@@ -38,8 +38,9 @@ def prepared(model: Model) -> Model:
         raise ValueError(model.not_simulated[0] + (f" There are {others} more, see not_simulated." if others else ""))
     if model.approximated:
         others = len(model.approximated) - 1
-        warnings.warn(model.approximated[0] + (f" There are {others} more, see approximated." if others else ""),
-                      stacklevel=4)  # fmt: skip
+        warnings.warn(
+            model.approximated[0] + (f" There are {others} more, see approximated." if others else ""), stacklevel=4
+        )
     changes = _of_actuators(model) | _flags(model)
     if not model.nmat and np.any(model.sensor_type == mjx.SensorType.RANGEFINDER):
         changes["mat_rgba"] = jnp.ones((1, 4))  # MJX's ray reads one even where no geom has a material
@@ -60,9 +61,10 @@ def _of_actuators(model: Model) -> dict[str, Any]:
     tendons = (target == np.arange(model.ntendon)[:, None]) & (kinds == mjx.TrnType.TENDON)
     changes = {}
     for name, more in (
-        ("armature", model.actuator_armature), ("damping", model.actuator_damping),
+        ("armature", model.actuator_armature),
+        ("damping", model.actuator_damping),
         ("dampingpoly", model.actuator_dampingpoly),
-    ):  # fmt: skip
+    ):
         if not is_zero(more):
             scaled = (model.actuator_gear[:, 0] ** 2 * more.T).T
             for of, owners in ((f"dof_{name}", joints[joint_of]), (f"tendon_{name}", tendons)):

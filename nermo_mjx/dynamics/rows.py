@@ -164,17 +164,18 @@ def with_velocities(data: mjx.Data) -> mjx.Data:
     """Data with the rates of change of its actuators' and tendons' lengths, the first part of `mjx.fwd_velocity`."""
     inner: Any = data._impl
     rates = {
-        "_impl.actuator_velocity": inner.actuator_moment @ data.qvel, "_impl.ten_velocity": inner.ten_J @ data.qvel
-    }  # fmt: skip
+        "_impl.actuator_velocity": inner.actuator_moment @ data.qvel,
+        "_impl.ten_velocity": inner.ten_J @ data.qvel,
+    }
     changed: mjx.Data = data.tree_replace(rates)
     return changed
 
 
 def with_solution(data: mjx.Data, qacc: Array, row_force: Array, joint_force: Array, rounds: Array) -> mjx.Data:
     """Data with the acceleration, the constraint forces by row and by joint, and the number of rounds of the solver."""
-    solved: mjx.Data = data.tree_replace({
-        "qacc": qacc, "qfrc_constraint": joint_force, "_impl.efc_force": row_force, "_impl.solver_niter": rounds
-    })  # fmt: skip
+    solved: mjx.Data = data.tree_replace(
+        {"qacc": qacc, "qfrc_constraint": joint_force, "_impl.efc_force": row_force, "_impl.solver_niter": rounds}
+    )
     return solved
 
 

@@ -283,11 +283,13 @@ def channels_of(channels: Channels | Mapping[str, Any] | str | os.PathLike[str] 
     for channel in connected:
         if channel.servo not in robot.servos and channel.missing is None:
             whose, remedy = (
-                (f"the robot with tail {robot.config.tail!r}", "take the articulated tail") if channel.servo == "tail"
+                (f"the robot with tail {robot.config.tail!r}", "take the articulated tail")
+                if channel.servo == "tail"
                 else (f"the robot {robot.config.robot!r}", "take 'nermo_41'")
-            )  # fmt: skip
-            raise ParameterError(f"{channel.servo} is no servo of {whose}: {remedy}, leave the servo out, or give it "
-                                 "what is 'missing'.")  # fmt: skip
+            )
+            raise ParameterError(
+                f"{channel.servo} is no servo of {whose}: {remedy}, leave the servo out, or give it what is 'missing'."
+            )
     return connected
 
 

@@ -135,8 +135,7 @@ def summary_of(table: pa.Table) -> dict[str, Any]:
         for who in dict.fromkeys(columns["controller"].tolist()):
             rows = (columns["scene"] == scene) & (columns["controller"] == who)
             about = {"success": float(columns["success"][rows].mean())}
-            about |= {name: float(np.nanmedian(columns[name][rows].astype(float)))
-                      for name in names[3:]}  # fmt: skip
+            about |= {name: float(np.nanmedian(columns[name][rows].astype(float))) for name in names[3:]}
             found.setdefault(scene, {})[who] = about
     return found
 
@@ -163,8 +162,9 @@ def _table(training: Training, n: int, parts: list[_Part]) -> pa.Table:
         return np.repeat(np.array(values, object), n)
 
     table.add("scene", repeated([part.scene for part in parts]), "index", "1", "where it walks")
-    table.add("controller", repeated([part.who for part in parts]), "index", "1",
-              "the policy, or what it acts on alone")  # fmt: skip
+    table.add(
+        "controller", repeated([part.who for part in parts]), "index", "1", "the policy, or what it acts on alone"
+    )
     table.add("body", np.tile(np.arange(n), len(parts)), "index", "1", "which body and start")
     for name in dict.fromkeys(name for part in parts for name in part.drawn):
         values = np.concatenate([part.drawn.get(name, np.full(n, np.nan)) for part in parts])

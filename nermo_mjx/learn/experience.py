@@ -234,8 +234,9 @@ class Scores:
 
     def tally(self, experience: Experience) -> dict[str, float]:
         """Numbers of the episodes that ended in these steps: how many, their return, length, and share that lasted."""
-        reward, failed, cut = (np.asarray(each) for each in (experience.reward, experience.terminated,
-                                                             experience.truncated))  # fmt: skip
+        reward, failed, cut = (
+            np.asarray(each) for each in (experience.reward, experience.terminated, experience.truncated)
+        )
         returns, lengths, lasted = list[float](), list[int](), 0
         for t in range(len(reward)):
             self.returns += reward[t]

@@ -69,8 +69,9 @@ class Mixture:
         self._bounds = np.cumsum(counts)[:-1]
         told = dict.fromkeys(name for part in self.parts for name in part.privileged_names)
         self.privileged_names = (*told, *(f"part.{i}" for i in range(len(self.parts))))
-        self._columns = [np.array([self.privileged_names.index(name) for name in part.privileged_names])
-                         for part in self.parts]  # fmt: skip
+        self._columns = [
+            np.array([self.privileged_names.index(name) for name in part.privileged_names]) for part in self.parts
+        ]
         self._waiting = ThreadPoolExecutor(len(parts), thread_name_prefix="nermo_mjx_part")
 
     @property
@@ -126,8 +127,9 @@ class Mixture:
         fields = {name: [getattr(state, name) for state in states] for name in State._fields if name != "engine"}
         for name in ("privileged", "final_privileged"):
             fields[name] = [self.told(i, each) for i, each in enumerate(fields[name])]
-        joined = {name: jax.tree.map(lambda *leaves: numbers.concatenate(leaves), *each)
-                  for name, each in fields.items()}  # fmt: skip
+        joined = {
+            name: jax.tree.map(lambda *leaves: numbers.concatenate(leaves), *each) for name, each in fields.items()
+        }
         return State(**joined, engine=tuple(states))
 
     def told(self, i: int, own: Any) -> Any:

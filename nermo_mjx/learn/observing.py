@@ -103,7 +103,7 @@ SENSED: Final[dict[str, Sensed]] = {
         _AXES, lambda s: s.accelerometer, 9.81, "m/s^2", "accelerometer_noise", "acceleration of the torso"
     ),
     "tilt": Sensed(_AXES, down, 1.0, "1", "tilt_noise", "direction of gravity, which an IMU with fusion knows"),
-}  # fmt: skip
+}
 #: Other inputs of a policy: the gait's phase as cosine and sine, the command, where it is beside the path, the path's
 #: curvature there, and its own last action.
 TOLD: Final = ("phase", "command", "path", "curvature", "action")
@@ -184,9 +184,10 @@ class Observer:
             "action": self.actions,
         }
         return tuple(
-            f"{group}.{label}" for group in (*self.sensed, *(name for name in TOLD if name in self.groups))
+            f"{group}.{label}"
+            for group in (*self.sensed, *(name for name in TOLD if name in self.groups))
             for label in (SENSED[group].labels if group in SENSED else told[group])
-        )  # fmt: skip
+        )
 
     def readings(self, sensors: Sensors) -> Vector:
         """Current sensor readings, scaled."""

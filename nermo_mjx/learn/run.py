@@ -235,7 +235,7 @@ def run_training(
         path = None if policy is None else directory.out / POLICY_FILE
         return TrainingResult(
             directory.out, directory.training, path, summary, learned, curves, len(curves) - begun, plots
-        )  # fmt: skip
+        )
 
 
 def _plotted(out: Path, training: Training, curves: Curves, table: pa.Table | None) -> list[Path]:
@@ -363,8 +363,9 @@ def _summary(
     """The content of summary.json; without an evaluation, success is the share of episodes that lasted."""
     scenes = {} if table is None else summary_of(table)
     found = [about["policy"]["success"] for about in scenes.values()]
-    effort = {name: float(np.nansum(curves.column(name)))
-              for name in ("environment_cpu", "learner_cpu", "wall_seconds")}  # fmt: skip
+    effort = {
+        name: float(np.nansum(curves.column(name))) for name in ("environment_cpu", "learner_cpu", "wall_seconds")
+    }
     return {
         "steps": int(learned.steps),
         "policy_steps": int(learned.steps) if policy is None else int(policy.about["trained"]["steps"]),

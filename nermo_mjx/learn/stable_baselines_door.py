@@ -62,9 +62,10 @@ class NermoVecEnv(VecEnv):
                        "t": time.monotonic() - self._began}  # fmt: skip
             final = {name: column[world] for name, column in told["final_info"].items() if not name.startswith("_")}
             infos[world] = final | {
-                "terminal_observation": told["final_obs"][world], "episode": episode,
+                "terminal_observation": told["final_obs"][world],
+                "episode": episode,
                 "TimeLimit.truncated": bool(truncated[world] and not terminated[world]),
-            }  # fmt: skip
+            }
         self._returns[ended], self._lengths[ended] = 0.0, 0
         return observation, reward.astype(np.float32), ended, infos
 

@@ -28,8 +28,9 @@ def status(out: Path) -> Status:
         # One that was good enough before has no more of them.
         rows = done if until is not None and _complete(out) else rows
     complete = rows is not None and done >= rows and (out / SUMMARY).exists()
-    return status_of("iterations", out, done, rows, complete, command="train", spec=SPEC, engine=engine_of(out),
-                     notes=notes)  # fmt: skip
+    return status_of(
+        "iterations", out, done, rows, complete, command="train", spec=SPEC, engine=engine_of(out), notes=notes
+    )
 
 
 def _complete(out: Path) -> bool:

@@ -119,8 +119,9 @@ class Driving:
         self._body.move(self._readings)
         if self._record:
             if TICK_BYTES * len(self._rows) > MOST_RECORDED:
-                raise ParameterError(f"the drive has lasted {self.time:g} s: its recording would exceed "
-                                     f"{MOST_RECORDED / 1e9:g} GB.")  # fmt: skip
+                raise ParameterError(
+                    f"the drive has lasted {self.time:g} s: its recording would exceed {MOST_RECORDED / 1e9:g} GB."
+                )
             self._rows.append(self._row())
 
     def recording(self) -> Recording:

@@ -94,8 +94,9 @@ class Measured:
         needed: what a message must tell.
     """
 
-    def __init__(self, robot: Robot, channels: Channels, watchdog: float = WATCHDOG,
-                 clock: Callable[[], float] = time.monotonic) -> None:  # fmt: skip
+    def __init__(
+        self, robot: Robot, channels: Channels, watchdog: float = WATCHDOG, clock: Callable[[], float] = time.monotonic
+    ) -> None:
         self.robot, self.channels, self.watchdog, self.clock = robot, channels, watchdog, clock
         at_rest = robot.sensordata_at_rest(jnp.asarray(robot.model.qpos0))
         self.sensordata, self.told = np.array(at_rest, float), frozenset[str]()
@@ -209,8 +210,9 @@ def meet(measured: Measured, needed: set[str], wait: Callable[[float], None] = t
         raise SendError(f"no message of the robot for {PATIENCE:g} s, and {what}: a robot without sensors walks with "
                         f"the pilot open_loop{why}.")  # fmt: skip
     if needed - measured.told:
-        raise ParameterError(f"robot does not tell all that is needed: {what}; its messages tell "
-                             f"{', '.join(sorted(measured.told))}.")  # fmt: skip
+        raise ParameterError(
+            f"robot does not tell all that is needed: {what}; its messages tell {', '.join(sorted(measured.told))}."
+        )
     measured.needed = needed
 
 
@@ -473,9 +475,10 @@ class SimulatedRobot:
     def run(self, url: str, seconds: float | None = None) -> dict[str, Any]:
         """Be there for a time [s], or until Ctrl-C or SIGTERM; returns `about`. For the URL see `linked`."""
         with (
-            interruptible(), linked(url, SENSORS_TOPIC, SENSORS_TYPE, TOPIC, self.receive, "serve") as publish,
+            interruptible(),
+            linked(url, SENSORS_TOPIC, SENSORS_TYPE, TOPIC, self.receive, "serve") as publish,
             contextlib.suppress(KeyboardInterrupt),
-        ):  # fmt: skip
+        ):
             begun = self._clock()
             while seconds is None or self._ticks * self.dt < seconds - 1e-9:
                 now, due = self._clock(), begun + self._ticks * self.dt
@@ -495,11 +498,12 @@ class SimulatedRobot:
         now = self.robot.sensors(self._readings[0, -1])
         _, x, y, _ = now.orientation
         return {
-            "seconds": self._ticks * self.dt, "distance": float(np.linalg.norm((now.position - self._start)[:2])),
+            "seconds": self._ticks * self.dt,
+            "distance": float(np.linalg.norm((now.position - self._start)[:2])),
             "commands": {**self._counts, "lost": self._inward.lost},
             "silence": None if math.isnan(self._heard) else self._clock() - self._heard,
             "tilt": float(np.arccos(np.clip(1.0 - 2.0 * (x * x + y * y), -1.0, 1.0))),
-        }  # fmt: skip
+        }
 
 
 def _commanded(message: Any, channels: Channels, robot: Robot, before: np.ndarray) -> np.ndarray:

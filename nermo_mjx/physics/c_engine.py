@@ -287,7 +287,7 @@ class _Servos:
         play, aim = Play.unpacked(self.play), np.clip(target, *self._range)
         control, self.motor = played(
             play, self.motor, aim, qpos[:, self._qpos], qvel[:, self._dofs], self._timestep, np
-        )  # fmt: skip
+        )
         return control
 
 

@@ -64,11 +64,13 @@ def around(figure: Figure, title: str, note: str, handles: Sequence[Artist] = ()
     """
     width, height = figure.get_size_inches()
     head = textwrap.wrap(title, int((width - 2 * _EDGE) / _TITLE_CHARACTER))
-    figure.text(_EDGE / width, 1 - _EDGE / height, "\n".join(head), va="top", fontsize=11.5, fontweight="bold",
-                linespacing=1.15)  # fmt: skip
+    figure.text(
+        _EDGE / width, 1 - _EDGE / height, "\n".join(head), va="top", fontsize=11.5, fontweight="bold", linespacing=1.15
+    )
     lines = note_lines(note, width)
-    figure.text(_EDGE / width, _EDGE / height, "\n".join(lines), va="bottom", fontsize=SMALL, color=MUTED,
-                linespacing=1.2)  # fmt: skip
+    figure.text(
+        _EDGE / width, _EDGE / height, "\n".join(lines), va="bottom", fontsize=SMALL, color=MUTED, linespacing=1.2
+    )
     below = _EDGE + _LINE * len(lines) + _GAP * bool(lines)
     if handles:
         below += _legend(figure, handles, below) + _GAP

@@ -294,7 +294,7 @@ def tendon_limit(leg: LegGeometry, routing: str) -> float:
     (tied, start), (free, end) = (
         _tangent(leg.tie_idler if routing == "type3_idler" else leg.tie, radius, turn),
         _tangent((y, z - leg.pulley_height), radius, -turn),
-    )  # fmt: skip
+    )
     length = tied + radius * ((turn * (end - start)) % math.tau) + free + leg.tendon_length
     if routing != "type3_idler":
         return length

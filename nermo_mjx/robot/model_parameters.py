@@ -203,6 +203,7 @@ def gravity_values(vector: np.ndarray) -> dict[str, float]:
     x, y, z = map(float, vector)
     direction = math.atan2(-x, y) if x or y else 0.0
     return {
-        "ground.gravity": math.hypot(x, y, z), "ground.slope": math.atan2(math.hypot(x, y), -z),
+        "ground.gravity": math.hypot(x, y, z),
+        "ground.slope": math.atan2(math.hypot(x, y), -z),
         "ground.direction": direction,
-    }  # fmt: skip
+    }

@@ -91,8 +91,9 @@ def load_file(name: str, edit: Edit | None = None) -> mujoco.MjSpec:
     else:
         root = ET.parse(path).getroot()
         edit(root)
-        included = {each.get("file", ""): (path.parent / each.get("file", "")).read_bytes()
-                    for each in root.iter("include")}  # fmt: skip
+        included = {
+            each.get("file", ""): (path.parent / each.get("file", "")).read_bytes() for each in root.iter("include")
+        }
         spec = mujoco.MjSpec.from_string(ET.tostring(root, encoding="unicode"), include=included)
     # Meshes become part of the specification: an assembled or exported model compiles anywhere, without files.
     for mesh in spec.meshes:
@@ -206,8 +207,9 @@ def _draw(spec: mujoco.MjSpec, segment: Any, i: int, end: np.ndarray, width: flo
     across = width / TAIL.eyelet
     # The last one ends at the tip, and is no shorter than the others.
     long = math.hypot(end[1], end[2]) / TAIL.spacing if i <= len(TAIL.drops) else 1.0
-    spec.add_mesh(name=name, uservert=bead.uservert, userface=bead.userface,
-                  scale=1e-3 * np.array([across, long, across]))  # fmt: skip
+    spec.add_mesh(
+        name=name, uservert=bead.uservert, userface=bead.userface, scale=1e-3 * np.array([across, long, across])
+    )
     drawn = segment.add_geom(spec.find_default("visual"), meshname=name)
     turn(drawn, math.atan2(end[2], end[1]), 0.0, 0.0)
     half = 0.001 * end / end[1]
@@ -271,9 +273,10 @@ def _limbs(spec: mujoco.MjSpec, pair: str, geometry: Geometry) -> None:
     axis, height = np.array([place.x, place.y, place.z], float), LEGS[pair].pulley_height
     for side, mirrored in (("left", (1.0, 1.0, 1.0)), ("right", (-1.0, 1.0, 1.0))):
         for name, inside, up in (
-            (f"{pair}_{side}_mount", 0.0, 0.0), (f"{side}_hip_servo", SERVO_INSIDE, 0.0),
+            (f"{pair}_{side}_mount", 0.0, 0.0),
+            (f"{side}_hip_servo", SERVO_INSIDE, 0.0),
             (f"{side}_knee_servo", SERVO_INSIDE, height),
-        ):  # fmt: skip
+        ):
             spec.frame(name).pos = mirrored * (axis + np.array((-inside, 0.0, up)))
     end = axis + _SERVOS["torso" if pair == "front" else "hip"]
     spec.geom("bumper").fromto = np.concatenate([end * [-1.0, 1.0, 1.0], end])

@@ -146,8 +146,9 @@ class Robot:
     def physical_with_geometry(self, geometry: Geometry) -> mujoco.MjModel:
         """The same for `physical`."""
         known = self._compiled.physical
-        geoms, sites = ([one(i).name for i in range(n)] for one, n in
-                        ((known.geom, known.ngeom), (known.site, known.nsite)))  # fmt: skip
+        geoms, sites = (
+            [one(i).name for i in range(n)] for one, n in ((known.geom, known.ngeom), (known.site, known.nsite))
+        )
         return reduced_model(self._with(geometry), geoms, sites)
 
     def _with(self, geometry: Geometry) -> mujoco.MjSpec:
@@ -281,8 +282,9 @@ def mass_model_of(config: RobotConfig, geometry: Geometry) -> MassModel:
     start = {name: about.default for name, about in quantities(Geometry)}
     for name, value in values_of(geometry):
         more = jnp.asarray(value, float) - jnp.asarray(start[name], float)
-        front, rear = (com + more * jnp.asarray(slope, float) for com, slope in zip((front, rear), slopes[name],
-                                                                                  strict=True))  # fmt: skip
+        front, rear = (
+            com + more * jnp.asarray(slope, float) for com, slope in zip((front, rear), slopes[name], strict=True)
+        )
     return dataclasses.replace(published, front_com=front, rear_com=rear)
 
 

@@ -314,8 +314,9 @@ def _check_options(spec: mujoco.MjSpec, called: str) -> None:
         shown = ", ".join(f"{name} {value}" for name, value in own.items())
         warnings.warn(
             f"scene is {called}: its option has {shown}, which is not taken: the solver is the robot's, whose physics, "
-            "timestep and cone the setup names.", stacklevel=4,
-        )  # fmt: skip
+            "timestep and cone the setup names.",
+            stacklevel=4,
+        )
 
 
 def _own_settings_only(text: str) -> str:

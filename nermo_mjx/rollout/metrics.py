@@ -258,7 +258,7 @@ def update(
         slid, feet = (contact * speed).mean(axis=0).sum(), contact.mean(axis=0).sum()
         switching = transitions.update(
             state.transition, transition, time, part.weight, angles[0], slid, feet, step / dt
-        )  # fmt: skip
+        )
     return MetricState(
         time=part.elapsed,
         work=state.work + part.weight * power,

@@ -90,7 +90,7 @@ METRICS: Final[dict[str, Metric]] = {
     "fell": Metric("1", "1 if the torso tilted past 60 degrees or came to the ground", "low"),
     "diverged": Metric("1", "1 if the simulation lost its numbers", "low"),
     "failure_time": Metric("s", "end of the first control tick in which it fell or diverged; NaN if it did neither"),
-}  # fmt: skip
+}
 
 #: The headings of lists of metrics, by the first metric below each.
 HEADINGS: Final = {

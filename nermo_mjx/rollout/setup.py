@@ -258,7 +258,7 @@ class Setup:
     def __post_init__(self) -> None:
         config = RobotConfig(
             self.robot, self.scene, self.tail, self.routing, self.cone, self.physics, self.timestep, self.hinges
-        )  # fmt: skip
+        )
         object.__setattr__(self, "timestep", config.timestep)
         object.__setattr__(self, "scene", config.scene)
         object.__setattr__(self, "gait", GAIT_CODES.get(self.gait, self.gait))
@@ -294,8 +294,9 @@ class Setup:
 
     def fields(self) -> dict[str, Any]:
         """The applicable choices as JSON values; an object is represented by its type's name."""
-        given = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)
-                 if self._applies(field.name)}  # fmt: skip
+        given = {
+            field.name: getattr(self, field.name) for field in dataclasses.fields(self) if self._applies(field.name)
+        }
         named = tuple(each if isinstance(each, str) else each.name for each in given.pop("metrics"))
         given |= {"metrics": named} if named else {}
         switches = [switch.written() for switch in given.pop("schedule")]
@@ -310,8 +311,9 @@ class Setup:
     def modes(self) -> dict[str, tuple[str, ...]]:
         """Modes of the spine, the head and the tail that act at any time of the run, by the choice that makes them."""
         each = [Switch(0.0, spine=self.spine, head=self.head, tail_motion=self.tail_motion), *self.schedule]
-        return {field: tuple(dict.fromkeys(name for one in each for name in one.modes.get(field, ())))
-                for field in MODES}  # fmt: skip
+        return {
+            field: tuple(dict.fromkeys(name for one in each for name in one.modes.get(field, ()))) for field in MODES
+        }
 
     @functools.cached_property
     def own_metrics(self) -> tuple[OwnMetric, ...]:
@@ -450,8 +452,9 @@ class Setup:
                 rate = np.asarray(controller.cycle_rate(world.control), float)
             bad = ~((rate > 0.0) & (rate < np.inf))
             if bad.any():
-                raise ParameterError(f"{place}, which gives {rate[bad].flat[0]:g}: expected finite gait cycles per "
-                                     "second above 0.")  # fmt: skip
+                raise ParameterError(
+                    f"{place}, which gives {rate[bad].flat[0]:g}: expected finite gait cycles per second above 0."
+                )
 
     @functools.cached_property
     def timing(self) -> frozenset[str]:

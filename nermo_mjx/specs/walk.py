@@ -102,9 +102,10 @@ def _kept(given: Any) -> Any:
 
 
 SceneField = Annotated[
-    str, BeforeValidator(_kept),
+    str,
+    BeforeValidator(_kept),
     Field(json_schema_extra={"anyOf": [{"enum": [*scenes()]}, {"pattern": r"\.xml$|^\s*<"}]}),
-]  # fmt: skip
+]
 
 
 class SetupFields(Fields):
@@ -119,8 +120,9 @@ class SetupFields(Fields):
     routing: str = chosen(Setup.routing, ROUTINGS, "of the knee's tendon")
     cone: str = chosen(Setup.cone, CONES, "friction cone")
     physics: str = chosen(Setup.physics, PRESETS, "time step and contact pairs")
-    timestep: float = optional("physics step [s]: the control period 0.01 s divided by a whole number; "
-                            "takes precedence over that of physics")  # fmt: skip
+    timestep: float = optional(
+        "physics step [s]: the control period 0.01 s divided by a whole number; takes precedence over that of physics"
+    )
     hinges: Annotated[int, Whole(1, MOST_HINGES)] = Field(
         Setup.hinges, description="of each compliant joint of legs and spine"
     )
@@ -222,8 +224,9 @@ class WalkFields(SetupFields):
     run: RunFields = optional("how long a run lasts")
     set: Annotated[dict[str, float], ByParameter(numbers=True)] = Field({}, description="one value for all runs")
     schedule: list[SwitchFields] = Field([], description="what changes while the robot walks")
-    metrics: str | list[str] = optional("custom metrics: FILE.py, from this file's folder, FILE.py:NAME, MODULE "
-                                        "or MODULE:NAME, or a list of such")  # fmt: skip
+    metrics: str | list[str] = optional(
+        "custom metrics: FILE.py, from this file's folder, FILE.py:NAME, MODULE or MODULE:NAME, or a list of such"
+    )
 
     @classmethod
     def refuse(cls, key: str) -> None:

@@ -148,8 +148,9 @@ class Ground:
         result = self.simulators[place].run(self.body | given | dict(place.values), run)
         shape = (len(gaits), n)
         lasted = (np.asarray(result.status) == "ok").reshape(shape)
-        distance, peak = (np.nan_to_num(np.asarray(result.metrics[name])).reshape(shape)
-                          for name in ("distance", "cross_track_peak"))  # fmt: skip
+        distance, peak = (
+            np.nan_to_num(np.asarray(result.metrics[name])).reshape(shape) for name in ("distance", "cross_track_peak")
+        )
         return distance, peak / place.corridor if self.steers else np.zeros(shape), lasted
 
     def tested(self, gait: Gait, times: int) -> str:
