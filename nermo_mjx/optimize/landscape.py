@@ -655,7 +655,7 @@ def line_figure(tuning: Tuning, line: Slice) -> Figure:
     note = "above: objective with its exact tangents, star: lowest; below: exact slope, and secants over their width"
     note += "; dashed: the given start" + (f"; there, and here, {', '.join(others)}" if others else "")
     x = shown(line.tuned.name, known[line.tuned.name].unit, line.x)
-    figure = page(f"Objective and slope along {line.tuned.name}", 7.4, 5.6, note)
+    figure = page(f"Objective and slope along {spoken(line.tuned.name)}", 7.4, 5.6, note)
     above, below = figure.subplots(2, 1, sharex=True)
     _draw_objective(above, line, x)
     _draw_slopes(below, line, x)

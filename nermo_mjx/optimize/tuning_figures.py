@@ -29,7 +29,7 @@ from nermo_mjx.optimize.tuning import Generations, Tuned, Tuning
 from nermo_mjx.optimize.tuning_directory import VIDEO, Directory, load_tuning
 from nermo_mjx.plotting.files import Figures, write_figures
 from nermo_mjx.plotting.page import colour_bar, page
-from nermo_mjx.plotting.shown import ShownValues, shown
+from nermo_mjx.plotting.shown import ShownValues, shown, spoken
 from nermo_mjx.plotting.style import (
     BAND,
     BEST,
@@ -501,7 +501,7 @@ def path_figure(traces: Traces, background: Background | None = None) -> Figure:
 def _plane(traces: Traces, background: Background | None, beneath: str) -> Figure:
     x, y = traces.tuning.tuned[:2]
     note = f"ring: start; dot: end; star: best; {beneath or 'colour: objective'}"
-    figure = page(f"Path over {x.name} and {y.name}", 6.9, 5.4, note)
+    figure = page(f"Path over {spoken(x.name)} and {spoken(y.name)}", 6.9, 5.4, note)
     ax = figure.subplots()
     ax.set_facecolor("white" if background is None else MISSING)
     ends = [np.array([traces.in_shown_unit(each.name, end) for end in (each.low, each.high)]) for each in (x, y)]
@@ -533,7 +533,7 @@ def _line(traces: Traces, background: Background | None, beneath: str) -> Figure
     """The objective over the only parameter: the landscape as a line, and the points that each start visited."""
     (each,) = traces.tuning.tuned
     note = "; ".join(filter(None, ("dots: evaluations, larger towards the end; star: best", beneath)))
-    figure = page(f"Objective over {each.name} (lower is better)", 7.2, 4.0, note)
+    figure = page(f"Objective over {spoken(each.name)} (lower is better)", 7.2, 4.0, note)
     ax = figure.subplots()
     if background is not None:
         nodes = traces.in_shown_unit(each.name, background.axes[each.name])
