@@ -37,7 +37,7 @@ from nermo_mjx.optimize.tuning_figures import corner, legend, star
 from nermo_mjx.optimize.tuning_run import simulation_of
 from nermo_mjx.plotting.files import Figures, write_figures
 from nermo_mjx.plotting.page import page
-from nermo_mjx.plotting.shown import ShownValues, shown
+from nermo_mjx.plotting.shown import ShownValues, shown, spoken
 from nermo_mjx.plotting.style import BAND, INK, LINE, MUTED, horizontal_grid, set_scales
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.runs import RunDirectory, Written, session, stamp
