@@ -34,7 +34,7 @@ class Running:
     >>> from nermo_mjx import Setup
     >>> running = Running(Setup(pilot="open_loop"), {"frequency": 0.8})
     >>> running.dt, running.steps_per_tick
-    (0.01, 10)
+    (0.01, 5)
 
     Attributes:
         setup: as given.
