@@ -399,8 +399,7 @@ def channels(tmp_path) -> Path:
     return file
 
 
-@pytest.mark.process
-@pytest.mark.slow
+@pytest.mark.long  # in real time: other jobs on the machine delay its messages; simulated time is tested always
 def test_two_processes_walk_together(wire, channels) -> None:
     """At 100 Hz, with 20 ms of delay and 1 % of loss both ways, for 8 s, as far as without within 5 %."""
     history = Simulator(Setup(), "c").run({}, Run(duration=8.0), record=True).recording().sensors["position"]
@@ -411,19 +410,7 @@ def test_two_processes_walk_together(wire, channels) -> None:
         process("--serve", wire, "--delay", "20", "--loss", "0.01", "--channels", channels) as robot,
     ):
         until(lambda: measured.told)
-        with process(
-            "--robot",
-            wire,
-            "--headless",
-            "--pilot",
-            "straight",
-            "--rate",
-            "100",
-            "--seconds",
-            "8",
-            "--channels",
-            channels,
-        ) as drive:
+        with process(*walking(wire, channels), "--seconds", "8") as drive:
             out, err = drive.communicate(timeout=180)
         assert drive.returncode == 0, err
         time.sleep(0.2)
@@ -442,8 +429,7 @@ def test_two_processes_walk_together(wire, channels) -> None:
     assert served["distance"] == pytest.approx(np.linalg.norm((history[-1] - history[0])[:2]), rel=0.05)
 
 
-@pytest.mark.process
-@pytest.mark.slow
+@pytest.mark.long  # in real time: other jobs on the machine delay its messages; simulated time is tested always
 def test_when_either_side_is_killed_the_other_stops(wire, channels, running) -> None:
     """The controller, and the robot stands still upright; then the robot, and the next controller holds and ends."""
     measured, commands = Measured(load_robot(), CHANNELS), []
@@ -460,9 +446,7 @@ def test_when_either_side_is_killed_the_other_stops(wire, channels, running) -> 
     ):
         until(lambda: measured.told)
         start = place().position
-        with process(
-            "--robot", wire, "--headless", "--pilot", "straight", "--rate", "100", "--channels", channels
-        ) as drive:
+        with process(*walking(wire, channels)) as drive:
             until(lambda: np.linalg.norm(place().position - start) > 0.1)
             drive.kill()
             drive.wait()
@@ -490,8 +474,7 @@ def test_when_either_side_is_killed_the_other_stops(wire, channels, running) -> 
     assert commands[-1][0] < killed + 1.0, "commands stop"
 
 
-@pytest.mark.process
-@pytest.mark.slow
+@pytest.mark.long  # in real time: other jobs on the machine delay its messages; simulated time is tested always
 def test_a_page_drives_a_robot_that_holds_when_it_hangs() -> None:
     """A page that says what it has shown; then it hangs, and goes on; then it goes, and no command is sent."""
     from websockets.sync.client import connect

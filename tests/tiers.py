@@ -20,7 +20,7 @@ NEEDS: Final = {
     "draws": "draws figures, pictures or videos",
     "browser": "opens pages in a browser",
     "slow": "compiles MJX, or takes several seconds",
-    "long": "takes a minute or more and resembles other tests: runs with -m long only",
+    "long": "takes a minute or more and resembles other tests, or needs the machine for itself: with -m long only",
 }
 #: Fixtures that bring what they need to whatever asks for them.
 OF_FIXTURES: Final = {
