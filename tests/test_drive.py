@@ -18,10 +18,12 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
 from nermo_mjx.cli import main
+from nermo_mjx.control.schedule import Switch
 from nermo_mjx.live.driving import Driving, difference, replayed
 from nermo_mjx.live.server import REPLACED, Drive
 from nermo_mjx.recording import Recording, RecordingError
-from nermo_mjx.rollout import Setup
+from nermo_mjx.rollout import Setup, Simulator
+from nermo_mjx.sweep import Sweep
 
 pytestmark = pytest.mark.compiles
 BROWSER = chromium.find()
@@ -143,8 +145,6 @@ def test_a_second_page_takes_over_and_one_that_goes_away_pauses(drive, page):
 
 
 def test_a_drive_is_made_again_bit_for_bit(tmp_path):
-    from nermo_mjx.control.schedule import Switch
-
     driving = Driving(Setup(pilot="open_loop", schedule=(Switch(0.4, values={"stride": 0.8}),)), {"frequency": 0.8})
     for tick in range(150):
         if tick == 50:
@@ -169,6 +169,34 @@ def test_a_drive_is_made_again_bit_for_bit(tmp_path):
     assert json.loads(table.stdout)["rows"] > 50, table.output
 
 
+def test_a_sweep_walks_as_was_driven(tmp_path):
+    """The file that `replay --sweep` writes; more commands than a schedule has are refused in a sentence."""
+    driving = Driving(Setup(pilot="open_loop"), {"frequency": 0.8, "pilot.turn_rate": 0.2})
+    for tick in range(150):
+        if tick == 20:
+            driving.running.command(Switch(driving.time, blend=0.15, values={"stride": 0.8}))
+        if tick == 60:
+            driving.running.command(Switch(driving.time, gait="lat", spine="stride_extension"))
+        driving.tick()
+    file, recorded = tmp_path / "drive.npz", driving.recording()
+    recorded.save(file)
+    answer = CliRunner().invoke(main, ["replay", str(file), "--sweep", str(tmp_path / "drive.yaml"), "--quiet"])
+    assert answer.exit_code == 0, answer.output
+    sweep = Sweep.from_file(tmp_path / "drive.yaml")
+    walked = Simulator(sweep.setup, "c").run(sweep.constants, sweep.run, record=True).recording()
+    last = len(recorded.time) - 1
+    assert walked.time[last] == pytest.approx(recorded.time[last])
+    assert np.linalg.norm(recorded.qpos[last, :2]) > 0.05
+    np.testing.assert_allclose(walked.qpos[last, :3], recorded.qpos[last, :3], atol=1e-4)
+    many = dict(recorded.metadata["driven"]) | {
+        "commands": [[9 * k, {"at": 0.0, "set": {"stride": 0.9}}] for k in range(9)]
+    }
+    Recording(**{**vars(recorded), "metadata": {**recorded.metadata, "driven": many}}).save(file)
+    refused = CliRunner().invoke(main, ["replay", str(file), "--sweep", str(tmp_path / "none.yaml")])
+    assert (refused.exit_code, "schedule has 9 switches: allowed are 8" in refused.stderr) == (2, True), refused.output
+    assert not (tmp_path / "none.yaml").exists()
+
+
 def test_the_command_prints_its_address_and_waits_for_a_page(tmp_path):
     given = ["drive", "--no-browser", "--seconds", "0.1", "--record", str(tmp_path / "d.npz"), "--json"]
     answer = CliRunner().invoke(main, given)
@@ -187,6 +215,7 @@ def test_the_robot_follows_keys_gamepad_and_hand(drive):
     with chromium.browser(BROWSER) as browser, browser.tab() as tab:
         tab.open(drive.link.address)
         tab.wait('document.documentElement?.dataset.ready === "yes"')
+        tab.wait("viewer.drive.socket.readyState === WebSocket.OPEN")
         tab.evaluate("viewer.drive.send({reset: true, pause: false, speed: 1})")
         tab.wait("viewer.drive.state.paused === false && viewer.player.time > 0.3")
         tab.key("v")

@@ -370,7 +370,7 @@ Examples:
   nermo-mjx replay runs/quickstart --row 57 --video row57.mp4
   nermo-mjx replay runs/quickstart --row 57 --engine mjx --json
   nermo-mjx replay runs/atlas --row 8123 --video gait.mp4
-  nermo-mjx replay drive.npz
+  nermo-mjx replay drive.npz --sweep drive.yaml
 """
 
 
@@ -380,11 +380,12 @@ Examples:
 @options.choice("--engine", ENGINES, "By default the directory's own.", default=None)
 @options.file("--record", ".npz", "Save the whole run.")
 @options.file("--video", ".mp4", "Render it; MP4, GIF or WebP.")
+@options.file("--sweep", ".yaml", "Write a sweep file that walks as was driven, of a FILE.npz.")
 @options.camera
 @options.report
 def replay_command(
-    out: Path, row: int | None, engine: str | None, record: Path | None, video: Path | None, camera: str,
-    as_json: bool, quiet: bool,
+    out: Path, row: int | None, engine: str | None, record: Path | None, video: Path | None, sweep: Path | None,
+    camera: str, as_json: bool, quiet: bool,
 ) -> None:  # fmt: skip
     """Rerun one row of a sweep's or a search's directory on its own, or a
     recorded drive.
@@ -401,9 +402,9 @@ def replay_command(
     if out.suffix == ".npz":
         if row is not None or engine is not None:
             raise WrongUse("--row and --engine belong to a directory: a recorded drive has neither.")
-        return _replay_drive(out, record, video, camera, as_json, quiet)
-    if row is None:
-        raise WrongUse("Give --row N, a row of the table.")
+        return _replay_drive(out, record, video, sweep, camera, as_json, quiet)
+    if row is None or sweep is not None:
+        raise WrongUse("Give --row N, a row of the table." if row is None else "--sweep belongs to a recorded drive.")
     with stdout_reserved():
         from nermo_mjx.runs.files import make_writable
         from nermo_mjx.sweep.replay import find_row, replay_row, report_of
@@ -434,14 +435,21 @@ def replay_command(
         _print_replay(found, wanted, replay, report, files)
 
 
-def _replay_drive(path: Path, record: Path | None, video: Path | None, camera: str, as_json: bool, quiet: bool) -> None:
+def _replay_drive(
+    path: Path, record: Path | None, video: Path | None, sweep: Path | None, camera: str, as_json: bool, quiet: bool
+) -> None:
     """Drive a recording again, and compare."""
     with stdout_reserved():
-        from nermo_mjx.live.driving import difference, replayed
-        from nermo_mjx.recording import RecordingError
+        from nermo_mjx.live.driving import as_sweep, difference, replayed
+        from nermo_mjx.recording import RecordingError, whole_file
 
         recording = load_recording(path)
         try:
+            if sweep is not None:
+                from nermo_mjx.sweep import Sweep
+
+                with whole_file(sweep, "the sweep file") as file:
+                    file.write(Sweep.from_dict(as_sweep(recording)).to_yaml(sweep.parent).encode())
             with Progress("replay", quiet=quiet, compiles=True):
                 again = replayed(recording)
         except RecordingError as error:

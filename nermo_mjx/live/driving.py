@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -14,10 +15,11 @@ from nermo_mjx.live.running import Running
 from nermo_mjx.physics.c_engine import CBodies
 from nermo_mjx.recording import Recording, RecordingError, model_hash
 from nermo_mjx.robot import ParameterError
-from nermo_mjx.rollout import Setup
+from nermo_mjx.rollout import Run, Setup
 from nermo_mjx.rollout.simulator import MOST_RECORDED, TICK_BYTES
 from nermo_mjx.runs.provenance import versions
 from nermo_mjx.runs.text import plain
+from nermo_mjx.specs.walk import WalkSpec
 
 #: Largest force of a push on each axis [N]; the robot weighs 2.65 N. Longest push [s].
 MOST_FORCE: Final = 10.0
@@ -150,13 +152,8 @@ class Driving:
         return Recording(time, qpos, qvel, ctrl, named, self._hash, about)
 
 
-def replayed(recording: Recording) -> Recording:
-    """The drive of a recording, driven again.
-
-    Raises:
-        RecordingError: it is not of a drive.
-        ParameterError: its setup or a command names something that this version does not have.
-    """
+def _read(recording: Recording) -> tuple[Setup, dict[str, float], list[tuple[int, Switch]], list[Push]]:
+    """Setup, values, commands with their ticks, and pushes of a recorded drive."""
     driven: Any = recording.metadata.get("driven")
     fields: Any = dict(recording.metadata.get("setup") or {})
     try:
@@ -169,7 +166,38 @@ def replayed(recording: Recording) -> Recording:
         ) from None
     fields |= {"schedule": (), "metrics": ()}  # whose switches are among the commands
     fields["waypoints"] = None if fields.get("waypoints") is None else tuple(map(tuple, fields["waypoints"]))
-    driving = Driving(Setup(**fields), values)
+    return Setup(**fields), values, commands, pushes
+
+
+def as_sweep(recording: Recording) -> dict[str, Any]:
+    """The fields of a sweep file that walks as was driven, from five slightly different starts.
+
+    Its `schedule` has the commands. Pushes are left out.
+
+    Raises:
+        RecordingError: it is not of a drive.
+        ParameterError: as `replayed`; or there are more commands than a schedule can have, or they overlap.
+    """
+    setup, values, commands, _ = _read(recording)
+    dt = float(recording.time[0])
+    switches = tuple(dataclasses.replace(switch, at=round(tick * dt, 9)) for tick, switch in commands)
+    driven = dataclasses.replace(setup, schedule=switches)
+    driven.check(driven.world({name: np.asarray(value) for name, value in values.items()}))
+    options = {name.removeprefix("pilot."): value for name, value in values.items() if name.startswith("pilot.")}
+    fixed = {name: value for name, value in values.items() if not name.startswith("pilot.")}
+    run = Run(duration=round(float(recording.time[-1]), 9), warmup=0.0)
+    return WalkSpec(driven, run, fixed, options).walk_fields(Path.cwd()) | {"randomize": {"repeats": 5}}
+
+
+def replayed(recording: Recording) -> Recording:
+    """The drive of a recording, driven again.
+
+    Raises:
+        RecordingError: it is not of a drive.
+        ParameterError: its setup or a command names something that this version does not have.
+    """
+    setup, values, commands, pushes = _read(recording)
+    driving = Driving(setup, values)
     for tick in range(len(recording.time)):
         for at, switch in commands:
             if at == tick:
