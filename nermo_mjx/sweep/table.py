@@ -20,7 +20,7 @@ from scipy import stats
 
 from nermo_mjx.plotting.files import Figures, write_figures
 from nermo_mjx.robot.quantity import ParameterError
-from nermo_mjx.runs.columns import Columns as Columns  # under this name it is used by all rooms below
+from nermo_mjx.runs.columns import Columns as Columns
 from nermo_mjx.runs.directory import RunDirectory, read_record
 from nermo_mjx.runs.files import DirectoryError, clear_errors, parquet_bytes, parquet_table, replace_file
 from nermo_mjx.runs.provenance import session
