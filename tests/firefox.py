@@ -86,11 +86,13 @@ class Tab(Page):
         finally:
             self._call("Marionette:SetContext", value="content")
 
-    def open(self, path: Path, width: int = 1280, height: int = 720, dark: bool = False, scale: float = 1.0) -> None:
-        """Load a file in a window of so many pixels."""
+    def open(
+        self, path: Path | str, width: int = 1280, height: int = 720, dark: bool = False, scale: float = 1.0
+    ) -> None:
+        """Load a file, or what is served at an address, in a window of so many pixels."""
         self._in_browser(f"Services.console.reset(); Services.prefs.setIntPref('{THEME}', {0 if dark else 1})")
         self.resize(width, height)
-        self._call("WebDriver:Navigate", url=path.resolve().as_uri())
+        self._call("WebDriver:Navigate", url=path if isinstance(path, str) else path.resolve().as_uri())
 
     def resize(self, width: int, height: int, scale: float = 1.0) -> None:
         outer = (width, height)

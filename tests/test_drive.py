@@ -1,7 +1,8 @@
-"""Driving in the browser: who gets in, what a page may say, keys, gamepad and pushes, and the drive made again."""
+"""A controller under commands, who gets in and what a page may say, keys, gamepad and pushes, and the drive again."""
 
 from __future__ import annotations
 
+import contextlib
 import json
 import threading
 import time
@@ -11,6 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import chromium
+import firefox
 import numpy as np
 import pytest
 from click.testing import CliRunner
@@ -18,21 +20,122 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
 from nermo_mjx.cli import main
+from nermo_mjx.control.controller import published_controller
 from nermo_mjx.control.schedule import Switch
 from nermo_mjx.live.driving import Driving, difference, replayed
 from nermo_mjx.live.server import REPLACED, Drive
 from nermo_mjx.recording import Recording, RecordingError
-from nermo_mjx.rollout import Setup, Simulator
+from nermo_mjx.robot import ParameterError
+from nermo_mjx.robot.quantity import values_of
+from nermo_mjx.rollout import Run, Setup, Simulator
 from nermo_mjx.sweep import Sweep
 
 pytestmark = pytest.mark.compiles
-BROWSER = chromium.find()
+
+
+@pytest.fixture(scope="module")
+def running() -> Driving:
+    return Driving(Setup(pilot="open_loop"), {"frequency": 0.8})
+
+
+def walked(driving: Driving, ticks: int, commands=()) -> tuple[np.ndarray, np.ndarray]:
+    """Positions (ticks, nq) and servo targets (ticks, n_servos) under commands."""
+    driving.reset()
+    for tick in range(ticks):
+        for at, switch in commands:
+            if at == tick:
+                driving.command(switch)
+        driving.tick()
+    made = driving.recording()
+    return made.qpos, made.ctrl
+
+
+def test_without_a_command_it_is_a_walk_bit_for_bit():
+    """With a given controller, whose program has no more modes."""
+    setup = Setup(controller=published_controller(("stride_extension",), "open_loop"))
+    qpos, ctrl = walked(Driving(setup, {"frequency": 0.8}), 120)
+    trace = Simulator(setup, "c").run({"frequency": 0.8}, Run(duration=1.2), record=True).trace
+    np.testing.assert_array_equal(qpos, trace.qpos[0, :120])
+    np.testing.assert_array_equal(ctrl, trace.ctrl[0, :120])
+
+
+def test_it_switches_as_a_schedule_does():
+    """A gait and a mode that it did not start with; the frequency, on which a blend's length hangs, stays."""
+    switch = Switch(0.8, gait="lat", spine="stride_extension", values={"stride": 0.7})
+    setup = Setup(pilot="open_loop", schedule=(switch,))
+    trace = Simulator(setup, "c").run({"frequency": 0.8}, Run(duration=2.5), record=True).trace
+    qpos, ctrl = walked(Driving(setup, {"frequency": 0.8}), 250)
+    np.testing.assert_allclose(ctrl, trace.ctrl[0, :250], atol=2e-3)
+    np.testing.assert_allclose(qpos[:, :3], trace.qpos[0, :250, :3], atol=2e-3)
+
+
+def test_commands_within_a_blend_are_continuous_and_make_the_run_again_bit_for_bit(running):
+    commands = [
+        (50, Switch(0, gait="lat")),
+        (80, Switch(0, spine="stride_extension", values={"frequency": 1.1})),
+        (120, Switch(0, gait="trt", values={"pilot.turn_rate": 0.5})),
+        (150, Switch(0, spine="none", blend=0.3)),
+    ]
+    first = walked(running, 250, commands)
+    again = list(running.commands)
+    assert [tick for tick, _ in again] == [50, 80, 120, 150]
+    steady = np.abs(np.diff(walked(running, 250)[1], axis=0)).max()
+    for one, other in zip(first, walked(running, 250, again), strict=True):
+        np.testing.assert_array_equal(one, other)
+    assert np.abs(np.diff(first[1], axis=0)).max() < 2 * steady
+    spine = first[1][:, running.simulator.robot.servos.index("spine")]
+    assert np.ptp(spine[:50]) == 0 < np.ptp(spine[100:150])
+
+
+def test_a_command_beside_a_longer_one_leaves_it_its_length(running):
+    """A slider that is moved while the gait changes: the gait is that of the gait's command alone, tick by tick."""
+    gait, stride = Switch(0, gait="lat", blend=1.0), Switch(0, values={"stride": 0.8}, blend=0.1)
+    seen = {}
+    for name, commands in {"gait": [(20, gait)], "both": [(20, gait), (50, stride), (60, stride)]}.items():
+        seen[name] = []
+        running.reset()
+        for tick in range(200):
+            for at, switch in commands:
+                if at == tick:
+                    running.command(switch)
+            running.tick()
+            now = dict(values_of(running.control))
+            seen[name].append([float(np.asarray(now[each])[0]) for each in ("duty", "stride")])
+    duty, stride = np.array(seen["both"]).T
+    np.testing.assert_allclose(duty, np.array(seen["gait"])[:, 0], atol=1e-6)
+    assert duty[20] == 0.5 < duty[82] < 0.6 < duty[-1] == pytest.approx(0.68)
+    assert stride[49] == 1.0 > stride[56] > stride[-1] == pytest.approx(0.8)
+    running.command(gait)
+    running.command(Switch(0, gait="trt"))
+    with pytest.raises(ParameterError, match="beside the change before"):
+        running.command(Switch(0, values={"frequency": 0.1}))
+
+
+@pytest.mark.parametrize(("switch", "sentence"), [
+    (Switch(0, values={"frequency": 9}), r"frequency is 9: allowed is \(0, 5\] Hz"),
+    (Switch(0, values={"froquency": 1}), r"'froquency': did you mean 'frequency'"),
+    (Switch(0, values={"contact.friction": 1}), r"'contact.friction'"),
+    (Switch(0, values={"stride": 1.2, "stance.max_stride": 0.08}), r"stride is 1.2: .* allowed is \[0, 1.050\]"),
+    (Switch(0, spine="pitch_balance"), r"spine is 'pitch_balance'.*allowed"),
+    (Switch(0, gait="lat", blend=0.1), r"blend is 0.1: allowed is more than 0.32 cycles"),
+    (Switch(0, gait="lat", blend=0.0), r"blend is 0: allowed is \[0.05, 100\]"),
+])  # fmt: skip
+def test_a_command_that_is_refused_changes_nothing(running, switch, sentence):
+    before = walked(running, 30)[1]
+    with pytest.raises(ParameterError, match=sentence):
+        running.command(switch)
+    assert running.commands == []
+    running.reset()
+    with pytest.raises(ParameterError):
+        running.command(switch)
+    running.tick()
+    np.testing.assert_array_equal(running.recording().ctrl[0], before[0])
 
 
 @pytest.fixture(scope="module")
 def drive(tmp_path_factory) -> Iterator[Drive]:
     """One that runs in a thread."""
-    made = Drive(Setup(pilot="open_loop"), {"frequency": 0.8}, tmp_path_factory.mktemp("drive") / "drive.npz")
+    made = Drive(Driving(Setup(pilot="open_loop"), {"frequency": 0.8}), tmp_path_factory.mktemp("drive") / "drive.npz")
     thread = threading.Thread(target=made.run)
     thread.start()
     yield made
@@ -50,8 +153,8 @@ def page(drive):
 
 
 def socket(drive: Drive, **headers):
-    address = drive.link.address.replace("http", "ws") + "socket"
-    origin = headers.pop("origin", drive.link.address.rpartition("/")[0].rpartition("/")[0])
+    address = drive.address.replace("http", "ws") + "socket"
+    origin = headers.pop("origin", drive.address.rpartition("/")[0].rpartition("/")[0])
     return connect(address, origin=origin, compression=None, additional_headers=headers)
 
 
@@ -76,7 +179,7 @@ def status(address: str, **headers) -> int:
 
 
 def test_only_its_own_page_gets_in(drive):
-    address = drive.link.address
+    address = drive.address
     assert address.startswith("http://127.0.0.1:")
     assert status(address) == 200
     assert status(address[:-2] + "x/") == status(address.rpartition("/")[0].rpartition("/")[0] + "/") == 404
@@ -100,11 +203,11 @@ def test_only_its_own_page_gets_in(drive):
     ('{"push": {"body": 1, "force": [99, 0, 0], "seconds": 0.1}}', "push.force"),
 ])  # fmt: skip
 def test_garbage_is_refused_in_a_sentence_and_changes_nothing(drive, page, message, sentence):
-    before = len(drive.driving.running.commands), len(drive.driving.pushes), drive.speed
+    before = len(drive.driving.commands), len(drive.driving.pushes), drive.speed
     told = said(page, message, lambda told: "refused" in told)["refused"]
     assert sentence in told
     assert told.endswith(".")
-    assert (len(drive.driving.running.commands), len(drive.driving.pushes), drive.speed) == before
+    assert (len(drive.driving.commands), len(drive.driving.pushes), drive.speed) == before
     assert not drive.paused
 
 
@@ -128,9 +231,9 @@ def paused(drive: Drive) -> bool:
     deadline = time.monotonic() + 10
     while not drive.paused and time.monotonic() < deadline:
         time.sleep(0.02)
-    before = drive.driving.running.ticks
+    before = drive.driving.ticks
     time.sleep(0.2)
-    return drive.paused and drive.driving.running.ticks == before
+    return drive.paused and drive.driving.ticks == before
 
 
 def test_a_second_page_takes_over_and_one_that_goes_away_pauses(drive, page):
@@ -148,7 +251,7 @@ def test_a_drive_is_made_again_bit_for_bit(tmp_path):
     driving = Driving(Setup(pilot="open_loop", schedule=(Switch(0.4, values={"stride": 0.8}),)), {"frequency": 0.8})
     for tick in range(150):
         if tick == 50:
-            driving.running.command(Switch(driving.time, gait="lat", spine="stride_extension"))
+            driving.command(Switch(driving.time, gait="lat", spine="stride_extension"))
         if tick == 70:
             driving.push(1, (1.5, 0.0, 0.5), 0.2)
         driving.tick()
@@ -174,9 +277,9 @@ def test_a_sweep_walks_as_was_driven(tmp_path):
     driving = Driving(Setup(pilot="open_loop"), {"frequency": 0.8, "pilot.turn_rate": 0.2})
     for tick in range(150):
         if tick == 20:
-            driving.running.command(Switch(driving.time, blend=0.15, values={"stride": 0.8}))
+            driving.command(Switch(driving.time, blend=0.15, values={"stride": 0.8}))
         if tick == 60:
-            driving.running.command(Switch(driving.time, gait="lat", spine="stride_extension"))
+            driving.command(Switch(driving.time, gait="lat", spine="stride_extension"))
         driving.tick()
     file, recorded = tmp_path / "drive.npz", driving.recording()
     recorded.save(file)
@@ -209,11 +312,13 @@ def test_the_command_prints_its_address_and_waits_for_a_page(tmp_path):
 
 
 @pytest.mark.browser
-@pytest.mark.skipif(BROWSER is None, reason="no Chromium")
-def test_the_robot_follows_keys_gamepad_and_hand(drive):
-    running = drive.driving.running
-    with chromium.browser(BROWSER) as browser, browser.tab() as tab:
-        tab.open(drive.link.address)
+@pytest.mark.parametrize("module", [chromium, firefox], ids=["chromium", "firefox"])
+def test_the_robot_follows_keys_gamepad_and_hand(drive, module):
+    running = drive.driving
+    if (path := module.find()) is None:
+        pytest.skip(f"no {module.__name__}")
+    with module.browser(path) as browser, getattr(browser, "tab", lambda: contextlib.nullcontext(browser))() as tab:
+        tab.open(drive.address)
         tab.wait('document.documentElement?.dataset.ready === "yes"')
         tab.wait("viewer.drive.socket.readyState === WebSocket.OPEN")
         tab.evaluate("viewer.drive.send({reset: true, pause: false, speed: 1})")
@@ -232,35 +337,43 @@ def test_the_robot_follows_keys_gamepad_and_hand(drive):
         tab.wait('viewer.drive.state.values["pilot.turn_rate"] === 0')
         # A stick to the right turns right, and the robot follows.
         # Over a gait cycle, in which the torso sways by 10 degrees to either side.
-        tab.evaluate("""window.yaw = () => {
+        tab.evaluate("""(window.yaw = () => {
             const clip = viewer.clips[0], yaw = clip.plots.find((plot) => plot.key === "attitude").lines[2].values;
             const last = yaw.subarray(clip.rowAt(clip.end - 1.25));
             return last.reduce((sum, each) => sum + each, 0) / last.length;
-        }; 1""")
-        tab.evaluate("window.pad = {connected: true, axes: [0.8, -1], buttons: []}; "
-                     "navigator.getGamepads = () => [window.pad]; 1")  # fmt: skip
+        }, 1)""")
+        tab.evaluate("(window.pad = {connected: true, axes: [0.8, -1], buttons: []}, "
+                     "navigator.getGamepads = () => [window.pad], 1)")  # fmt: skip
         tab.wait('viewer.drive.state.values["pilot.turn_rate"] < -0.7')
         before = tab.evaluate("yaw()")
         tab.wait(f"yaw() < {before - 10}")
-        tab.evaluate("window.pad = {connected: true, axes: [0, 0], buttons: [{pressed: true}]}; 1")
+        tab.evaluate("(window.pad = {connected: true, axes: [0, 0], buttons: [{pressed: true}]}, 1)")
         tab.wait('viewer.drive.state.gait === "lateral_walk" && viewer.drive.state.values.stride === 0')
-        # A drag with Shift pushes the body that is next to it.
-        tab.evaluate("""(() => {
-            const canvas = document.getElementById("canvas");
-            const {left, top, width, height} = canvas.getBoundingClientRect();
-            const at = (kind, x, y) => canvas.dispatchEvent(new PointerEvent(kind, {shiftKey: true, pointerId: 1,
-                bubbles: true, clientX: left + x * width, clientY: top + y * height}));
-            canvas.setPointerCapture = () => {};
-            at("pointerdown", 0.5, 0.5); at("pointermove", 0.6, 0.5); at("pointerup", 0.6, 0.5);
-        })()""")
-        deadline = time.monotonic() + 10
-        while not drive.driving.pushes and time.monotonic() < deadline:
-            time.sleep(0.05)
-        assert np.linalg.norm(drive.driving.pushes[0].force) > 0.2
+        # On a telephone nothing is wider than the window, and all sliders are there; Firefox has no narrower window.
+        tab.resize(390, 844)
+        tab.wait("innerWidth <= 500 && document.documentElement.scrollWidth <= innerWidth")
+        boxes = "[...document.querySelectorAll('#drive input')].map((each) => each.getBoundingClientRect())"
+        assert tab.evaluate(f"{boxes}.every((box) => box.width > 60 && box.left >= 0 && box.right <= innerWidth)")
+        tab.resize(1280, 720)
+        if tab.evaluate("viewer.stage !== null"):  # a Firefox without a screen draws no picture
+            # A drag with Shift pushes the body that is next to it.
+            tab.evaluate("""(() => {
+                const canvas = document.getElementById("canvas");
+                const {left, top, width, height} = canvas.getBoundingClientRect();
+                const at = (kind, x, y) => canvas.dispatchEvent(new PointerEvent(kind, {shiftKey: true, pointerId: 1,
+                    bubbles: true, clientX: left + x * width, clientY: top + y * height}));
+                canvas.setPointerCapture = () => {};
+                at("pointerdown", 0.5, 0.5); at("pointermove", 0.6, 0.5); at("pointerup", 0.6, 0.5);
+            })()""")
+            deadline = time.monotonic() + 10
+            while not drive.driving.pushes and time.monotonic() < deadline:
+                time.sleep(0.05)
+            assert np.linalg.norm(drive.driving.pushes[0].force) > 0.2
         tab.key(" ")
         tab.wait("viewer.drive.state.paused")
         assert tab.complaints() == []
-        assert [each for each in tab.requests() if not each.startswith(drive.link.address)] == []
+        loaded = tab.requests() if module is chromium else []
+        assert [each for each in loaded if not each.startswith(drive.address)] == []
     assert paused(drive)
     assert len(drive.delays) > 50
     path = drive.driving.recording().save(Path(drive.record).with_name("browser.npz"))

@@ -190,7 +190,7 @@ def test_a_tuning_counts_its_evaluations_and_names_the_best(
 
     stream, tuning = io.StringIO(), Tuning.from_dict(SPEC)
     shown(monkeypatch, stream)
-    with Stages("tune", "evaluations", False, lambda _: False, partial(jobs._tuning_so_far, tuning)) as stages:
+    with Stages("tune", "evaluations", lambda _: False, partial(jobs._tuning_so_far, tuning)) as stages:
         run_tuning(tuning, tmp_path, watch=Watch(stages.show))
     lines = stream.getvalue().splitlines()
     assert len(lines) == 9
@@ -204,7 +204,7 @@ def test_a_tuning_counts_its_evaluations_and_names_the_best(
     stream.truncate(0)
     fakes["options"] = {"stop_at": 0}
     longer = Tuning.from_dict(SPEC | {"iterations": 12})
-    with Stages("tune", "evaluations", False, lambda _: False) as stages, pytest.raises(KeyboardInterrupt):
+    with Stages("tune", "evaluations", lambda _: False) as stages, pytest.raises(KeyboardInterrupt):
         run_tuning(longer, tmp_path, watch=Watch(stages.show))
     assert "tune: 54%, 7 of 13 evaluations" in stream.getvalue(), "a resumed one starts where it was"
 

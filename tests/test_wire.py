@@ -23,15 +23,12 @@ from nermo_mjx import Run, Setup, Simulator
 from nermo_mjx.hardware import Channels, read_channels
 from nermo_mjx.hardware.live import PATIENCE, ROS_TYPE, TOPIC, NotSentError, SendError, linked
 from nermo_mjx.live.driving import replayed
-from nermo_mjx.live.running import Running
 from nermo_mjx.live.wire import (
     APPROACH,
     SENSORS_TOPIC,
     Measured,
     RobotDriving,
     SimulatedRobot,
-    Wired,
-    drive_robot,
     meet,
     needed_sensors,
     sensor_message,
@@ -67,8 +64,8 @@ class Clock:
 
 
 @pytest.fixture(scope="module")
-def running() -> Running:
-    return Running(Setup())
+def driving() -> RobotDriving:
+    return RobotDriving(Setup(), channels=CHANNELS, rate=100.0)
 
 
 def stamped(seconds: float, **more: Any) -> dict[str, Any]:
@@ -170,15 +167,17 @@ def test_what_a_controller_reads_is_found_and_must_be_told() -> None:
 class Together:
     """A controller and a simulated robot, tick by tick in one time."""
 
-    def __init__(self, running: Running, channels: Channels = CHANNELS, delay: float = 0.0, loss: float = 0.0,
+    def __init__(self, driving: RobotDriving, channels: Channels = CHANNELS, delay: float = 0.0, loss: float = 0.0,
                  rate: float | None = None, values: dict[str, float] | None = None) -> None:  # fmt: skip
         self.clock, self.silent = Clock(), False
-        self.body = SimulatedRobot(running.setup, values or {}, channels, delay, loss, self.clock)
+        self.body = SimulatedRobot(driving.setup, values or {}, channels, delay, loss, self.clock)
         self.measured = Measured(self.body.robot, channels, clock=self.clock)
         self.commands: list[np.ndarray] = []
         self.body.outward.put(-1.0, sensor_message(self.body.robot, channels, self.body._readings[0, -1], 0.0))
         self.tell()
-        self.wired = Wired(running, self.measured, self.publish, "ros://", rate)
+        self.driving = driving
+        driving._period = 1.0 / (rate or 100.0)
+        driving.connect(self.measured, self.publish)
         self.walk(self.measured.watchdog)
         assert not self.commands, "the first messages may be old"
 
@@ -194,48 +193,48 @@ class Together:
     def walk(self, seconds: float) -> None:
         for _ in range(round(seconds / self.body.dt)):
             self.tell()
-            self.wired.tick()
+            self.driving.step()
             self.body.tick(self.clock())
             self.clock.now += self.body.dt
 
 
-def test_over_topics_it_walks_as_far_as_without_and_almost_so_with_delay_and_loss(running) -> None:
+def test_over_topics_it_walks_as_far_as_without_and_almost_so_with_delay_and_loss(driving) -> None:
     """6 s, against the plain walk; then with 20 ms (10 to 30) and 1 % lost, both ways, within the 5 % allowed."""
     history = Simulator(Setup(), "c").run({}, Run(duration=6.0), record=True).recording().sensors["position"]
     plain = np.linalg.norm((history[-1] - history[0])[:2])
-    near = Together(running)
+    near = Together(driving)
     near.walk(6.0)
     assert near.body.about["distance"] == pytest.approx(plain, rel=0.005)
-    far = Together(running, delay=0.02, loss=0.01)
+    far = Together(driving, delay=0.02, loss=0.01)
     far.walk(6.0)
     assert far.body.about["distance"] == pytest.approx(plain, rel=0.05)
     assert far.measured.counts["out of order"] > 20, "messages did overtake each other"
     assert far.body.about["commands"]["lost"] > 0
-    assert far.wired.driven.holds == 0
+    assert driving.driven.holds == 0
 
 
-def test_servos_go_slowly_from_where_the_robot_is_to_the_start_of_the_gait(running) -> None:
-    both = Together(running, values={"start.phase": 0.5})
+def test_servos_go_slowly_from_where_the_robot_is_to_the_start_of_the_gait(driving) -> None:
+    both = Together(driving, values={"start.phase": 0.5})
     away = both.measured.pose.copy()
     both.walk(2.0)
     steps = np.abs(np.diff([np.zeros(12), *both.commands], axis=0))[1:]
-    begins = int(np.argmax(steps.max(axis=1) > APPROACH * running.dt + 1e-5))
+    begins = int(np.argmax(steps.max(axis=1) > APPROACH * driving.dt + 1e-5))
     assert begins > 20, "the poses at phases 0 and 1/2 are that far apart"
-    assert steps[:begins].max() <= APPROACH * running.dt + 1e-5
+    assert steps[:begins].max() <= APPROACH * driving.dt + 1e-5
     assert np.abs(both.commands[0][[0, 2, 4, 6]] - away[:4]).max() < 1e-4
-    assert both.wired.driven.walked == pytest.approx((len(both.commands) - begins) * running.dt, abs=0.05)
-    top = np.radians(np.degrees(running.batch.params.servo.top_speed[0])) * running.dt
+    assert driving.driven.walked == pytest.approx((len(both.commands) - begins) * driving.dt, abs=0.05)
+    top = np.radians(np.degrees(driving.batch.params.servo.top_speed[0])) * driving.dt
     assert steps.max() <= top + 1e-5
 
 
-def test_without_messages_it_holds_then_goes_on_and_at_last_ends(running) -> None:
-    both = Together(running)
+def test_without_messages_it_holds_then_goes_on_and_at_last_ends(driving) -> None:
+    both = Together(driving)
     both.walk(1.0)
     both.silent, sent, before = True, len(both.commands), both.body.about["distance"]
     both.walk(2.0)
-    assert len(both.commands) - sent <= both.measured.watchdog / running.dt + 2
-    assert both.wired.driven.holds == 1
-    assert both.wired.driven.held == pytest.approx(2.0, abs=0.05), "with the wait at the start"
+    assert len(both.commands) - sent <= both.measured.watchdog / driving.dt + 2
+    assert driving.driven.holds == 1
+    assert driving.driven.held == pytest.approx(2.0, abs=0.05), "with the wait at the start"
     assert both.body.about["distance"] - before < 0.05
     assert both.body.about["tilt"] < 0.2
     both.silent = False
@@ -244,78 +243,78 @@ def test_without_messages_it_holds_then_goes_on_and_at_last_ends(running) -> Non
     assert np.abs(np.diff(both.commands, axis=0)).max() < 0.2, "no jump: where it was, slowly to where it held"
     both.silent = True
     both.walk(PATIENCE + 0.5)
-    assert both.wired.driven.ended == "no message of the robot for 5 s"
+    assert driving.driven.ended == "no message of the robot for 5 s"
 
 
-def test_an_operator_who_is_away_is_as_silent_as_a_robot(running) -> None:
-    both = Together(running)
+def test_an_operator_who_is_away_is_as_silent_as_a_robot(driving) -> None:
+    both = Together(driving)
     both.walk(0.5)
-    both.wired.tick(operator=0.1)
-    walked = both.wired.driven.walked
-    both.wired.tick(operator=0.3)
-    assert (both.wired.driven.walked, both.wired.driven.holds) == (walked, 1)
-    both.wired.tick(operator=6.0)
-    assert both.wired.driven.ended == "no message for 5 s"
+    driving.step(operator=0.1)
+    walked = driving.driven.walked
+    driving.step(operator=0.3)
+    assert (driving.driven.walked, driving.driven.holds) == (walked, 1)
+    driving.step(operator=6.0)
+    assert driving.driven.ended == "no message for 5 s"
 
 
-def test_limits_of_channels_are_kept_and_commands_come_at_their_rate(running) -> None:
+def test_limits_of_channels_are_kept_and_commands_come_at_their_rate(driving) -> None:
     narrow = dataclasses.replace(
         CHANNELS, servos=tuple(dataclasses.replace(each, low=-5.0, high=5.0) for each in CHANNELS)
     )
-    both = Together(running, narrow, rate=30.0)
+    both = Together(driving, narrow, rate=30.0)
     both.walk(2.0)
     assert np.abs(np.degrees(both.commands)).max() <= 5.0 + 1e-4
-    assert both.wired.driven.limited > 20
+    assert driving.driven.limited > 20
     assert len(both.commands) == pytest.approx(60, abs=2)
 
 
-def test_a_broker_that_is_away_for_long_ends_the_drive(running) -> None:
-    both = Together(running)
+def test_a_broker_that_is_away_for_long_ends_the_drive(driving) -> None:
+    both = Together(driving)
 
     def fail(message: Any) -> None:
         raise NotSentError("a:1: the MQTT broker is gone")
 
-    both.wired._publish = fail
+    driving._publish = fail
 
     def wait(seconds: float) -> None:
         both.clock.wait(seconds)
         both.measured.receive(AUTHORS)
 
-    driven = drive_robot(both.wired, None, wait)
+    driven = driving.run(None, wait)
     assert driven.ended == "a:1: the MQTT broker is gone"
-    assert driven.unsent == pytest.approx((PATIENCE - both.measured.watchdog) / running.dt, rel=0.02)
+    assert driven.unsent == pytest.approx((PATIENCE - both.measured.watchdog) / driving.dt, rel=0.02)
 
 
-def test_an_angle_that_is_not_a_number_is_not_sent(running, monkeypatch) -> None:
-    both = Together(running)
+def test_an_angle_that_is_not_a_number_is_not_sent(driving, monkeypatch) -> None:
+    both = Together(driving)
     both.walk(0.5)
     sent = len(both.commands)
-    monkeypatch.setattr(running, "tick", lambda readings: np.full(10, np.nan))
-    both.wired.tick()
-    assert both.wired.driven.ended == "the controller asks for an angle that is not a number"
+    monkeypatch.setattr(driving, "targets", lambda readings: np.full(10, np.nan))
+    driving.step()
+    assert driving.driven.ended == "the controller asks for an angle that is not a number"
     assert len(both.commands) == sent
 
 
-def test_a_robot_leaves_out_commands_that_are_none(running) -> None:
-    both = Together(running)
+def test_a_robot_leaves_out_commands_that_are_none(driving) -> None:
+    both = Together(driving)
     for message in (None, "abc", [1.0] * 11, {"data": [0.0] * 11 + [float("inf")]}, {"data": None}, [0.0] * 12):
         both.body.receive(message)
     both.body.tick(both.clock())
     assert both.body.about["commands"] == {"garbage": 3, "of a wrong size": 1, "not finite": 1, "taken": 1, "lost": 0}
 
 
-def test_under_a_page_the_twin_gets_the_robots_commands(running, tmp_path) -> None:
+def test_under_a_page_the_twin_gets_the_robots_commands(driving, monkeypatch) -> None:
     """And the recording has what the robot measured. A reset leads the robot back slowly; no page is no message."""
-    driving = RobotDriving(running.setup)
-    both = Together(driving.running)
-    driving.wired, sent = both.wired, both.commands
+    driving.reset()
+    both = Together(driving)
+    sent = both.commands
 
     def drive(seconds: float) -> None:
-        for _ in range(round(seconds / driving.running.dt)):
+        for _ in range(round(seconds / driving.dt)):
             both.tell()
             driving.tick()
             both.body.tick(both.clock())
-            both.clock.now += driving.running.dt
+            both.clock.now += driving.dt
 
     drive(2.0)
     made = driving.recording()
@@ -324,17 +323,17 @@ def test_under_a_page_the_twin_gets_the_robots_commands(running, tmp_path) -> No
     assert walked == pytest.approx(both.body.about["distance"], rel=0.1)
     np.testing.assert_allclose(made.ctrl[-1][[0, 8]], [sent[-1][0], sent[-1][11]], atol=1e-5)
     np.testing.assert_array_equal(made.sensors["position"][-1], both.measured.sensordata[:3])
-    assert both.wired.driven.walked > 1.9
+    assert driving.driven.walked > 1.9
     with pytest.raises(RecordingError, match="the recording is not of a drive"):
         replayed(made)
     driving.reset()
     drive(0.5)
     assert np.abs(np.diff(sent, axis=0)).max() < 0.2, "no jump, but for what servos differ from what they were told"
-    driving.operator = lambda: 0.3
-    walked = both.wired.driven.walked
+    monkeypatch.setattr(driving, "operator", lambda: 0.3)
+    walked = driving.driven.walked
     drive(0.2)
-    assert both.wired.driven.walked == walked
-    driving.operator = lambda: 6.0
+    assert driving.driven.walked == walked
+    monkeypatch.setattr(driving, "operator", lambda: 6.0)
     with pytest.raises(SendError, match="no message for 5 s"):
         driving.tick()
 
@@ -430,7 +429,7 @@ def test_two_processes_walk_together(wire, channels) -> None:
 
 
 @pytest.mark.long  # in real time: other jobs on the machine delay its messages; simulated time is tested always
-def test_when_either_side_is_killed_the_other_stops(wire, channels, running) -> None:
+def test_when_either_side_is_killed_the_other_stops(wire, channels, driving, monkeypatch) -> None:
     """The controller, and the robot stands still upright; then the robot, and the next controller holds and ends."""
     measured, commands = Measured(load_robot(), CHANNELS), []
     place = lambda: measured.robot.sensors(measured.sensordata)  # noqa: E731
@@ -460,8 +459,9 @@ def test_when_either_side_is_killed_the_other_stops(wire, channels, running) -> 
         mine, driven = Measured(load_robot(), CHANNELS), []
         with linked(wire, TOPIC, ROS_TYPE, SENSORS_TOPIC, mine.receive) as publish:
             meet(mine, {"position"})
-            wired = Wired(running, mine, publish, wire)
-            thread = threading.Thread(target=lambda: driven.append(drive_robot(wired)))
+            monkeypatch.setattr(driving, "_url", wire)
+            driving.connect(mine, publish)
+            thread = threading.Thread(target=lambda: driven.append(driving.run()))
             thread.start()
             until(lambda: np.linalg.norm(place().position - stood) > 0.05)
             robot.kill()

@@ -16,7 +16,7 @@ import click
 from nermo_mjx.cli import options
 from nermo_mjx.cli.choices import FORMATS, METRICS
 from nermo_mjx.cli.options import FileKind, names
-from nermo_mjx.cli.output import Failure, WrongUse, print_json, print_table, stdout_reserved, tell_report
+from nermo_mjx.cli.output import Failure, Outcome, WrongUse, columns, command, print_table, report_of, say
 from nermo_mjx.trust import one_line
 
 if TYPE_CHECKING:
@@ -96,36 +96,27 @@ def kind_of_directory(path: Path) -> Kind:
     return KINDS[name]
 
 
-STATUS_EPILOG = """\b
-Examples:
-  nermo-mjx status runs/quickstart
-  nermo-mjx status runs/published --json
-"""
-#: Number of sessions to show, the latest.
-_SESSIONS = 3
-
-
-@click.command("status", epilog=STATUS_EPILOG)
+@command("status")
 @click.argument("path", metavar="DIR", type=click.Path(path_type=Path))
-@options.report
-def status_command(path: Path, as_json: bool, quiet: bool) -> None:
+def status_command(path: Path) -> Outcome:
     """Show what DIR contains, its progress, what made it, and how to resume.
 
     DIR is the directory of a sweep, a search, a tuning, a training, a
     landscape, experiments, an identification or benchmarks, of this release or
     an earlier one, finished or in progress. It is only read.
-    """
-    kind = kind_of_directory(path)
-    with stdout_reserved():
-        from nermo_mjx.runs import codes_of
-        from nermo_mjx.runs.directory import read_record
 
-        status: Status = kind.load(kind.status)(path)
-        codes, sessions = codes_of(path), read_record(path).get("sessions") or status.sessions
-    if as_json:
-        print_json({"kind": kind.name, "rows": status.rows, "rows_done": status.rows_done,
-                    "code": [*codes] or status.code, "engine": status.engine, "complete": status.complete})  # fmt: skip
-    elif not quiet:
+    Examples:
+      nermo-mjx status runs/quickstart
+      nermo-mjx status runs/published --json
+    """
+    from nermo_mjx.runs import codes_of
+    from nermo_mjx.runs.directory import read_record
+
+    kind = kind_of_directory(path)
+    status: Status = kind.load(kind.status)(path)
+    codes, sessions = codes_of(path), read_record(path).get("sessions") or status.sessions
+
+    def show() -> None:
         of_all = f" of {status.rows:,}" if status.rows is not None and not status.complete else ""
         amount = f"{status.rows_done:,}{of_all} {status.unit}, {'complete' if status.complete else 'not complete'}"
         click.echo(f"{path}: {kind.called}, {amount}")
@@ -136,12 +127,17 @@ def status_command(path: Path, as_json: bool, quiet: bool) -> None:
         click.echo(f"{'figures' if status.complete and ' plot ' in status.command else 'resume':<8} {status.command}"
                    if status.command else "resume   with the command that started it, not recorded here")  # fmt: skip
 
+    content = {"kind": kind.name, "rows": status.rows, "rows_done": status.rows_done,
+               "code": [*codes] or status.code, "engine": status.engine, "complete": status.complete}  # fmt: skip
+    return Outcome(content, show)
+
 
 def _worked(sessions: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, str]]:
     """The newest sessions: when, with what, where, by which command."""
-    if len(sessions) > _SESSIONS:
-        yield "session", f"and {len(sessions) - _SESSIONS} earlier"
-    for each in sessions[-_SESSIONS:]:
+    latest = sessions[-3:]
+    if len(sessions) > len(latest):
+        yield "session", f"and {len(sessions) - len(latest)} earlier"
+    for each in latest:
         versions, machine = each.get("versions", {}), each.get("machine", {})
         named = ", ".join(f"{name} {versions[name]}" for name in ("nermo-mjx", "mujoco", "jax") if name in versions)
         where = ", ".join(str(machine[name]) for name in ("host", "processor") if name in machine)
@@ -151,16 +147,7 @@ def _worked(sessions: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, str]]:
             yield "", str(each["command"])
 
 
-PLOT_EPILOG = """\b
-Examples:
-  nermo-mjx plot runs/quickstart
-  nermo-mjx plot runs/quickstart --x speed --y cost_of_transport
-  nermo-mjx plot runs/quickstart --x frequency --y spine.phase --color slip
-  nermo-mjx plot walk.npz --out plots --format png
-"""
-
-
-@click.command("plot", epilog=PLOT_EPILOG)
+@command("plot")
 @click.argument("path", metavar="PATH", type=FileKind(".npz"))
 @click.option("--out", metavar="DIR", type=click.Path(file_okay=False, path_type=Path),
               help="Where the figures go; by default PATH/plots.")  # fmt: skip
@@ -168,10 +155,7 @@ Examples:
 @click.option("--x", metavar="NAME", shell_complete=options.columns, help="One figure of these columns: across,")
 @click.option("--y", metavar="NAME", shell_complete=options.columns, help="up (by default the speed),")
 @click.option("--color", metavar="NAME", shell_complete=options.columns, help="and as colours.")
-@options.report
-def plot_command(
-    path: Path, out: Path | None, form: str | None, as_json: bool, quiet: bool, **chosen: str | None
-) -> None:
+def plot_command(path: Path, out: Path | None, form: str | None, **chosen: str | None) -> Outcome:
     """Redraw the figures of PATH from its tables; nothing is simulated.
 
     PATH is the directory of a sweep, a search, a tuning, a training, a
@@ -183,6 +167,12 @@ def plot_command(
     give a heat map, two metrics with a better direction a Pareto front, other
     columns a scatter plot. --color alone, with a metric, gives the usual
     figures for it.
+
+    Examples:
+      nermo-mjx plot runs/quickstart
+      nermo-mjx plot runs/quickstart --x speed --y cost_of_transport
+      nermo-mjx plot runs/quickstart --x frequency --y spine.phase --color slip
+      nermo-mjx plot walk.npz --out plots --format png
     """
     kind = RECORDING if path.is_file() else kind_of_directory(path)
     if not set(chosen) <= set(kind.options) and any(chosen.values()):
@@ -194,21 +184,16 @@ def plot_command(
         raise WrongUse(f"{path} is a recording: give the directory for its figures with --out DIR.")
     notes: list[str] = []
     given = {name: each for name, each in {**chosen, "notify": notes.append}.items() if name in kind.options}
-    with stdout_reserved():
-        from nermo_mjx.plotting.files import write_figures
+    from nermo_mjx.plotting.files import write_figures
 
-        figures, folder = kind.load(kind.figures)(path, **given), path / "plots" if out is None else out
-        with _drawing_into(folder), _writing(kind, path, folder, notes) as write:
-            files = write_figures(figures, folder, write, FORMATS if form is None else (form,))
+    figures, folder = kind.load(kind.figures)(path, **given), path / "plots" if out is None else out
+    with _drawing_into(folder), _writing(kind, path, folder, notes) as write:
+        files = write_figures(figures, folder, write, FORMATS if form is None else (form,))
     if not files:
         raise Failure(f"there is nothing to draw of {path}: {' '.join(notes)}")
-    for note in notes if not quiet else []:
-        click.echo(f"plot: {note}", err=True)
-    if as_json:
-        print_json({"path": path, "kind": kind.name, "files": files, "notes": notes})
-    elif not quiet:
-        for file in files:
-            click.echo(f"wrote {file}")
+    for note in notes:
+        say(note)
+    return Outcome({"path": path, "kind": kind.name, "files": files, "notes": notes}, files=files)
 
 
 @contextlib.contextmanager
@@ -244,16 +229,10 @@ def _drawing_into(folder: Path) -> Iterator[None]:
         os.close(held)
 
 
-COMPARE_EPILOG = """\b
-Examples:
-  nermo-mjx compare runs/stiff runs/bending --for frequency --out runs/gain
-  nermo-mjx compare runs/spine_gain --by spine --for gait --for frequency
-  nermo-mjx compare runs/spine_gain --by spine --where gait=trt --out gain.csv
-"""
 FOLDER = click.Path(path_type=Path)
 
 
-@click.command("compare", epilog=COMPARE_EPILOG)
+@command("compare")
 @click.argument("a", metavar="A", type=FOLDER)
 @click.argument("b", metavar="[B]", required=False, type=FOLDER)
 @click.option("--by", metavar="NAME", shell_complete=options.columns, help="Compare the values of a column in A.")
@@ -264,28 +243,31 @@ FOLDER = click.Path(path_type=Path)
 @click.option("--metric", "drawn", metavar="NAME", multiple=True, shell_complete=names(*METRICS),
               help="Metric to show for the groups; by default the speed.")  # fmt: skip
 @options.report_out
-@options.report
 def compare_command(
     a: Path, b: Path | None, by: str | None, base: str | None, groups: tuple[str, ...], where: tuple[str, ...],
-    drawn: tuple[str, ...], out: Path | None, as_json: bool, quiet: bool,
-) -> None:  # fmt: skip
+    drawn: tuple[str, ...], out: Path | None,
+) -> Outcome:  # fmt: skip
     """Compare two sweeps, A and B, or with --by the values of a column of A.
 
     Runs are paired over the variants that both have. Each metric's
     difference, B minus A or value minus base, has a 95 % interval, by a
     bootstrap of variants and repeats. Differences beyond noise are
     marked with a star: at most 5 % of them are expected to be false.
+
+    Examples:
+      nermo-mjx compare runs/stiff runs/bending --for frequency --out runs/gain
+      nermo-mjx compare runs/spine_gain --by spine --for gait --for frequency
+      nermo-mjx compare runs/spine_gain --by spine --where gait=trt --out gain.csv
     """
     if (b is None) == (by is None):
         raise click.UsageError("Give two directories A and B, or one and --by NAME.")
     if base is not None and by is None:
         raise click.UsageError("--base is a value of --by; for two directories, the first one is the base.")
     chosen = dict(_split(text) for text in where)
-    with stdout_reserved():
-        from nermo_mjx.sweep.comparing import compare, figures_of
+    from nermo_mjx.sweep.comparing import compare, figures_of
 
-        found = compare(a, b, by=by, base=base, groups=groups, where=chosen, drawn=drawn)
-    tell_report("compare", "comparison", found, figures_of, out, _print_comparison, as_json=as_json, quiet=quiet)
+    found = compare(a, b, by=by, base=base, groups=groups, where=chosen, drawn=drawn)
+    return report_of("comparison", found, figures_of, out, lambda: _print_comparison(found))
 
 
 def _split(text: str) -> tuple[str, str]:
@@ -297,12 +279,11 @@ def _split(text: str) -> tuple[str, str]:
 
 def _print_comparison(found: Comparison) -> None:
     """Tables for people: every metric over all variants, and the chosen ones by groups."""
-    columns = [(found.base, "right"), ("", "right"), ("difference", "right"), ("95 % interval", "left"),
-               ("relative", "right"), ("variants", "right"), ("", "left")]  # fmt: skip
+    rest = columns("difference>, 95 % interval, relative>, variants>, ")
     for other in found.others:
-        columns[1] = (other, "right")
+        numbers = [(found.base, "right"), (other, "right"), *rest]
         rows = [[row["metric"], _unit(row), *_cells(row)] for row in found.rows(other)]
-        print_table(f"{other} minus {found.base}", [("metric", "left"), ("unit", "left"), *columns], rows)
+        print_table(f"{other} minus {found.base}", [*columns("metric, unit"), *numbers], rows)
         for metric in found.drawn if found.groups else ():
             lines = [row for row in found.rows(other, grouped=True) if row["metric"] == metric]
             cells = []
@@ -313,7 +294,7 @@ def _print_comparison(found: Comparison) -> None:
                 cells.append([*group, *_cells(row), lost])
             heads = [(name, "right") for name in found.groups]
             title = f"{metric} [{_unit(lines[0])}]: {other} minus {found.base}" if lines else metric
-            print_table(title, [*heads, *columns, ("", "left")], cells)
+            print_table(title, [*heads, *numbers, ("", "left")], cells)
     for side, counts in found.status.items():
         click.echo(f"{side}: {', '.join(f'{count:,} {status}' for status, count in counts.items())}")
     for note in found.notes:
@@ -344,31 +325,26 @@ def _unit(row: Mapping[str, Any]) -> str:
     return shown(row["metric"], row["metric_unit"], []).unit or "1"
 
 
-SENSITIVITY_EPILOG = """\b
-Examples:
-  nermo-mjx sensitivity runs/robustness
-  nermo-mjx sensitivity runs/robustness --metric roll_std --out runs/roll
-"""
-
-
-@click.command("sensitivity", epilog=SENSITIVITY_EPILOG)
+@command("sensitivity")
 @click.argument("path", metavar="DIR", type=click.Path(path_type=Path))
 @click.option("--metric", metavar="NAME", default="speed", show_default=True, shell_complete=names(*METRICS),
               help="Whose variance.")  # fmt: skip
 @options.report_out
-@options.report
-def sensitivity_command(path: Path, metric: str, out: Path | None, as_json: bool, quiet: bool) -> None:
+def sensitivity_command(path: Path, metric: str, out: Path | None) -> Outcome:
     """Estimate each parameter's share of a metric's variance in a sweep.
 
     Sobol indices with 95 % intervals: first order, alone; total, including
     interactions; second order, of pairs. A sweep with sample: {saltelli: N}
     gives all of them, any other random sample the first-order ones.
-    """
-    with stdout_reserved():
-        from nermo_mjx.sweep.sensitivity import figures_of, sensitivity
 
-        found = sensitivity(path, metric)
-    tell_report("sensitivity", "sensitivity", found, figures_of, out, _print_sensitivity, as_json=as_json, quiet=quiet)
+    Examples:
+      nermo-mjx sensitivity runs/robustness
+      nermo-mjx sensitivity runs/robustness --metric roll_std --out runs/roll
+    """
+    from nermo_mjx.sweep.sensitivity import figures_of, sensitivity
+
+    found = sensitivity(path, metric)
+    return report_of("sensitivity", found, figures_of, out, lambda: _print_sensitivity(found))
 
 
 def _print_sensitivity(found: Sensitivity) -> None:
@@ -378,8 +354,7 @@ def _print_sensitivity(found: Sensitivity) -> None:
     rows = [[*(line[name] for name in structures), f"{line['parameter']} {line['second']}".strip(), line["order"],
              f"{line['index']:.3f}", f"[{line['low']:.3f}, {line['high']:.3f}]"]
             for line in sorted(found.table.to_pylist(), key=lambda line: (line["order"], -line["index"]))]  # fmt: skip
-    heads = [*((name, "left") for name in structures), ("parameter", "left"), ("order", "left"), ("index", "right"),
-             ("95 % interval", "left")]  # fmt: skip
+    heads = [*((name, "left") for name in structures), *columns("parameter, order, index>, 95 % interval")]
     print_table(f"{found.metric}: share of the variance", heads, rows)
     for note in found.notes:
         click.echo(note)

@@ -15,7 +15,7 @@ import click
 from nermo_mjx.cli import options
 from nermo_mjx.cli.choices import EXPERIMENT_PROFILES, EXPERIMENTS
 from nermo_mjx.cli.options import LISTED, FileKind, assigned
-from nermo_mjx.cli.output import WrongUse, print_json, print_table, sayer, stdout_reserved
+from nermo_mjx.cli.output import Outcome, WrongUse, columns, command, is_json, is_quiet, print_table, say
 from nermo_mjx.cli.progress import Stages, duration
 
 if TYPE_CHECKING:
@@ -27,56 +27,27 @@ if TYPE_CHECKING:
     from nermo_mjx.optimize.tuning_run import MethodCost
     from nermo_mjx.runs.job import Progress, Watch
     from nermo_mjx.runs.workers import Workers
-    from nermo_mjx.sweep import Sweep, SweepResult
+    from nermo_mjx.sweep import SweepResult
     from nermo_mjx.sweep.run import Forecast
 
 
-#: What a job ends with: its content for --json, and what prints it for people.
-Outcome = tuple[Mapping[str, Any], Callable[[], None]]
 #: Arguments and options that several jobs have.
-_SPEC = click.argument("spec", metavar="SPEC.yaml", type=options.SPEC)
-_SEED = options.number("--seed", "Seed, overriding the file.", click.IntRange(0, 2**32 - 1))
-_PLOTS = click.option("--plots/--no-plots", default=None, help="Draw figures regardless of the file.")
-_DRY_RUN = click.option("--dry-run", is_flag=True, help="Estimate the cost on this machine; write nothing.")
-
-
-def _job(
-    name: str, epilog: str, *given: Callable[[Any], Any], out: Any = options.out
-) -> Callable[[Any], click.Command]:
-    """The command of a job: `--out`, its own arguments and options in the order of its help, `--json` and `--quiet`."""
-
-    def make(function: Callable[..., Outcome | None]) -> click.Command:
-        @functools.wraps(function)
-        def run(as_json: bool, quiet: bool, **chosen: Any) -> None:
-            outcome = function(as_json=as_json, quiet=quiet, **chosen)
-            if outcome is not None and as_json:
-                print_json(outcome[0])
-            elif outcome is not None and not quiet:
-                outcome[1]()
-
-        command: Any = run
-        for option in reversed([*filter(None, [out]), *given, options.report]):
-            command = option(command)
-        return click.command(name, epilog=epilog)(command)
-
-    return make
+_spec = click.argument("spec", metavar="SPEC.yaml", type=options.SPEC)
+_seed = options.number("--seed", "Seed, overriding the file.", click.IntRange(0, 2**32 - 1))
+_plots = click.option("--plots/--no-plots", default=None, help="Draw figures regardless of the file.")
+_dry_run = click.option("--dry-run", is_flag=True, help="Estimate the cost on this machine; write nothing.")
 
 
 @contextlib.contextmanager
 def _working(
-    name: str,
-    unit: str,
-    quiet: bool,
-    workers: str = "local",
-    address: str | None = None,
-    compiles: Callable[[str], bool] | None = None,
-    known: Callable[[Progress], str] = lambda _: "",
-) -> Iterator[tuple[Watch, Workers]]:
-    """While a job works: its display, see `Stages`, and its workers; prints of libraries are moved."""
+    name: str, unit: str, workers: str = "local", address: str | None = None,
+    compiles: Callable[[str], bool] | None = None, details: Callable[[Progress], str] = lambda _: "",
+) -> Iterator[tuple[Watch, Workers]]:  # fmt: skip
+    """While a job works: its display, see `Stages`, and its workers."""
     from nermo_mjx.runs.job import Watch
 
-    shown = Stages(name, unit, quiet, compiles or (lambda _: workers == "local"), known)
-    with stdout_reserved(), options.crew(workers, address, shown.say) as crew, shown:
+    shown = Stages(name, unit, compiles or (lambda _: workers == "local"), details)
+    with options.crew(workers, address, shown.say) as crew, shown:
         yield Watch(shown.show, shown.say), crew
 
 
@@ -85,18 +56,6 @@ def _print_places(out: Path, places: Mapping[str, str | Path | None], width: int
     for name, place in places.items():
         if place is not None:
             click.echo(f"{name:<{width}}{place if isinstance(place, Path) else out / place}")
-
-
-SWEEP_EPILOG = """\b
-Examples:
-  nermo-mjx sweep sweeps/quickstart.yaml --out runs/quickstart
-  nermo-mjx sweep finer.yaml --out runs/quickstart --extend
-  nermo-mjx sweep runs/quickstart/sweep.yaml --rows front.csv --out runs/front
-  nermo-mjx sweep sweeps/quickstart.yaml --dry-run
-  nermo-mjx sweep --list-parameters
-"""
-#: Options that decide what a sweep costs.
-_FORECAST = ("engine", "chunk", "shard", "extend", "use")
 
 
 class Shard(click.ParamType):
@@ -111,40 +70,27 @@ class Shard(click.ParamType):
         return int(part), int(parts)
 
 
-@_job(
-    "sweep",
-    SWEEP_EPILOG,
-    click.argument("spec", metavar="SPEC.yaml", required=False, type=options.SPEC),
-    click.option("--out", metavar="DIR", type=click.Path(file_okay=False, path_type=Path), help="Results directory."),
-    options.engine,
-    options.number("--seed", "Seed, overriding the file.", click.IntRange(0)),
-    options.number("--chunk", "Runs simulated and stored together.", click.IntRange(1)),
-    click.option("--shard", type=Shard(), help="Run part I of N, from 0; all parts write to the same DIR."),
-    click.option(
-        "--rows",
-        type=FileKind(".csv", ".parquet", exists=True, dir_okay=False),
-        metavar="FILE",
-        help="Exactly these variants, instead of vary; SPEC.yaml is then optional.",
-    ),
-    click.option("--extend", is_flag=True, help="Add rows to DIR: more values, repeats, structures or Sobol points."),
-    click.option(
-        "--use",
-        multiple=True,
-        metavar="DIR2",
-        type=click.Path(path_type=Path),
-        help="Reuse rows from DIR2 instead of running them.",
-    ),
-    options.workers,
-    options.accept_new_code,
-    click.option("--tensorboard", is_flag=True, help="Log each chunk to TensorBoard, in DIR."),
-    click.option("--dry-run", is_flag=True, help="Estimate the cost in time, disk and memory; write nothing."),
-    click.option("--list-parameters", is_flag=True, help="List what vary, set and randomize can name."),
-    out=None,
-)
+@command("sweep")
+@click.argument("spec", metavar="SPEC.yaml", required=False, type=options.SPEC)
+@click.option("--out", metavar="DIR", type=click.Path(file_okay=False, path_type=Path), help="Results directory.")
+@options.engine
+@options.number("--seed", "Seed, overriding the file.", click.IntRange(0))
+@options.number("--chunk", "Runs simulated and stored together.", click.IntRange(1))
+@click.option("--shard", type=Shard(), help="Run part I of N, from 0; all parts write to the same DIR.")
+@click.option("--rows", metavar="FILE", type=FileKind(".csv", ".parquet", exists=True, dir_okay=False),
+              help="Exactly these variants, instead of vary; SPEC.yaml is then optional.")  # fmt: skip
+@click.option("--extend", is_flag=True, help="Add rows to DIR: more values, repeats, structures or Sobol points.")
+@click.option("--use", multiple=True, metavar="DIR2", type=click.Path(path_type=Path),
+              help="Reuse rows from DIR2 instead of running them.")  # fmt: skip
+@options.workers
+@options.accept_new_code
+@click.option("--tensorboard", is_flag=True, help="Log each chunk to TensorBoard, in DIR.")
+@click.option("--dry-run", is_flag=True, help="Estimate the cost in time, disk and memory; write nothing.")
+@click.option("--list-parameters", is_flag=True, help="List what vary, set and randomize can name.")
 def sweep_command(
     spec: Path | None, out: Path | None, seed: int | None, workers: str, ray_address: str | None,
-    rows: Path | None, dry_run: bool, list_parameters: bool, as_json: bool, quiet: bool, **how: Any,
-) -> Outcome | None:  # fmt: skip
+    rows: Path | None, dry_run: bool, list_parameters: bool, **how: Any,
+) -> Outcome:  # fmt: skip
     """Run every variant of a sweep file.
 
     Writes a table of metrics (Parquet), a summary and plots to DIR. If DIR
@@ -156,64 +102,58 @@ def sweep_command(
 
     --workers ray distributes the work over a cluster's machines, which need
     no access to DIR; jobs of an array that share DIR use --shard.
+
+    Examples:
+      nermo-mjx sweep sweeps/quickstart.yaml --out runs/quickstart
+      nermo-mjx sweep finer.yaml --out runs/quickstart --extend
+      nermo-mjx sweep runs/quickstart/sweep.yaml --rows front.csv --out runs/front
+      nermo-mjx sweep sweeps/quickstart.yaml --dry-run
+      nermo-mjx sweep --list-parameters
     """
     if list_parameters:
-        _list_parameters(spec, as_json)
-        return None
+        return _list_parameters(spec)
     if (spec is None and rows is None) or (out is None and not dry_run):
         raise click.UsageError("A sweep needs SPEC.yaml or --rows FILE, and --out DIR (or use --list-parameters).")
     if dry_run and workers != "local":
         raise click.UsageError("--dry-run estimates for this machine: leave out --workers.")
-    if dry_run or out is None:
-        with stdout_reserved():
-            from nermo_mjx.sweep.run import forecast
-
-            found = forecast(_read_sweep(spec, rows, seed), out, **{name: how[name] for name in _FORECAST})
-        return dataclasses.asdict(found), lambda: _print_forecast(found)
-    with stdout_reserved():
-        from nermo_mjx.sweep import run_sweep
-
-        sweep = _read_sweep(spec, rows, seed)
-        say = sayer("sweep", quiet)
-        if say is not None:
-            for name, places in sweep.partly_read().items():
-                read = f"{len(places)} of {len(sweep.structures)} structures"
-                say(f"{name} is varied in {read}: the others do not read it.")
-    with _working("sweep", "runs", quiet, workers, ray_address) as (watch, crew):
-        result = run_sweep(sweep, out, **how, watch=watch, workers=crew)
-    return sweep_fields(out, result), lambda: print_sweep(result)
-
-
-def _read_sweep(spec: Path | None, rows: Path | None, seed: int | None) -> Sweep:
-    from nermo_mjx.sweep import Sweep
+    from nermo_mjx.sweep import Sweep, run_sweep
+    from nermo_mjx.sweep.run import forecast
 
     sweep = Sweep.from_rows(rows, spec) if rows is not None else Sweep.from_file(str(spec))
-    return sweep if seed is None else dataclasses.replace(sweep, seed=seed)
+    sweep = sweep if seed is None else dataclasses.replace(sweep, seed=seed)
+    if dry_run or out is None:
+        cost = forecast(sweep, out, **{name: how[name] for name in ("engine", "chunk", "shard", "extend", "use")})
+        return Outcome(dataclasses.asdict(cost), lambda: _print_forecast(cost))
+    for name, places in {} if is_quiet() else sweep.partly_read().items():
+        read = f"{len(places)} of {len(sweep.structures)} structures"
+        say(f"{name} is varied in {read}: the others do not read it.")
+    with _working("sweep", "runs", workers, ray_address) as (watch, crew):
+        result = run_sweep(sweep, out, **how, watch=watch, workers=crew)
+    return Outcome(sweep_fields(out, result), lambda: print_sweep(result))
 
 
-def _print_forecast(found: Forecast) -> None:
-    rate = f"{found.steps_per_second:,.0f} steps/s; " if math.isfinite(found.steps_per_second) else ""
-    left = f", of which {found.rows_left:,} are left to be run" if found.rows_left < found.rows else ""
-    batches = f"{found.batches:,} batches to be run, of {found.structures:,} structures"
-    took = "not known" if math.isnan(found.seconds) else f"{duration(found.seconds)}, and what compiling takes"
+def _print_forecast(cost: Forecast) -> None:
+    rate = f"{cost.steps_per_second:,.0f} steps/s; " if math.isfinite(cost.steps_per_second) else ""
+    left = f", of which {cost.rows_left:,} are left to be run" if cost.rows_left < cost.rows else ""
+    batches = f"{cost.batches:,} batches to be run, of {cost.structures:,} structures"
+    took = "not known" if math.isnan(cost.seconds) else f"{duration(cost.seconds)}, and what compiling takes"
     for name, text in (
-        ("rows", f"{found.rows:,}{left}"),
-        ("chunks", f"{found.chunks:,}; {batches}"),
-        ("engine", found.engine),
-        ("rate", f"{rate}{found.rate_from}"),
-        ("time", took if found.rows_left else "none: all rows are there"),
-        ("disk", f"{found.disk_bytes / 1e6:,.1f} MB for the table; {found.disk_free / 1e9:,.1f} GB are free"),
-        ("memory", f"about {found.memory_bytes / 1e9:.1f} GB"),
-        *(("note", note) for note in found.notes),
+        ("rows", f"{cost.rows:,}{left}"),
+        ("chunks", f"{cost.chunks:,}; {batches}"),
+        ("engine", cost.engine),
+        ("rate", f"{rate}{cost.rate_from}"),
+        ("time", took if cost.rows_left else "none: all rows are there"),
+        ("disk", f"{cost.disk_bytes / 1e6:,.1f} MB for the table; {cost.disk_free / 1e9:,.1f} GB are free"),
+        ("memory", f"about {cost.memory_bytes / 1e9:.1f} GB"),
+        *(("note", note) for note in cost.notes),
     ):
         click.echo(f"{name:<8} {text}")
 
 
 def sweep_fields(out: Path, result: SweepResult) -> dict[str, Any]:
     """For `--json`."""
-    about = {"out": out, "complete": result.complete, "chunks_run": result.chunks_run, "plots": result.plots,
-             "recordings": result.recordings}  # fmt: skip
-    return {**about, "rows_done": result.rows_done, "missing": result.missing, "summary": result.summary}
+    names = ("complete", "chunks_run", "plots", "recordings", "rows_done", "missing", "summary")
+    return {"out": out} | {name: getattr(result, name) for name in names}
 
 
 def print_sweep(result: SweepResult) -> None:
@@ -241,65 +181,58 @@ def print_sweep(result: SweepResult) -> None:
     for name, best in summary["best"].items():
         if best is not None:
             at = ", ".join(value(*each) for each in best["parameters"].items())
-            found = shown(name, meta(schema.field(name))["unit"], [best["mean"], best["std"]])
-            spread = f" ± {found.values[1]:.2g}" if best["runs"] > 1 and math.isfinite(best["std"]) else ""
-            rows.append([name, best["side"], f"{found.values[0]:.4g}{spread}", found.unit, at])
+            of_best = shown(name, meta(schema.field(name))["unit"], [best["mean"], best["std"]])
+            spread = f" ± {of_best.values[1]:.2g}" if best["runs"] > 1 and math.isfinite(best["std"]) else ""
+            rows.append([name, best["side"], f"{of_best.values[0]:.4g}{spread}", of_best.unit, at])
     if rows:
-        columns = [("metric", "left"), ("best is", "left"), ("value", "right"), ("", "left"), ("at", "left")]
-        print_table("Best variants", columns, rows)
-    click.echo(f"table   {result.out / 'results'}\nsummary {result.out / 'summary.json'}")
-    for name in ("comparison", "sensitivity"):
-        if name in summary:
-            click.echo(f"{name} {result.out / f'{name}.parquet'}")
-    if result.plots:
-        click.echo(f"plots   {result.out / 'plots'}")
+        print_table("Best variants", columns("metric, best is, value>, , at"), rows)
+    places: dict[str, str | Path | None] = {"table": "results", "summary": "summary.json"}
+    places |= {name: f"{name}.parquet" for name in ("comparison", "sensitivity") if name in summary}
+    for name, place in (places | {"plots": "plots" if result.plots else None}).items():
+        if place is not None:
+            click.echo(f"{name:<7} {result.out / place}")
     if result.recordings:
         click.echo(f"kept    {len(result.recordings)} recordings in {result.recordings[0].parent}")
 
 
-def _list_parameters(spec: Path | None, as_json: bool) -> None:
-    with stdout_reserved():
-        from nermo_mjx.robot.quantity import gathered
-        from nermo_mjx.rollout import Setup, all_parameters
-        from nermo_mjx.sweep import Sweep
-        from nermo_mjx.sweep.structures import STRUCTURES, about_structure, choices_of
+def _list_parameters(spec: Path | None) -> Outcome:
+    from nermo_mjx.robot.quantity import gathered
+    from nermo_mjx.rollout import Setup, all_parameters
+    from nermo_mjx.sweep import Sweep
+    from nermo_mjx.sweep.structures import STRUCTURES, about_structure, choices_of
 
-        parameters = all_parameters(Setup() if spec is None else Sweep.from_file(spec).setup)
-        structures = {name: {"default": getattr(Setup, name), "allowed": choices_of(name), "doc": about_structure(name)}
-                      for name in STRUCTURES}  # fmt: skip
-    if as_json:
-        fields = ("default", "unit", "low", "high", "doc")
-        shown = {name: {f: getattr(about, f) for f in fields} for name, about in parameters.items()}
-        print_json({"parameters": shown, "structures": structures})
-        return
-    columns = [("name", "left"), ("default", "right"), ("allowed", "left"), ("meaning", "left")]
-    rows = [[name, f"{about.default:.5g}", about.allowed(), about.doc] for name, about in gathered(parameters)]
-    print_table("Parameters of a sweep (SI units, radians)", columns, rows)
-    rows = [[name, about["default"], ", ".join(about["allowed"]), about["doc"]] for name, about in structures.items()]
-    print_table("Structures, which vary and rows can name, too", columns, rows)
+    parameters = all_parameters(Setup() if spec is None else Sweep.from_file(spec).setup)
+    structures = {name: {"default": getattr(Setup, name), "allowed": choices_of(name), "doc": about_structure(name)}
+                  for name in STRUCTURES}  # fmt: skip
 
+    def show() -> None:
+        rows = [[name, f"{about.default:.5g}", about.allowed(), about.doc] for name, about in gathered(parameters)]
+        print_table("Parameters of a sweep (SI units, radians)", columns("name, default>, allowed, meaning"), rows)
+        rows = [[name, each["default"], ", ".join(each["allowed"]), each["doc"]] for name, each in structures.items()]
+        headings = columns("name, default>, allowed, meaning")
+        print_table("Structures, which vary and rows can name, too", headings, rows)
 
-MERGE_EPILOG = """\b
-Examples:
-  nermo-mjx merge runs/slow runs/fast --out runs/both
-"""
+    fields = ("default", "unit", "low", "high", "doc")
+    listed = {name: {field: getattr(about, field) for field in fields} for name, about in parameters.items()}
+    return Outcome({"parameters": listed, "structures": structures}, show)
 
 
-@_job(
-    "merge",
-    MERGE_EPILOG,
-    click.argument("sources", metavar="DIR DIR...", nargs=-1, required=True, type=click.Path(path_type=Path)),
-    options.accept_new_code,
-)
-def merge_command(sources: tuple[Path, ...], out: Path, accept_new_code: bool, quiet: bool, as_json: bool) -> Outcome:
+@command("merge")
+@options.out
+@click.argument("sources", metavar="DIR DIR...", nargs=-1, required=True, type=click.Path(path_type=Path))
+@options.accept_new_code
+def merge_command(sources: tuple[Path, ...], out: Path, accept_new_code: bool) -> Outcome:
     """Merge the rows of several sweeps into one directory.
 
     The sweeps may differ in what they vary, and in their repeats; what is
     fixed, the seed and the code have to be the same. Nothing is simulated,
     and the given directories are only read. A row that is in several is taken
     from the first of them.
+
+    Examples:
+      nermo-mjx merge runs/slow runs/fast --out runs/both
     """
-    with _working("merge", "runs", quiet, compiles=lambda _: False) as (watch, _):
+    with _working("merge", "runs", compiles=lambda _: False) as (watch, _):
         from nermo_mjx.sweep import merge_sweeps
 
         result = merge_sweeps(sources, out, accept_new_code=accept_new_code, watch=watch)
@@ -310,34 +243,24 @@ def merge_command(sources: tuple[Path, ...], out: Path, accept_new_code: bool, q
             taken = " ".join(f"--use {source}" for source in sources)
             click.echo(f"To run the rest: nermo-mjx sweep {out / 'sweep.yaml'} --out {out} {taken}")
 
-    return sweep_fields(out, result), show
+    return Outcome(sweep_fields(out, result), show)
 
 
-SEARCH_EPILOG = """\b
-Examples:
-  nermo-mjx search sweeps/search_speed.yaml --out runs/fast
-  nermo-mjx search sweeps/pareto.yaml --out runs/front --dry-run
-  nermo-mjx search sweeps/atlas.yaml --out runs/atlas --budget 10000
-"""
-
-
-@_job(
-    "search",
-    SEARCH_EPILOG,
-    _SPEC,
-    options.engine,
-    options.number("--budget", "Number of evaluations, overriding the file.", click.IntRange(1, 10_000_000)),
-    options.number("--batch", "Points evaluated together, overriding the file.", click.IntRange(4, 100_000)),
-    _SEED,
-    _PLOTS,
-    _DRY_RUN,
-    options.workers,
-    options.accept_new_code,
-)
+@command("search")
+@options.out
+@_spec
+@options.engine
+@options.number("--budget", "Number of evaluations, overriding the file.", click.IntRange(1, 10_000_000))
+@options.number("--batch", "Points evaluated together, overriding the file.", click.IntRange(4, 100_000))
+@_seed
+@_plots
+@_dry_run
+@options.workers
+@options.accept_new_code
 def search_command(
     spec: Path, out: Path, engine: str, budget: int | None, seed: int | None, dry_run: bool, workers: str,
-    ray_address: str | None, accept_new_code: bool, as_json: bool, quiet: bool, **chosen: Any,
-) -> Outcome | None:  # fmt: skip
+    ray_address: str | None, accept_new_code: bool, **chosen: Any,
+) -> Outcome:  # fmt: skip
     """Search for the best parameters that a search file allows.
 
     A single objective is optimized by CMA-ES, several by NSGA-II for their
@@ -345,29 +268,29 @@ def search_command(
     Writes a table of all runs (Parquet), the best point, and plots to DIR.
     After Ctrl-C or a crash, run the same command again: it resumes, and ends
     with the same numbers. A larger --budget extends a completed search.
+
+    Examples:
+      nermo-mjx search sweeps/search_speed.yaml --out runs/fast
+      nermo-mjx search sweeps/pareto.yaml --out runs/front --dry-run
+      nermo-mjx search sweeps/atlas.yaml --out runs/atlas --budget 10000
     """
-    with stdout_reserved():
-        from nermo_mjx.optimize import Search, run_search
+    from nermo_mjx.optimize import Search, run_search
+    from nermo_mjx.optimize.search_run import cost_of
 
-        search = Search.from_file(spec)
-        search = dataclasses.replace(search, **{name: value for name, value in chosen.items() if value is not None})
-        if budget is not None:
-            search = dataclasses.replace(search, evaluations=budget, simulated_seconds=None)
-        if seed is not None:
-            search = dataclasses.replace(search, sweep=dataclasses.replace(search.sweep, seed=seed))
-        if dry_run:
-            from nermo_mjx.optimize.search_run import cost_of
-
-            cost = cost_of(search, engine)
+    search = Search.from_file(spec)
+    search = dataclasses.replace(search, **{name: value for name, value in chosen.items() if value is not None})
+    if budget is not None:
+        search = dataclasses.replace(search, evaluations=budget, simulated_seconds=None)
+    if seed is not None:
+        search = dataclasses.replace(search, sweep=dataclasses.replace(search.sweep, seed=seed))
     if dry_run:
-        print_json({"cost": dataclasses.asdict(cost)}) if as_json else _print_search_cost(cost)
-        return None
-    known = functools.partial(_search_so_far, search)
-    with _working("search", "evaluations", quiet, workers, ray_address, known=known) as (watch, crew):
+        cost = cost_of(search, engine)
+        return Outcome({"cost": dataclasses.asdict(cost)}, lambda: _print_search_cost(cost))
+    details = functools.partial(_search_so_far, search)
+    with _working("search", "evaluations", workers, ray_address, details=details) as (watch, crew):
         result = run_search(search, out, engine=engine, watch=watch, workers=crew, accept_new_code=accept_new_code)
-    fields = ("out", "best", "evaluations_run", "recordings", "plots")
-    content = {name: getattr(result, name) for name in fields}
-    return content, lambda: _print_search(result)
+    names = ("out", "best", "evaluations_run", "recordings", "plots")
+    return Outcome({name: getattr(result, name) for name in names}, lambda: _print_search(result))
 
 
 def _search_so_far(search: Search, done: Progress) -> str:
@@ -397,20 +320,18 @@ def _print_search(result: SearchResult) -> None:
             about: Any = search.sweep.parameters[name] if kind == "parameters" else METRICS[name]
             quantity = shown(name, about.unit, best[kind][name])
             rows.append([name, f"{float(quantity.values) + 0.0:.4g}", quantity.unit])
-    columns = [("", "left"), ("best", "right"), ("", "left")]
     middle = "In the middle of the front" if search.aim.pareto else "Best"
-    print_table(f"{middle}: row {best['row']}", columns, rows)
+    print_table(f"{middle}: row {best['row']}", columns(", best>, "), rows)
     effort = f"{best['evaluations']:,} evaluations, {duration(best['simulated_seconds'])} simulated"
     click.echo(f"{effort}; {best['failed']:,} fell" if best["failed"] else effort)
     if "front" in best:
         click.echo(f"{len(best['front']):,} points on the front, hypervolume {best['hypervolume']:.1%}")
     if "cells" in best:
         click.echo(f"{best['filled']:,} of {best['cells']:,} cells filled, QD score {best['qd_score']:.4g}")
+    made = {"atlas": search.aim.measures and "atlas.parquet", "records": result.recordings and "recordings",
+            "plots": result.plots and "plots"}  # fmt: skip
     places = {"table": "results", "best": "best.json", "sweep": "best.yaml"}
-    places |= {"atlas": "atlas.parquet"} if search.aim.measures else {}
-    places |= {"records": "recordings"} if result.recordings else {}
-    places |= {"plots": "plots"} if result.plots else {}
-    _print_places(result.out, places)
+    _print_places(result.out, places | {name: place for name, place in made.items() if place})
 
 
 def _print_search_cost(cost: SearchCost) -> None:
@@ -421,36 +342,20 @@ def _print_search_cost(cost: SearchCost) -> None:
         click.echo(f"plus gradients: as {cost.gradient_runs:,} runs on the engine mjx, and minutes to compile, once")
 
 
-TUNE_EPILOG = """\b
-Examples:
-  nermo-mjx tune sweeps/tune_speed.yaml --out runs/tuned --video
-  nermo-mjx tune sweeps/tune_speed.yaml --out runs/tuned --iterations 80
-  nermo-mjx tune sweeps/tune_roll.yaml --starts 8 --out runs/roll
-  nermo-mjx tune sweeps/tune_roll.yaml --out runs/roll --dry-run
-"""
-#: Metrics of the point that are shown while the tuning runs; more would not fit on a line.
-_NAMED = 3
-#: Points that are verified on another engine.
-_AGAIN = ("start", "best")
-
-
-@_job(
-    "tune",
-    TUNE_EPILOG,
-    _SPEC,
-    options.number("--iterations", "Number of steps, overriding the file.", click.IntRange(1, 1_000_000)),
-    options.number("--starts", "Number of points tuned in parallel, overriding the file.", click.IntRange(1, 100_000)),
-    _SEED,
-    _PLOTS,
-    click.option("--video/--no-video", default=None, help="Render start and best regardless of the file."),
-    click.option("--dry-run", is_flag=True, help="Estimate the cost of each method on this machine; write nothing."),
-    options.workers,
-    options.accept_new_code,
-)
+@command("tune")
+@options.out
+@_spec
+@options.number("--iterations", "Number of steps, overriding the file.", click.IntRange(1, 1_000_000))
+@options.number("--starts", "Number of points tuned in parallel, overriding the file.", click.IntRange(1, 100_000))
+@_seed
+@_plots
+@click.option("--video/--no-video", default=None, help="Render start and best regardless of the file.")
+@click.option("--dry-run", is_flag=True, help="Estimate the cost of each method on this machine; write nothing.")
+@options.workers
+@options.accept_new_code
 def tune_command(
-    spec: Path, out: Path, dry_run: bool, workers: str, ray_address: str | None, accept_new_code: bool, as_json: bool,
-    quiet: bool, **chosen: Any,
-) -> Outcome | None:  # fmt: skip
+    spec: Path, out: Path, dry_run: bool, workers: str, ray_address: str | None, accept_new_code: bool, **chosen: Any
+) -> Outcome:
     """Tune the parameters that a tuning file names.
 
     The file's method says how: by exact gradients, by finite differences, or
@@ -463,119 +368,104 @@ def tune_command(
 
     --workers ray distributes the starts over a cluster's machines, which need
     no access to DIR.
+
+    Examples:
+      nermo-mjx tune sweeps/tune_speed.yaml --out runs/tuned --video
+      nermo-mjx tune sweeps/tune_speed.yaml --out runs/tuned --iterations 80
+      nermo-mjx tune sweeps/tune_roll.yaml --starts 8 --out runs/roll
+      nermo-mjx tune sweeps/tune_roll.yaml --out runs/roll --dry-run
     """
-    with stdout_reserved():
-        from nermo_mjx.optimize import Tuning
-        from nermo_mjx.optimize.tuning_run import costs_of
+    from nermo_mjx.optimize import Tuning, run_tuning
+    from nermo_mjx.optimize.tuning_run import costs_of
 
-        tuning = Tuning.from_file(spec)
-        changed = {name: value for name, value in chosen.items() if value is not None}
-        if "starts" in changed and tuning.method.name == "cma":
-            raise WrongUse("--starts is not used by the method cma: give method: {cma: {population: N}} in the file.")
-        tuning = dataclasses.replace(tuning, **changed)
-        # A resumed tuning keeps the method with which it started.
-        begins = not (as_json or quiet or (out / "history.parquet").exists())
-        costs = costs_of(tuning) if dry_run or begins else []
-        for line in _told(costs) if not dry_run else ():
-            click.echo(f"tune: {line}", err=True)
+    tuning = Tuning.from_file(spec)
+    changed = {name: value for name, value in chosen.items() if value is not None}
+    if "starts" in changed and tuning.method.name == "cma":
+        raise WrongUse("--starts is not used by the method cma: give method: {cma: {population: N}} in the file.")
+    tuning = dataclasses.replace(tuning, **changed)
+    # A resumed tuning keeps the method with which it started.
+    begins = not (is_json() or is_quiet() or (out / "history.parquet").exists())
+    costs = costs_of(tuning) if dry_run or begins else []
+    sentences = [_cost_of_method(each, "instead of it, " if i else "") for i, each in enumerate(costs)]
     if dry_run:
-        if as_json:
-            print_json({"costs": [dataclasses.asdict(each) for each in costs]})
-        else:
-            click.echo("\n".join(_told(costs)))
-        return None
-    known, compiles = functools.partial(_tuning_so_far, tuning), lambda what: what in ("tune", "landscape")
-    with _working("tune", "evaluations", quiet, workers, ray_address, compiles, known) as (watch, crew):
-        from nermo_mjx.optimize import run_tuning
-
+        shown = {"costs": [dataclasses.asdict(each) for each in costs]}
+        return Outcome(shown, lambda: click.echo("\n".join(sentences)))
+    for sentence in sentences:
+        say(sentence)
+    details, compiles = functools.partial(_tuning_so_far, tuning), lambda what: what in ("tune", "landscape")
+    with _working("tune", "evaluations", workers, ray_address, compiles, details) as (watch, crew):
         result = run_tuning(tuning, out, watch=watch, accept_new_code=accept_new_code, workers=crew)
         for note in result.pictures.notes:
             watch.warn(note)
     pictures = result.pictures
     content = {name: getattr(result, name) for name in ("out", "iterations_run", "start", "best")}
     content |= {"plots": list(pictures.plots), "video": pictures.video, "notes": list(pictures.notes)}
-    return content, lambda: _print_tuning(result)
+    return Outcome(content, lambda: _print_tuning(result))
 
 
-def _told(costs: list[MethodCost]) -> list[str]:
-    """A sentence on each method, that of the file first."""
-    lines = []
-    for i, each in enumerate(costs):
-        compiles = ", and minutes to compile, once per machine" if each.method == "gradient" else ""
-        wall = "" if each.wall_seconds is None else f", about {duration(each.wall_seconds)} here"
-        instead = "" if i == 0 else "instead of it, "
-        lines.append(f"{instead}method {each.method}: {each.evaluations:,} evaluations, "
-                     f"{duration(each.simulated_seconds)} simulated{wall}{compiles}")  # fmt: skip
-    return lines
+def _cost_of_method(cost: MethodCost, begin: str) -> str:
+    compiles = ", and minutes to compile, once per machine" if cost.method == "gradient" else ""
+    wall = "" if cost.wall_seconds is None else f", about {duration(cost.wall_seconds)} here"
+    walks = f"{cost.evaluations:,} evaluations, {duration(cost.simulated_seconds)} simulated"
+    return f"{begin}method {cost.method}: {walks}{wall}{compiles}"
 
 
 def _tuning_so_far(tuning: Tuning, done: Progress) -> str:
-    """The best objective so far, and the metrics of this iteration's best point."""
+    """The best objective so far, and the first metrics of this iteration's best point; more would not fit on a line."""
     if done.best is None:
         return ""
     parts = [f"best {done.best:.4g}"]
-    for name in tuning.objective.metrics[:_NAMED]:
+    for name in tuning.objective.metrics[:3]:
         if name in done.numbers:
-            (number,), unit = _shown(tuning, name, (done.numbers[name],))
+            (number,), unit = _in_unit(tuning, name, done.numbers[name])
             parts.append(f"{name} {number:.4g} {unit}".rstrip())
     return ", ".join(parts)
 
 
 def _print_tuning(result: TuningResult) -> None:
-    best = result.best
-    columns = [("", "left"), ("start", "right"), ("best", "right"), ("change", "right"), ("", "left")]
-    again = best.get("verified")
-    if again:
-        columns[-1:-1] = [(f"{name}, {again['engine']}", "right") for name in _AGAIN]
-    where = f" of start {best['start']}" if result.tuning.starts > 1 else ""
-    print_table(f"Iteration {best['iteration']}{where} is the best", columns, _tuning_rows(result))
+    best, tuning = result.best, result.tuning
+    verified = best.get("verified")
+    headings = columns(", start>, best>, change>")
+    headings += [(f"{point}, {verified['engine']}", "right") for point in ("start", "best")] if verified else []
+    where = f" of start {best['start']}" if tuning.starts > 1 else ""
+    print_table(f"Iteration {best['iteration']}{where} is the best", [*headings, ("", "left")], _tuning_rows(result))
     wall = result.history.column("wall_seconds")[-1].as_py()
     effort = f"{duration(best['simulated_seconds'])} simulated, gradients at their cost, in {duration(wall)}"
-    if again:  # what the columns of the engine c mean
-        walked = [again[point] or {"walks_ok": 0} for point in _AGAIN]
-        fell = sum(again["walks"] - each["walks_ok"] for each in walked)
+    if verified:  # what the columns of the engine c mean
+        completed = [(verified[point] or {"walks_ok": 0})["walks_ok"] for point in ("start", "best")]
+        fell = sum(verified["walks"] - each for each in completed)
         fallen = f", of which {fell} were not completed" if fell else ""
-        many = "1 walk" if again["walks"] == 1 else f"means of {again['walks']} walks from unseen starts"
-        ends = again["best"] if again["walks"] > 1 else None
-        apart = f"; the best gave {ends['lowest']:.4g} to {ends['highest']:.4g}" if ends else ""
-        click.echo(f"Engine {again['engine']}: {many}{fallen}{apart}.")
+        many = "1 walk" if verified["walks"] == 1 else f"means of {verified['walks']} walks from unseen starts"
+        ends = verified["best"] if verified["walks"] > 1 else None
+        spread = f"; the best gave {ends['lowest']:.4g} to {ends['highest']:.4g}" if ends else ""
+        click.echo(f"Engine {verified['engine']}: {many}{fallen}{spread}.")
     click.echo(f"{best['iterations']} iterations ({effort})")
     if best["stopped"]:
         click.echo(best["stopped"])
     if not result.start["ok"]:
         click.echo("From the given start, the robot did not complete the walk.")
     places = {"best": "best.json", "history": "history.parquet", "sweep": "tuned.yaml"}
-    places |= {"plots": "plots"} if result.pictures.plots else {}
-    _print_places(result.out, places)
-    if result.pictures.video is not None:
-        click.echo(f"video   {result.pictures.video}")
+    made = {"plots": "plots" if result.pictures.plots else None, "video": result.pictures.video}
+    _print_places(result.out, places | made)
 
 
 def _tuning_rows(result: TuningResult) -> list[list[str]]:
-    """Every parameter, every metric of the objective, and the objective itself, in readable form."""
-    start, best = result.start, result.best
-    names = dict.fromkeys(result.tuning.names, "parameters")
-    names |= dict.fromkeys(result.tuning.objective.metrics, "metrics")
-    rows = []
-    for name, kind in names.items():
-        ends = start[kind][name], best[kind][name]
-        change = _shortest(result.tuning, name, ends[1] - ends[0])
-        (before, after, change), unit = _shown(result.tuning, name, (*ends, change))
-        rows.append([name, *_cells(before, after, change), *_again(result, name, kind), unit])
-    ends = start["objective"], best["objective"]
-    return [*rows, ["objective", *_cells(*ends, ends[1] - ends[0]), *_again(result, "objective"), "lower is better"]]
-
-
-def _again(result: TuningResult, name: str, kind: str = "") -> list[str]:
-    """A row's cells of the verification of start and best; none if there was none."""
-    if "verified" not in result.best:
-        return []
-    cells = []
-    for each in (result.best["verified"][point] for point in _AGAIN):
-        found = None if each is None else each.get(name) if not kind else each.get(kind, {}).get(name)
-        number = None if found is None else _shown(result.tuning, name, (found,))[0][0] if kind else found
-        cells.append("" if number is None else _digits(number))
-    return cells
+    """Every parameter, every metric of the objective, and the objective itself: before, after, change, and verified."""
+    start, best, tuning, rows = result.start, result.best, result.tuning, []
+    kinds = dict.fromkeys(tuning.names, "parameters") | dict.fromkeys(tuning.objective.metrics, "metrics")
+    for name, kind in (kinds | {"objective": ""}).items():
+        points = [start, best, *(best["verified"][point] for point in ("start", "best") if "verified" in best)]
+        values = [((point or {}).get(kind, {}) if kind else point or {}).get(name) for point in points]
+        numbers = [math.nan if value is None else value for value in values]
+        change = _shortest(tuning, name, numbers[1] - numbers[0])
+        (*numbers, change), unit = (
+            _in_unit(tuning, name, *numbers, change) if kind else ([*numbers, change], "lower is better")
+        )
+        texts = [f"{number + 0.0:.4g}" if math.isfinite(number) else "-" for number in numbers]
+        texts[2:] = ["" if value is None else text for value, text in zip(values[2:], texts[2:], strict=True)]
+        texts.insert(2, f"{change + 0.0:+.3g}" if math.isfinite(change) else "-")
+        rows.append([name, *texts, unit])
+    return rows
 
 
 def _shortest(tuning: Tuning, name: str, change: float) -> float:
@@ -586,15 +476,7 @@ def _shortest(tuning: Tuning, name: str, change: float) -> float:
     return change - period * round(change / period)
 
 
-def _cells(before: float, after: float, change: float) -> list[str]:
-    return [_digits(before), _digits(after), f"{change + 0.0:+.3g}" if math.isfinite(change) else "-"]
-
-
-def _digits(value: float) -> str:
-    return f"{value + 0.0:.4g}" if math.isfinite(value) else "-"
-
-
-def _shown(tuning: Tuning, name: str, values: tuple[float, ...]) -> tuple[list[float], str]:
+def _in_unit(tuning: Tuning, name: str, *values: float) -> tuple[list[float], str]:
     """Values of a parameter or metric as figures show them, and the unit."""
     from nermo_mjx.plotting.shown import shown
 
@@ -603,41 +485,30 @@ def _shown(tuning: Tuning, name: str, values: tuple[float, ...]) -> tuple[list[f
     return quantity.values.tolist(), quantity.unit
 
 
-LANDSCAPE_EPILOG = """\b
-Examples:
-  nermo-mjx landscape sweeps/tune_speed.yaml --out runs/landscape
-  nermo-mjx landscape sweeps/tune_roll.yaml --span 0.2 --out runs/near
-"""
-
-
-@_job(
-    "landscape",
-    LANDSCAPE_EPILOG,
-    _SPEC,
-    options.number("--points", "Points per line.", click.IntRange(5, 100_000), default=41),
-    options.number(
-        "--span",
-        "Length of the lines, as a fraction of the bounds.",
-        click.FloatRange(0, 1, min_open=True),
-        default=1.0,
-    ),
-    options.accept_new_code,
-)
-def landscape_command(
-    spec: Path, out: Path, points: int, span: float, accept_new_code: bool, as_json: bool, quiet: bool
-) -> Outcome | None:
+@command("landscape")
+@options.out
+@_spec
+@options.number("--points", "Points per line.", click.IntRange(5, 100_000), default=41)
+@options.number("--span", "Length of the lines, as a fraction of the bounds.", click.FloatRange(0, 1, min_open=True),
+                default=1.0)  # fmt: skip
+@options.accept_new_code
+def landscape_command(spec: Path, out: Path, points: int, span: float, accept_new_code: bool) -> Outcome:
     """Measure whether the gradients of a tuning file can be trusted.
 
     Follows a line along each tuned parameter through the given start, and
     compares exact slopes of the objective with secants of five widths.
     Writes all points, a report, and a figure for each parameter to DIR.
-    """
-    with stdout_reserved():
-        from nermo_mjx.optimize import run_landscape
 
-    with _working("landscape", "walks", quiet) as (watch, _):
+    Examples:
+      nermo-mjx landscape sweeps/tune_speed.yaml --out runs/landscape
+      nermo-mjx landscape sweeps/tune_roll.yaml --span 0.2 --out runs/near
+    """
+    from nermo_mjx.optimize import run_landscape
+
+    with _working("landscape", "walks") as (watch, _):
         result = run_landscape(spec, out, points=points, span=span, watch=watch, accept_new_code=accept_new_code)
-    return {"out": result.out, "evaluated": result.evaluated, **result.content}, lambda: _print_landscape(result)
+    content = {"out": result.out, "evaluated": result.evaluated, **result.content}
+    return Outcome(content, lambda: _print_landscape(result))
 
 
 def _print_landscape(result: LandscapeResult) -> None:
@@ -652,55 +523,47 @@ def _print_landscape(result: LandscapeResult) -> None:
     _print_places(result.out, {"report": "report.md", "plots": "plots", "table": "landscape.parquet"})
 
 
-TRAIN_EPILOG = """\b
-Examples:
-  nermo-mjx train sweeps/train_residual.yaml --out runs/walker
-  nermo-mjx train sweeps/train_residual.yaml --out runs/walker --dry-run
-  nermo-mjx train sweeps/train_residual.yaml --seed 1 --out runs/walker-1
-"""
-
-
-@_job(
-    "train",
-    TRAIN_EPILOG,
-    _SPEC,
-    options.engine,
-    options.number("--steps", "Number of control steps, overriding the file.", click.IntRange(1)),
-    options.number("--worlds", "Number of parallel worlds, overriding the file.", click.IntRange(1, 1_000_000)),
-    _SEED,
-    _PLOTS,
-    click.option("--onnx", is_flag=True, help="Also write policy.onnx; needs the extra onnx."),
-    click.option("--tensorboard", is_flag=True, help="Log each iteration to TensorBoard, in DIR."),
-    _DRY_RUN,
-    options.accept_new_code,
-)
+@command("train")
+@options.out
+@_spec
+@options.engine
+@options.number("--steps", "Number of control steps, overriding the file.", click.IntRange(1))
+@options.number("--worlds", "Number of parallel worlds, overriding the file.", click.IntRange(1, 1_000_000))
+@_seed
+@_plots
+@click.option("--onnx", is_flag=True, help="Also write policy.onnx; needs the extra onnx.")
+@click.option("--tensorboard", is_flag=True, help="Log each iteration to TensorBoard, in DIR.")
+@_dry_run
+@options.accept_new_code
 def train_command(
     spec: Path, out: Path, engine: str, onnx: bool, tensorboard: bool, dry_run: bool, accept_new_code: bool,
-    as_json: bool, quiet: bool, **chosen: Any,
-) -> Outcome | None:  # fmt: skip
+    **chosen: Any,
+) -> Outcome:  # fmt: skip
     """Train a policy as described in a training file.
 
     Writes the policy, which walk and sweep files accept as a controller,
     learning curves, checkpoints, and an evaluation on unseen bodies to DIR.
     After Ctrl-C or a crash, run the same command again: it resumes, and
     ends with the same numbers. More steps extend a completed training.
+
+    Examples:
+      nermo-mjx train sweeps/train_residual.yaml --out runs/walker
+      nermo-mjx train sweeps/train_residual.yaml --out runs/walker --dry-run
+      nermo-mjx train sweeps/train_residual.yaml --seed 1 --out runs/walker-1
     """
-    with stdout_reserved():
-        from nermo_mjx.learn.spec import Training, changed
+    from nermo_mjx.learn.spec import Training, changed
 
-        training = changed(Training.from_file(spec), **{key: each for key, each in chosen.items() if each is not None})
-        if onnx:
-            from nermo_mjx.learn.onnx import check_onnx
+    training = changed(Training.from_file(spec), **{key: each for key, each in chosen.items() if each is not None})
+    if onnx:
+        from nermo_mjx.learn.onnx import check_onnx
 
-            check_onnx()
+        check_onnx()
     if dry_run:
-        with stdout_reserved():
-            from nermo_mjx.learn.cost import cost_of
+        from nermo_mjx.learn.cost import cost_of
 
-            cost = cost_of(training, engine)
-        print_json({"cost": dataclasses.asdict(cost)}) if as_json else _print_training_cost(cost)
-        return None
-    with _working("train", "steps", quiet, known=_training_so_far) as (watch, _):
+        cost = cost_of(training, engine)
+        return Outcome({"cost": dataclasses.asdict(cost)}, lambda: _print_training_cost(cost))
+    with _working("train", "steps", details=_training_so_far) as (watch, _):
         from nermo_mjx.learn.run import run_training
         from nermo_mjx.runs.job import Progress
 
@@ -720,35 +583,30 @@ def train_command(
 
             exported = result.policy.with_suffix(".onnx")
             replace_file(exported, export(load_policy(result.policy)))
-    return {
-        "out": result.out,
-        **result.summary,
-        "iterations_run": result.iterations_run,
-        "policy": result.policy,
-        "onnx": exported,
-        "plots": result.plots,
-    }, lambda: _print_training(result, exported)
+    content = {"out": result.out, **result.summary, "iterations_run": result.iterations_run, "policy": result.policy,
+               "onnx": exported, "plots": result.plots}  # fmt: skip
+    return Outcome(content, lambda: _print_training(result, exported))
 
 
 def _training_so_far(done: Progress) -> str:
     """The results of the last episodes."""
-    known = {name: done.numbers.get(name, math.nan) for name in ("return", "reward")}
-    return ", ".join(f"{name} {value:.3g}" for name, value in known.items() if math.isfinite(value))
+    numbers = {name: done.numbers.get(name, math.nan) for name in ("return", "reward")}
+    return ", ".join(f"{name} {value:.3g}" for name, value in numbers.items() if math.isfinite(value))
 
 
 def _print_training(result: TrainingResult, exported: Path | None) -> None:
     summary = result.summary
     rows = []
     for scene, about in summary["scenes"].items():
-        for who, called in (("policy", "policy"), ("alone", "controller alone")):
+        for who, name in (("policy", "policy"), ("alone", "controller alone")):
             numbers = about[who]
-            rows.append([scene, called, f"{100 * numbers['success']:.0f}", f"{1e3 * numbers['speed']:.1f}",
+            rows.append([scene, name, f"{100 * numbers['success']:.0f}", f"{1e3 * numbers['speed']:.1f}",
                          f"{numbers['cost_of_transport']:.3g}",
                          f"{numbers['electrical_cost_of_transport']:.3g}"])  # fmt: skip
     if rows:
-        columns = [("scene", "left"), ("walks", "left"), ("success [%]", "right"), ("speed [mm/s]", "right"),
-                   ("cost of transport, mechanical", "right"), ("electrical", "right")]  # fmt: skip
-        print_table(f"On {result.training.evaluation.bodies:,} unseen bodies and starts", columns, rows)
+        headings = [*columns("scene, walks, success [%]>, speed [mm/s]>"), ("cost of transport, mechanical", "right"),
+                    ("electrical", "right")]  # fmt: skip
+        print_table(f"On {result.training.evaluation.bodies:,} unseen bodies and starts", headings, rows)
     cpu = summary["environment_cpu"] + summary["learner_cpu"]
     click.echo(f"{summary['steps']:,} control steps, {duration(summary['simulated_seconds'])} simulated, in "
                f"{duration(summary['wall_seconds'])} ({duration(cpu)} of CPU time)")  # fmt: skip
@@ -760,55 +618,38 @@ def _print_training(result: TrainingResult, exported: Path | None) -> None:
 
 def _print_training_cost(cost: TrainingCost) -> None:
     click.echo(f"{cost.iterations:,} iterations of {cost.steps_per_iteration:,} control steps, {cost.steps:,} in all")
-    known = math.isfinite(cost.wall_seconds)
-    time = f"about {duration(cost.wall_seconds)} here with compiling" if known else "for an unknown time"
+    finite = math.isfinite(cost.wall_seconds)
+    time = f"about {duration(cost.wall_seconds)} here with compiling" if finite else "for an unknown time"
     click.echo(f"{duration(cost.simulated_seconds)} simulated; {time} on the engine {cost.engine}, and "
                f"{cost.disk_bytes / 1e6:.3g} MB on disk; then the evaluation simulates "
                f"{duration(cost.evaluated_seconds)}, and compiles, on top")  # fmt: skip
     click.echo(cost.rate_from)
 
 
-EXPERIMENT_EPILOG = """\b
-Examples:
-  nermo-mjx experiment all --out runs/published
-  nermo-mjx experiment all --quick --out runs/look
-  nermo-mjx experiment turning --profile exact --repeats 5 --out runs/turns
-  nermo-mjx experiment maze --set contact.friction=0.8 --out runs/slippery
-  nermo-mjx experiment all --bodies 64 --out runs/published
-  nermo-mjx experiment maze --controller policy.npz --out runs/learned
-"""
 ALL = "all"
-#: Longest text of a cell on the terminal; the names of figures are shorter.
-_WIDEST = 72
 
 
-@_job(
-    "experiment",
-    EXPERIMENT_EPILOG,
-    click.argument("name", type=click.Choice((*EXPERIMENTS, ALL))),
-    options.choice("--profile", ("all", *EXPERIMENT_PROFILES), "Set-up: as published, as described, as built."),
-    options.number("--repeats", "Starts of each case; by default 3, or 1 with --quick.", click.IntRange(1)),
-    options.number("--seed", "Seed of the shifts between repeats.", click.IntRange(0), default=0),
-    options.number(
-        "--bodies", "Also run this many identified bodies: for what share of them does a line hold?", click.IntRange(1)
-    ),
-    click.option("--quick", is_flag=True, help="Quick run: fewer cases, no videos; a minute."),
-    click.option("--no-video", is_flag=True, help="Render no videos."),
-    click.option("--again", is_flag=True, help="Rerun, and replace the results in DIR."),
-    click.option(
-        "--controller",
-        metavar="FILE.npz",
-        help="A policy, in place of the published controller; for straight-line, turning and maze.",
-    ),
-    options.workers,
-    options.accept_new_code,
-    options.set_option("A parameter of the body, such as contact.friction; repeatable."),
-    options.engine,
-)
+@command("experiment")
+@options.out
+@click.argument("name", type=click.Choice((*EXPERIMENTS, ALL)))
+@options.choice("--profile", ("all", *EXPERIMENT_PROFILES), "Set-up: as published, as described, as built.")
+@options.number("--repeats", "Starts of each case; by default 3, or 1 with --quick.", click.IntRange(1))
+@options.number("--seed", "Seed of the shifts between repeats.", click.IntRange(0), default=0)
+@options.number("--bodies", "Also run this many identified bodies: for what share of them does a line hold?",
+                click.IntRange(1))  # fmt: skip
+@click.option("--quick", is_flag=True, help="Quick run: fewer cases, no videos; a minute.")
+@click.option("--no-video", is_flag=True, help="Render no videos.")
+@click.option("--again", is_flag=True, help="Rerun, and replace the results in DIR.")
+@click.option("--controller", metavar="FILE.npz",
+              help="A policy, in place of the published controller; for straight-line, turning and maze.")  # fmt: skip
+@options.workers
+@options.accept_new_code
+@options.set_option("A parameter of the body, such as contact.friction; repeatable.")
+@options.engine
 def experiment_command(
     name: str, out: Path, profile: str, no_video: bool, workers: str, ray_address: str | None,
-    assignments: tuple[str, ...], as_json: bool, quiet: bool, **how: Any,
-) -> Outcome | None:  # fmt: skip
+    assignments: tuple[str, ...], **how: Any,
+) -> Outcome:  # fmt: skip
     """Run a published experiment, or all of them, and compare.
 
     Writes a table of every run, a report with the published figures beside
@@ -817,8 +658,16 @@ def experiment_command(
 
     --workers ray distributes experiments, and batches of bodies, over the
     machines of a cluster, which need no access to DIR.
+
+    Examples:
+      nermo-mjx experiment all --out runs/published
+      nermo-mjx experiment all --quick --out runs/look
+      nermo-mjx experiment turning --profile exact --repeats 5 --out runs/turns
+      nermo-mjx experiment maze --set contact.friction=0.8 --out runs/slippery
+      nermo-mjx experiment all --bodies 64 --out runs/published
+      nermo-mjx experiment maze --controller policy.npz --out runs/learned
     """
-    with _working("experiment", "", quiet, workers, ray_address, lambda what: "," not in what) as (watch, crew):
+    with _working("experiment", "", workers, ray_address, lambda what: "," not in what) as (watch, crew):
         from nermo_mjx.experiments.run import run_experiments
         from nermo_mjx.robot.quantity import quantities
         from nermo_mjx.rollout.setup import WorldParameters
@@ -831,20 +680,17 @@ def experiment_command(
             watch=watch, workers=crew, **how,
         )  # fmt: skip
     run = {each.name: {"kept": each.kept} for each in result.results}
-    return {"out": result.out, "run": run, **result.report}, lambda: _print_experiments(result)
+    return Outcome({"out": result.out, "run": run, **result.report}, lambda: _print_experiments(result))
 
 
 def _print_experiments(result: ExperimentsResult) -> None:
     from nermo_mjx.experiments.report import HEADINGS, cells
     from nermo_mjx.experiments.run import EXPERIMENTS as CATALOGUE
 
-    content = result.report
+    content, widest = result.report, 72  # the longest text of a cell; the names of figures are shorter
     for each in result.results:
-        rows = [
-            [text if len(text) <= _WIDEST else f"{text[: _WIDEST - 1]}…" for text in cells(line)]
-            for line in content["lines"]
-            if line["experiment"] == each.name
-        ]
+        lines = [cells(line) for line in content["lines"] if line["experiment"] == each.name]
+        rows = [[text if len(text) <= widest else f"{text[: widest - 1]}…" for text in line] for line in lines]
         print_table(CATALOGUE[each.name].title, list(HEADINGS), rows)
     for each in result.results:
         about, summary = content["experiments"][each.name], content["summary"]["by_experiment"][each.name]
@@ -866,31 +712,20 @@ def _counted(summary: dict[str, Any]) -> str:
     return f"{summary['hold']} of {compared} figures hold{missing}"
 
 
-IDENTIFY_EPILOG = """\b
-Examples:
-  nermo-mjx identify --out runs/identified
-  nermo-mjx identify --samples 8 --generations 2 --bodies 0 --out runs/look
-"""
-
-
-@_job(
-    "identify",
-    IDENTIFY_EPILOG,
-    options.number("--samples", "Candidates of the first, space-filling search.", click.IntRange(1), default=64),
-    options.number("--generations", "Generations of the second search, from its best.", click.IntRange(1), default=25),
-    options.number("--population", "Candidates per generation.", click.IntRange(4), default=12),
-    options.number("--bodies", "Bodies of the ensemble, 8 or more; 0 for none.", click.IntRange(0), default=256),
-    options.number("--sweeps", "Sampling rounds of the ensemble, at most.", click.IntRange(1), default=5),
-    options.number("--tolerance", "Largest objective of a body of the ensemble.", options.POSITIVE, default=0.5),
-    options.number("--seed", "Seed of all searches.", click.IntRange(0), default=0),
-    options.choice("--profile", ("exact", "as_published"), "Set-up of the walks."),
-    options.workers,
-    options.accept_new_code,
-    options.engine,
-)
-def identify_command(
-    out: Path, workers: str, ray_address: str | None, engine: str, as_json: bool, quiet: bool, **settings: Any
-) -> Outcome | None:
+@command("identify")
+@options.out
+@options.number("--samples", "Candidates of the first, space-filling search.", click.IntRange(1), default=64)
+@options.number("--generations", "Generations of the second search, from its best.", click.IntRange(1), default=25)
+@options.number("--population", "Candidates per generation.", click.IntRange(4), default=12)
+@options.number("--bodies", "Bodies of the ensemble, 8 or more; 0 for none.", click.IntRange(0), default=256)
+@options.number("--sweeps", "Sampling rounds of the ensemble, at most.", click.IntRange(1), default=5)
+@options.number("--tolerance", "Largest objective of a body of the ensemble.", options.POSITIVE, default=0.5)
+@options.number("--seed", "Seed of all searches.", click.IntRange(0), default=0)
+@options.choice("--profile", ("exact", "as_published"), "Set-up of the walks.")
+@options.workers
+@options.accept_new_code
+@options.engine
+def identify_command(out: Path, workers: str, ray_address: str | None, engine: str, **settings: Any) -> Outcome:
     """Identify the body's parameters that the publication does not give.
 
     Fits servo gain and damping, and damping of the joints, within physical
@@ -902,22 +737,20 @@ def identify_command(
 
     --workers ray distributes the batches of the space-filling search and of
     the ensemble over a cluster's machines, which need no access to DIR.
-    """
-    with stdout_reserved():
-        from nermo_mjx.experiments.identification import run_identification
 
-    with _working("identify", "", quiet, workers, ray_address) as (watch, crew):
+    Examples:
+      nermo-mjx identify --out runs/identified
+      nermo-mjx identify --samples 8 --generations 2 --bodies 0 --out runs/look
+    """
+    from nermo_mjx.experiments.identification import run_identification
+
+    with _working("identify", "", workers, ray_address) as (watch, crew):
         content = run_identification(out, engine=engine, **settings, watch=watch, workers=crew)
-    return {"out": out, **content}, lambda: _print_identification(content, out)
+    return Outcome({"out": out, **content}, lambda: _print_identification(content, out))
 
 
 def _print_identification(content: dict[str, Any], out: Path) -> None:
-    from nermo_mjx.experiments.identification import (
-        PARAMETER_HEADINGS,
-        TARGET_HEADINGS,
-        parameter_rows,
-        target_rows,
-    )
+    from nermo_mjx.experiments.identification import PARAMETER_HEADINGS, TARGET_HEADINGS, parameter_rows, target_rows
 
     print_table("Published speeds", list(TARGET_HEADINGS), target_rows(content))
     print_table("Parameters", list(PARAMETER_HEADINGS), parameter_rows(content))

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
+from click.core import ParameterSource
 from click.shell_completion import CompletionItem
 
 from nermo_mjx.cli.choices import (
@@ -192,6 +193,13 @@ def file(name: str, suffix: str, about: str, **more: Any) -> Callable[[F], F]:
     return click.option(name, metavar=f"FILE{suffix}", type=FileKind(suffix, dir_okay=False), help=about, **more)
 
 
+def given() -> dict[str, str]:
+    """Flags of the options of this call that are not at their defaults, by name."""
+    context = click.get_current_context()
+    return {each.name or "": each.opts[0] for each in context.command.params
+            if context.get_parameter_source(each.name or "") is not ParameterSource.DEFAULT}  # fmt: skip
+
+
 def out(function: F) -> F:
     """`--out`, the directory of results."""
     folder = click.Path(file_okay=False, path_type=Path)
@@ -299,12 +307,3 @@ def report_out(function: F) -> F:
     """`--out` of what is found in finished tables; see `nermo_mjx.sweep.table`."""
     about = "A directory for table, JSON and figures, or FILE.csv or FILE.parquet for the table only."
     return click.option("--out", metavar="DIR|FILE", type=click.Path(path_type=Path), help=about)(function)
-
-
-def report(function: F) -> F:
-    """`--json` and `--quiet`."""
-    quiet = click.option("--quiet", "-q", is_flag=True, help="Print errors only, no progress or summary.")
-    as_json = click.option(
-        "--json", "as_json", is_flag=True, help="Print one JSON object on standard output, nothing else."
-    )
-    return as_json(quiet(function))

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
+import functools
 import gc
+import inspect
 import io
 import json
 import os
+import re
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any, Final, NoReturn, TypeVar
+from typing import IO, TYPE_CHECKING, Any, Final, NoReturn
 
 import click
 
@@ -141,7 +144,7 @@ class _Lossy:
             self.lost = self.lost or error
 
 
-@contextmanager
+@contextlib.contextmanager
 def _seldom_collected() -> Iterator[None]:
     before = gc.get_threshold()
     gc.set_threshold(*COLLECTIONS)
@@ -184,7 +187,7 @@ def _blame_platform() -> None:
         raise Failure(str(unavailable)) from None
 
 
-@contextmanager
+@contextlib.contextmanager
 def _terminate_as_interrupt() -> Iterator[None]:
     """SIGTERM, as sent by batch systems, ends a command like Ctrl-C."""
     if threading.current_thread() is not threading.main_thread():
@@ -201,7 +204,89 @@ def _terminate_as_interrupt() -> Iterator[None]:
         signal.signal(signal.SIGTERM, before)
 
 
-Found = TypeVar("Found")
+@dataclasses.dataclass(frozen=True)
+class Outcome:
+    """What a command ends with.
+
+    Attributes:
+        content: for --json.
+        show: prints it for people.
+        files: that were written, which are named last.
+        failure: a sentence with which the command fails after it has told this.
+        always: show it with --quiet, too.
+    """
+
+    content: Any
+    show: Callable[[], None] = lambda: None
+    files: Sequence[Path] = ()
+    failure: str = ""
+    always: bool = False
+
+
+def command(name: str) -> Callable[[Callable[..., Outcome | None]], click.Command]:
+    """A command of a function that does the work, and returns how it ended; its `--json` and `--quiet` are added.
+
+    Its docstring is the help, whose examples come after the options. Prints of libraries go to standard error.
+    """
+
+    def make(function: Callable[..., Outcome | None]) -> click.Command:
+        @functools.wraps(function)
+        def run(as_json: bool, quiet: bool, **chosen: Any) -> None:
+            with stdout_reserved():
+                outcome = function(**chosen)
+            if outcome is None:
+                return
+            if as_json:
+                print_json(outcome.content)
+            elif not quiet or outcome.always:
+                outcome.show()
+                for file in outcome.files:
+                    click.echo(f"wrote {file}")
+            if outcome.failure:
+                raise Failure(outcome.failure)
+
+        decorated: Any = run
+        decorated.__click_params__ = [
+            click.Option(["--quiet", "-q"], is_flag=True, help="Print errors only, no progress or summary."),
+            click.Option(
+                ["--json", "as_json"], is_flag=True, help="Print one JSON object on standard output, nothing else."
+            ),
+            *getattr(function, "__click_params__", ()),
+        ]
+        return plain_command(name)(decorated)
+
+    return make
+
+
+def plain_command(name: str) -> Callable[[Callable[..., None]], click.Command]:
+    """A command that prints by itself; the epilog begins with the first list in its docstring that has a heading."""
+
+    def make(function: Callable[..., None]) -> click.Command:
+        text, *lists = re.split(r"\n\n(?=(?:Examples|Cases):\n)", inspect.getdoc(function) or "")
+        return click.command(name, help=text, epilog="\n\n".join(f"\b\n{each}" for each in lists))(function)
+
+    return make
+
+
+def _chosen(name: str) -> bool:
+    context = click.get_current_context(silent=True)
+    return context is not None and bool(context.params.get(name))
+
+
+def is_quiet() -> bool:
+    """Whether the present command was given --quiet."""
+    return _chosen("quiet")
+
+
+def is_json() -> bool:
+    """Whether it was given --json."""
+    return _chosen("as_json")
+
+
+def say(sentence: str) -> None:
+    """Print a sentence about the present command's work on standard error, unless it is quiet."""
+    if not is_quiet():
+        click.echo(f"{click.get_current_context().info_name}: {sentence}", err=True)
 
 
 def print_json(value: Any) -> None:
@@ -219,32 +304,23 @@ def stdout_reserved() -> Iterator[None]:
         yield
 
 
-def sayer(command: str, quiet: bool) -> Callable[[str], None] | None:
-    """A function that prints a sentence about a command's work on standard error; None with --quiet."""
-    return None if quiet else lambda sentence: click.echo(f"{command}: {sentence}", err=True)
-
-
-def tell_report(
-    command: str, kind: str, found: Found, figures: Callable[[Any], Figures], out: Path | None,
-    tell: Callable[[Found], None], *, as_json: bool, quiet: bool,
-) -> None:  # fmt: skip
-    """Write the table of what was found, and its figures, where `out` is given, and print it: as JSON or by `tell`."""
-    report: Any = found
-    files, moved = list[Path](), ""
+def report_of(
+    kind: str, found: Any, figures: Callable[[Any], Figures], out: Path | None, show: Callable[[], None]
+) -> Outcome:
+    """The end of a command that found a table: it and its figures are written where `out` is given."""
+    files = list[Path]()
     if out is not None:
         from nermo_mjx.sweep.table import write_report
 
-        with stdout_reserved():
-            files, moved = write_report(out, kind, report.table, report.about(), figures(report.table))
-    say = sayer(command, quiet)
-    if say is not None and moved:
-        say(moved)
-    if as_json:
-        print_json({**report.about(), "files": files})
-    elif not quiet:
-        tell(found)
-        for file in files:
-            click.echo(f"wrote {file}")
+        files, moved = write_report(out, kind, found.table, found.about(), figures(found.table))
+        if moved:
+            say(moved)
+    return Outcome({**found.about(), "files": files}, show, files)
+
+
+def columns(headings: str) -> list[tuple[str, str]]:
+    """Columns of `print_table`, separated by ", "; those whose heading ends with > have their texts on the right."""
+    return [(each.removesuffix(">"), "right" if each.endswith(">") else "left") for each in headings.split(", ")]
 
 
 def print_table(title: str, columns: list[tuple[str, str]], rows: list[list[str]]) -> None:

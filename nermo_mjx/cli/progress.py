@@ -11,6 +11,8 @@ from typing import IO, TYPE_CHECKING, Any
 
 import click
 
+from nermo_mjx.cli.output import is_quiet
+
 if TYPE_CHECKING:
     from nermo_mjx.runs.job import Progress as JobProgress
 
@@ -25,22 +27,17 @@ class Progress:
     Args:
         what: names the work, "sweep".
         unit: what is counted, "runs".
-        quiet: show nothing.
+        quiet: show nothing; by default as the present command is told.
         compiles: mention compilation if there is no progress at first.
         every: seconds between two lines without a terminal.
         stream: where to write; standard error by default.
     """
 
     def __init__(
-        self,
-        what: str,
-        unit: str = "",
-        *,
-        quiet: bool = False,
-        compiles: bool = False,
-        every: float = 10.0,
+        self, what: str, unit: str = "", *, quiet: bool | None = None, compiles: bool = False, every: float = 10.0,
         stream: IO[str] | None = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
+        quiet = is_quiet() if quiet is None else quiet
         self._what, self._unit, self._quiet, self._every = what, unit, quiet, every
         self._stream = stream or sys.stderr
         self._bar: Any = None
@@ -133,20 +130,18 @@ class Stages:
     Args:
         name: of the job.
         unit: what it counts, "runs".
-        quiet: show nothing.
         compiles: whether a part (the job itself is called as it is) compiles something at first.
-        known: what else to show of a progress.
+        details: what else to show of a progress.
     """
 
     def __init__(
         self,
         name: str,
         unit: str,
-        quiet: bool,
         compiles: Callable[[str], bool],
-        known: Callable[[JobProgress], str] = lambda _: "",
+        details: Callable[[JobProgress], str] = lambda _: "",
     ) -> None:
-        self._name, self._unit, self._quiet, self._compiles, self._known = name, unit, quiet, compiles, known
+        self._name, self._unit, self._compiles, self._details = name, unit, compiles, details
         self._what = ""
         self._shown = contextlib.ExitStack()
 
@@ -162,15 +157,15 @@ class Stages:
         if what != self._what:
             self.close()
             self._what = what
-            shown = Progress(what, "" if done.what else self._unit, quiet=self._quiet, compiles=self._compiles(what))
+            shown = Progress(what, "" if done.what else self._unit, compiles=self._compiles(what))
             self._progress = self._shown.enter_context(shown)
         count = done.done if done.done is None or done.total is None else min(done.done, done.total)
-        self._progress.share(done.fraction, count, done.total, self._known(done))
+        self._progress.share(done.fraction, count, done.total, self._details(done))
 
     def say(self, sentence: str) -> None:
         """A sentence on a line of its own."""
         self.close()
-        if not self._quiet:
+        if not is_quiet():
             click.echo(f"{self._name}: {sentence}", err=True)
 
     def close(self) -> None:

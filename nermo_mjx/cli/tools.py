@@ -13,46 +13,37 @@ from click.shell_completion import get_completion_class
 
 from nermo_mjx.cli import options
 from nermo_mjx.cli.choices import BENCH_CASES, ENGINES, GRADIENT_MODES, ROBOTS, TAILS
-from nermo_mjx.cli.output import Failure, print_json, print_table, stdout_reserved
+from nermo_mjx.cli.output import Failure, Outcome, columns, command, plain_command, print_table, say, stdout_reserved
 from nermo_mjx.cli.progress import Progress
 
 if TYPE_CHECKING:
     from nermo_mjx.robot import Robot
 
 
-MODEL_EPILOG = """\b
-Examples:
-  nermo-mjx model
-  nermo-mjx model --tail articulated --xml nermo.xml
-"""
-
-
-@click.command("model", epilog=MODEL_EPILOG)
+@command("model")
 @options.choice("--robot", ROBOTS)
 @options.scene
 @options.choice("--tail", TAILS)
 @options.physics
 @options.file("--xml", ".xml", "Write one self-contained MJCF file.")
-@options.report
-def model_command(
-    robot: str, scene: str, tail: str, physics: str, xml: Path | None, as_json: bool, quiet: bool
-) -> None:
-    """Summarize the assembled robot, or write it as one MJCF file."""
-    with stdout_reserved():
-        from nermo_mjx.robot import load_robot
+def model_command(xml: Path | None, **config: Any) -> Outcome:
+    """Summarize the assembled robot, or write it as one MJCF file.
 
-        loaded = load_robot(robot=robot, scene=scene, tail=tail, physics=physics)
-        summary = summarize(loaded)
+    Examples:
+      nermo-mjx model
+      nermo-mjx model --tail articulated --xml nermo.xml
+    """
+    from nermo_mjx.robot import load_robot
+
+    loaded = load_robot(**config)
+    summary = summarize(loaded)
     if xml is not None:
         try:
             xml.write_text(loaded.to_xml(), encoding="utf-8")
         except OSError as error:
             raise Failure(f"{xml}: the MJCF cannot be written ({error.strerror}).") from None
         summary["xml"] = str(xml)
-    if as_json:
-        print_json(summary)
-    elif not quiet:
-        _print_model(summary)
+    return Outcome(summary, lambda: _print_model(summary), [] if xml is None else [xml])
 
 
 def summarize(robot: Robot) -> dict[str, Any]:
@@ -86,24 +77,14 @@ def _print_model(summary: dict[str, Any]) -> None:
     counts = [("degrees of freedom", str(summary["degrees_of_freedom"]))]
     counts += [(part, str(len(summary[part]))) for part in ("bodies", "joints", "actuators", "tendons", "sensors")]
     counts.append(("contact pairs", str(summary["contact_pairs"])))
-    print_table("Parts", [("", "left"), ("number", "right")], [list(row) for row in counts])
+    print_table("Parts", columns(", number>"), [list(row) for row in counts])
     names = [[part, ", ".join(summary[part])] for part in ("actuators", "tendons")]
-    print_table("Names", [("", "left"), ("", "left")], names)
+    print_table("Names", columns(", "), names)
     rows = [[row["body"], row["group"], f"{1e3 * row['mass']:.2f}"] for row in summary["masses"]]
     rows += [["", "", ""]] + [["all", group, f"{1e3 * mass:.2f}"] for group, mass in summary["mass"].items()]
-    print_table("Masses", [("body", "left"), ("counts to", "left"), ("mass [g]", "right")], rows)
-    if "xml" in summary:
-        click.echo(f"wrote {summary['xml']}")
+    print_table("Masses", columns("body, counts to, mass [g]>"), rows)
 
 
-SCHEMA_EPILOG = """\b
-Examples:
-  nermo-mjx schema sweep
-  nermo-mjx schema tune --out tune.schema.json
-
-With "# yaml-language-server: $schema=tune.schema.json" as its first line, a
-file next to it is completed and checked as you type.
-"""
 #: Where the fields of each command's file are declared.
 FILES: Final = {
     "sweep": "sweep.spec:SweepFile",
@@ -115,7 +96,7 @@ FILES: Final = {
 }
 
 
-@click.command("schema", epilog=SCHEMA_EPILOG)
+@plain_command("schema")
 @click.argument("kind", type=click.Choice(list(FILES)))
 @options.file("--out", ".json", "File for the schema, instead of standard output.")
 def schema_command(kind: str, out: Path | None) -> None:
@@ -124,38 +105,28 @@ def schema_command(kind: str, out: Path | None) -> None:
     An editor that supports it completes fields, names and parameters, with
     units, defaults and ranges, and marks errors. KIND is the command; servos
     reads a file of channels.
+
+    Examples:
+      nermo-mjx schema sweep
+      nermo-mjx schema tune --out tune.schema.json
+
+    With "# yaml-language-server: $schema=tune.schema.json" as its first line, a
+    file next to it is completed and checked as you type.
     """
     with stdout_reserved():
+        from nermo_mjx.runs.files import replace_file
         from nermo_mjx.specs.fields import schema_of
 
         module, _, name = FILES[kind].partition(":")
-        model = getattr(importlib.import_module(f"nermo_mjx.{module}"), name)
-        text = json.dumps(schema_of(model), indent=2) + "\n"
+        text = json.dumps(schema_of(getattr(importlib.import_module(f"nermo_mjx.{module}"), name)), indent=2) + "\n"
     if out is None:
         click.echo(text, nl=False)
-        return
-    from nermo_mjx.runs.files import replace_file
-
-    out.parent.mkdir(parents=True, exist_ok=True)
-    replace_file(out, text.encode())
+    else:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        replace_file(out, text.encode())
 
 
-BENCH_EPILOG = """\b
-Cases:
-  throughput  a walk with controller and metrics against plain physics
-  gradient    value and gradient of a walk against the walk alone
-  startup     a new process to its first control tick, cold and warm cache
-
-\b
-Examples:
-  nermo-mjx bench
-  nermo-mjx bench --engine mjx --worlds 64 --worlds 1024 --json
-  nermo-mjx bench gradient --mode reverse --cycles 1 --cycles 4
-  nermo-mjx bench throughput startup --into docs/benchmarks
-"""
-
-
-@click.command("bench", epilog=BENCH_EPILOG)
+@command("bench")
 @click.argument("cases", nargs=-1, type=click.Choice(BENCH_CASES), metavar="[CASE]...")
 @options.choice("--engine", ENGINES[1:], "Repeatable; c and mjx by default.", default=None, multiple=True)
 @options.number("--worlds", "Size of the batch; repeatable.", click.IntRange(1), multiple=True)
@@ -163,34 +134,38 @@ Examples:
 @options.number("--cycles", "Gait cycles to differentiate; repeatable.", options.POSITIVE, multiple=True)
 @click.option("--into", metavar="DIR", type=click.Path(file_okay=False, path_type=Path),
               help="Append to DIR/results.jsonl, and draw its page and plots.")  # fmt: skip
-@options.report
-def bench_command(
-    cases: tuple[str, ...], into: Path | None, as_json: bool, quiet: bool, **given: tuple[Any, ...]
-) -> None:
+def bench_command(cases: tuple[str, ...], into: Path | None, **given: tuple[Any, ...]) -> Outcome:
     """Measure throughput, compile time and memory on this machine.
 
     The default CASE is throughput: the robot with its controller, and the
     same physics without; their ratio is the cost of the controller.
-    """
-    with stdout_reserved():
-        from nermo_mjx.bench.results import draw_page
-        from nermo_mjx.runs import RunDirectory, Written, session
-        from nermo_mjx.runs.files import clear_errors
 
-        # Held while it measures, so that an hour's results can be written.
-        with contextlib.nullcontext() if into is None else RunDirectory(into, "benchmarks") as held:
-            with Progress("bench", "measurements", quiet=quiet, compiles=True) as progress:
-                result = _measured(cases or ("throughput",), given, progress.count, None if held is None else held.out)
-            if held is not None:
-                held.note_session(session())
-                with Written(held) as written, clear_errors(held.out):
-                    draw_page(held.out, written.write)
-                if written.aside and not quiet:
-                    click.echo(f"bench: {written.sentence()}", err=True)
-    if as_json:
-        print_json(result)
-    elif not quiet:
-        _print_bench(result)
+    Cases:
+      throughput  a walk with controller and metrics against plain physics
+      gradient    value and gradient of a walk against the walk alone
+      startup     a new process to its first control tick, cold and warm cache
+
+    Examples:
+      nermo-mjx bench
+      nermo-mjx bench --engine mjx --worlds 64 --worlds 1024 --json
+      nermo-mjx bench gradient --mode reverse --cycles 1 --cycles 4
+      nermo-mjx bench throughput startup --into docs/benchmarks
+    """
+    from nermo_mjx.bench.results import draw_page
+    from nermo_mjx.runs import RunDirectory, Written, session
+    from nermo_mjx.runs.files import clear_errors
+
+    # Held while it measures, so that an hour's results can be written.
+    with contextlib.nullcontext() if into is None else RunDirectory(into, "benchmarks") as held:
+        with Progress("bench", "measurements", compiles=True) as progress:
+            result = _measured(cases or ("throughput",), given, progress.count, None if held is None else held.out)
+        if held is not None:
+            held.note_session(session())
+            with Written(held) as written, clear_errors(held.out):
+                draw_page(held.out, written.write)
+            if written.aside:
+                say(written.sentence())
+    return Outcome(result, lambda: _print_bench(result))
 
 
 def _measured(cases: tuple[str, ...], given: dict[str, Any], count: Any, out: Path | None) -> dict[str, Any]:
@@ -225,30 +200,30 @@ def _print_bench(result: dict[str, Any]) -> None:
         if failure := failure_of(line):
             click.echo(failure)
     for case in dict.fromkeys(line["case"] for line in result["cases"]):
-        columns, rows = table_of(case, [line for line in result["cases"] if line["case"] == case])
+        heads, rows = table_of(case, [line for line in result["cases"] if line["case"] == case])
         if rows:
             words = ("engine", "mode", "cache")
-            headings = [(column.heading, "left" if column.key in words else "right") for column in columns]
+            headings = [(column.heading, "left" if column.key in words else "right") for column in heads]
             print_table(case.capitalize(), headings, rows)
 
 
-COMPLETION_EPILOG = """\b
-Examples:
-  nermo-mjx completion bash
-  nermo-mjx completion fish
-
-Append what it prints to ~/.bashrc or ~/.zshrc, or write it to
-~/.config/fish/completions/nermo-mjx.fish.
-"""
 SHELLS = ("bash", "zsh", "fish")
 _PROGRAM, _VARIABLE = "nermo-mjx", "_NERMO_MJX_COMPLETE"
 
 
-@click.command("completion", epilog=COMPLETION_EPILOG)
+@plain_command("completion")
 @click.argument("shell", type=click.Choice(SHELLS))
 @click.pass_context
 def completion_command(context: click.Context, shell: str) -> None:
-    """Print a script with which a shell completes commands, options, names and files."""
+    """Print a script with which a shell completes commands, options, names and files.
+
+    Examples:
+      nermo-mjx completion bash
+      nermo-mjx completion fish
+
+    Append what it prints to ~/.bashrc or ~/.zshrc, or write it to
+    ~/.config/fish/completions/nermo-mjx.fish.
+    """
     kind = get_completion_class(shell)
     assert kind is not None
     click.echo(kind(context.find_root().command, {}, _PROGRAM, _VARIABLE).source())

@@ -16,7 +16,7 @@ from nermo_mjx.cli import options
 from nermo_mjx.cli.choices import OVERLAYS
 from nermo_mjx.cli.directories import kind_of_directory
 from nermo_mjx.cli.options import FileKind
-from nermo_mjx.cli.output import WrongUse, print_json, stdout_reserved
+from nermo_mjx.cli.output import Outcome, WrongUse, command, say
 from nermo_mjx.cli.progress import Progress
 
 if TYPE_CHECKING:
@@ -52,15 +52,7 @@ def figures(path: Path, *, notify: Callable[[str], None]) -> Figures:
     return figures_of(load_recording(path), notify)
 
 
-RENDER_EPILOG = """\b
-Examples:
-  nermo-mjx render walk.npz --out walk.mp4
-  nermo-mjx render walk.npz --out slow.gif --camera side --speed 0.25 --fps 25
-  nermo-mjx render walk.npz other.npz --out both.mp4 --overlay gait
-"""
-
-
-@click.command("render", epilog=RENDER_EPILOG)
+@command("render")
 @click.argument("recordings", metavar="FILE.npz...", nargs=-1, required=True, type=options.RECORDING)
 @options.file("--out", ".mp4", "MP4 (H.264), GIF or WebP.", required=True)
 @options.camera
@@ -72,20 +64,22 @@ Examples:
 @options.number("--width", "Pixels of one robot's picture.", click.IntRange(16, 7680), default=640)
 @options.number("--height", "Pixels of one robot's picture.", click.IntRange(16, 4320), default=480)
 @options.number("--speed", "1 is real time, 0.25 a quarter of it.", options.POSITIVE, default=1.0)
-@options.report
-def render_command(recordings: tuple[Path, ...], out: Path, as_json: bool, quiet: bool, **drawn: Any) -> None:
-    """Render a recording of `walk --record` as a video; several are shown side by side, synchronized."""
-    with stdout_reserved():
-        loaded = [load_recording(path) for path in recordings]
-        if len(loaded) == 1:
-            render_video(loaded[0], out, quiet, **drawn)
-        else:
-            _render_side_by_side([path.stem for path in recordings], loaded, out, quiet, **drawn)
-    if as_json:
-        seconds = min(each.duration for each in loaded) / drawn["speed"]
-        print_json({"video": out, "seconds": seconds, **{name: drawn[name] for name in ("width", "height", "fps")}})
-    elif not quiet:
-        click.echo(f"wrote {out}")
+def render_command(recordings: tuple[Path, ...], out: Path, **drawn: Any) -> Outcome:
+    """Render a recording of `walk --record` as a video; several are shown side by side, synchronized.
+
+    Examples:
+      nermo-mjx render walk.npz --out walk.mp4
+      nermo-mjx render walk.npz --out slow.gif --camera side --speed 0.25 --fps 25
+      nermo-mjx render walk.npz other.npz --out both.mp4 --overlay gait
+    """
+    loaded = [load_recording(path) for path in recordings]
+    if len(loaded) == 1:
+        render_video(loaded[0], out, **drawn)
+    else:
+        _render_side_by_side([path.stem for path in recordings], loaded, out, **drawn)
+    seconds = min(each.duration for each in loaded) / drawn["speed"]
+    content = {"video": out, "seconds": seconds, **{name: drawn[name] for name in ("width", "height", "fps")}}
+    return Outcome(content, files=[out])
 
 
 def check_video(setup: Setup, video: Path | None, camera: str) -> None:
@@ -96,24 +90,24 @@ def check_video(setup: Setup, video: Path | None, camera: str) -> None:
         check_video(setup.load().model, video, camera=camera)
 
 
-def save_run(recording: Recording, record: Path | None, video: Path | None, camera: str, quiet: bool) -> None:
+def save_run(recording: Recording, record: Path | None, video: Path | None, camera: str) -> None:
     """Save a recording as it is, as a video, or both."""
     if record is not None:
         recording.save(record)
     if video is not None:
-        render_video(recording, video, quiet, camera=camera)
+        render_video(recording, video, camera=camera)
 
 
-def render_video(recording: Recording, path: Path, quiet: bool, **drawn: Any) -> None:
+def render_video(recording: Recording, path: Path, **drawn: Any) -> None:
     """Render with a progress bar; the robot is built from the recording's own setup."""
     from nermo_mjx.view import render, robot_of, shown_model
 
     model = shown_model(recording, robot_of(recording))
-    with Progress("video", "frames", quiet=quiet) as progress:
+    with Progress("video", "frames") as progress:
         render(recording, model, path, progress=progress.count, **drawn)
 
 
-def _render_side_by_side(names: list[str], recordings: list[Recording], path: Path, quiet: bool, **drawn: Any) -> None:
+def _render_side_by_side(names: list[str], recordings: list[Recording], path: Path, **drawn: Any) -> None:
     """Render several recordings of one robot, each below the name of its file, its title and its figures."""
     from nermo_mjx.view import robot_of, shown_model
     from nermo_mjx.view.recorded import headline_of, title_of
@@ -125,69 +119,47 @@ def _render_side_by_side(names: list[str], recordings: list[Recording], path: Pa
         lines = [line for line in (title_of(each), figures) if line]
         panes.append(Pane(each, name, lines, shown_model(each, robot_of(each))))
     robot = robot_of(recordings[0])
-    with Progress("video", "frames", quiet=quiet) as progress:
+    with Progress("video", "frames") as progress:
         render_side_by_side(panes, robot.model, path, progress=progress.count, **drawn)
 
 
-PLAY_EPILOG = """\b
-Examples:
-  nermo-mjx play walk.npz
-  nermo-mjx play walk.npz --speed 0.25
-  nermo-mjx play walk.npz --xml walk.xml
-"""
-
-
-@click.command("play", epilog=PLAY_EPILOG)
+@command("play")
 @click.argument("recording", metavar="FILE.npz", type=options.RECORDING)
 @options.number("--speed", "1 is real time, 0.25 a quarter of it.", options.POSITIVE, default=1.0)
 @click.option("--once", is_flag=True, help="Stop at the end instead of looping.")
 @options.file("--xml", ".xml", "Write MJCF with the recording as keyframes instead.")
 @options.number("--rate", "Keyframes per second.", options.POSITIVE, default=25.0)
-@options.report
-def play_command(
-    recording: Path, speed: float, once: bool, xml: Path | None, rate: float, as_json: bool, quiet: bool
-) -> None:
+def play_command(recording: Path, speed: float, once: bool, xml: Path | None, rate: float) -> Outcome:
     """Play a recording in MuJoCo's viewer; it needs a display.
 
     With --xml, no window is opened: the file contains the robot, its scene and
     the recording, and plain MuJoCo can show it anywhere with
     `python -m mujoco.viewer --mjcf=FILE.xml` and its slider over keyframes.
+
+    Examples:
+      nermo-mjx play walk.npz
+      nermo-mjx play walk.npz --speed 0.25
+      nermo-mjx play walk.npz --xml walk.xml
     """
-    with stdout_reserved():
-        from nermo_mjx.view import play, write_keyframes
+    from nermo_mjx.view import play, write_keyframes
 
-        loaded = load_recording(recording)
-        if xml is None:
-            play(loaded, speed=speed, loop=not once)
-            keys = None
-        else:
-            keys = write_keyframes(loaded, xml, rate=rate)
-    if as_json:
-        print_json({"recording": recording, "seconds": loaded.duration, "xml": xml, "keyframes": keys})
-    elif xml is not None and not quiet:
-        click.echo(f"wrote {xml}, with {keys} keyframes")
+    loaded, keys = load_recording(recording), None
+    if xml is None:
+        play(loaded, speed=speed, loop=not once)
+    else:
+        keys = write_keyframes(loaded, xml, rate=rate)
+    content = {"recording": recording, "seconds": loaded.duration, "xml": xml, "keyframes": keys}
+    return Outcome(content, lambda: None if xml is None else click.echo(f"wrote {xml}, with {keys} keyframes"))
 
 
-VIEW_EPILOG = """\b
-Examples:
-  nermo-mjx view walk.npz
-  nermo-mjx view walk.npz other.npz
-  nermo-mjx view walk.npz --out walk.html --no-open
-  nermo-mjx view runs/quickstart
-"""
-
-
-@click.command("view", epilog=VIEW_EPILOG)
+@command("view")
 @click.argument("path", metavar="PATH", type=FileKind(".npz"))
 @click.argument("other", metavar="[OTHER.npz]", required=False, type=options.RECORDING)
 @options.file("--out", ".html", "Write the page to this file.")
 @options.number("--recordings", "For a directory: maximum number of recordings in the page; by default 50.",
                 click.IntRange(0), metavar="N")  # fmt: skip
 @click.option("--no-open", is_flag=True, help="Do not open a browser.")
-@options.report
-def view_command(
-    path: Path, other: Path | None, out: Path | None, recordings: int | None, no_open: bool, as_json: bool, quiet: bool
-) -> None:
+def view_command(path: Path, other: Path | None, out: Path | None, recordings: int | None, no_open: bool) -> Outcome:
     """View a recording, a sweep, a search or a training in the browser.
 
     The page is self-contained and needs no network. For a recording FILE.npz:
@@ -198,6 +170,12 @@ def view_command(
     command that repeats it, and plays its recording if DIR/recordings has it.
     For the directory of a training: curves, evaluation, and a walk of its
     policy on each scene, which is simulated for the page.
+
+    Examples:
+      nermo-mjx view walk.npz
+      nermo-mjx view walk.npz other.npz
+      nermo-mjx view walk.npz --out walk.html --no-open
+      nermo-mjx view runs/quickstart
     """
     if out is not None and out.suffix.lower() not in (".html", ".htm"):
         raise WrongUse(f"{out}: a page ends in .html, not in {out.suffix or 'nothing'!r}.")
@@ -206,19 +184,15 @@ def view_command(
             f"{path} does not exist: allowed is a recording FILE.npz, or the directory of a sweep or search."
         )
     notes: list[str] = []
-    with stdout_reserved():
-        if path.is_dir():
-            page, held = _directory(path, other, recordings, notes)
-        else:
-            page, held = _recording(path, other, recordings)
-        file = page.save(out or Path(tempfile.mkdtemp(prefix="nermo-mjx-")) / f"{path.resolve().stem}.html")
-        opened = not no_open and _has_browser() and webbrowser.open(file.resolve().as_uri())
-    for note in notes if not quiet else []:
-        click.echo(f"view: {note}", err=True)
-    if as_json:
-        print_json({"page": str(file), "bytes": file.stat().st_size, **held, "opened": opened})
-    elif not quiet or (out is None and not opened):
-        click.echo(f"wrote {file}" + ("" if opened or no_open else "; no browser was found, open it in one"))
+    page, amounts = _directory(path, other, recordings, notes) if path.is_dir() else _recording(path, other, recordings)
+    file = page.save(out or Path(tempfile.mkdtemp(prefix="nermo-mjx-")) / f"{path.resolve().stem}.html")
+    opened = not no_open and _has_browser() and webbrowser.open(file.resolve().as_uri())
+    for note in notes:
+        say(note)
+    sentence = f"wrote {file}" + ("" if opened or no_open else "; no browser was found, open it in one")
+    content = {"page": str(file), "bytes": file.stat().st_size, **amounts, "opened": opened}
+    # Nobody else knows where it is.
+    return Outcome(content, lambda: click.echo(sentence), always=out is None and not opened)
 
 
 def _recording(path: Path, other: Path | None, recordings: int | None) -> tuple[Page, dict[str, Any]]:

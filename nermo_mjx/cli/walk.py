@@ -11,12 +11,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
-from click.core import ParameterSource
 
-from nermo_mjx.cli import options, wire
+from nermo_mjx.cli import options
 from nermo_mjx.cli.choices import ENGINES, PILOTS, ROBOTS, TAILS
 from nermo_mjx.cli.options import LISTED, assigned
-from nermo_mjx.cli.output import Failure, WrongUse, print_json, print_table, stdout_reserved
+from nermo_mjx.cli.output import Failure, Outcome, WrongUse, columns, command, is_quiet, print_table, say
 from nermo_mjx.cli.progress import Progress
 from nermo_mjx.cli.view import check_video, load_recording, save_run
 
@@ -24,7 +23,7 @@ if TYPE_CHECKING:
     from nermo_mjx.control.schedule import Switch
     from nermo_mjx.hardware.live import Sent
     from nermo_mjx.hardware.table import ServoTable
-    from nermo_mjx.rollout import Run, RunResult, Setup
+    from nermo_mjx.rollout import Run, Setup
     from nermo_mjx.sweep.replay import Replay, SweepRow
 
 
@@ -71,16 +70,9 @@ class Plan:
 
 
 def plan(
-    *,
-    pilot: str | None,
-    assignments: tuple[str, ...],
-    switches: tuple[str, ...] = (),
-    seed: int | None,
-    cycles: float | None,
-    duration: float | None,
-    warmup: float | None,
-    **options: Any,
-) -> Plan:
+    *, pilot: str | None, assignments: tuple[str, ...], switches: tuple[str, ...] = (), seed: int | None = None,
+    cycles: float | None = None, duration: float | None = None, warmup: float | None = None, **options: Any,
+) -> Plan:  # fmt: skip
     """Join and check the options; raises `WrongUse` or `ParameterError`."""
     from nermo_mjx.robot.quantity import values_of
     from nermo_mjx.rollout import Setup, all_parameters
@@ -160,7 +152,7 @@ LINES = (
 )
 
 
-def print_walk(report: dict[str, Any], plan: Plan, files: list[Path]) -> None:
+def print_walk(report: dict[str, Any], plan: Plan) -> None:
     """Print a report of what `walk` had planned."""
     from nermo_mjx.robot import GAIT_NAMES
     from nermo_mjx.rollout.metrics import Ending
@@ -175,7 +167,7 @@ def print_walk(report: dict[str, Any], plan: Plan, files: list[Path]) -> None:
     lines += [(title, metrics[name], unit, factor) for name, title, unit, factor in LINES if name in metrics]
     rows = [[title, _number(value, factor), unit] for title, value, unit, factor in lines]
     rows += [[own.name, f"{metrics[own.name]:.4g}", own.unit] for own in plan.setup.own_metrics]
-    headings = [("", "left"), ("", "right"), ("", "left")]
+    headings = columns(", >, ")
     ratio = report["parameters"].get("tracking.clock_ratio", 1.0)
     if ratio != 1.0:
         # Seconds of the controller's clock, in which frequencies are given, before simulated ones.
@@ -184,17 +176,15 @@ def print_walk(report: dict[str, Any], plan: Plan, files: list[Path]) -> None:
             row.insert(1, _number(value, factor * scaled.get(unit, 1.0)))
         for row in rows[len(lines) :]:
             row.insert(1, "")
-        headings = [("", "left"), ("controller's clock", "right"), ("simulated", "right"), ("", "left")]
+        headings = columns(", controller's clock>, simulated>, ")
     print_table(f"Nermo walked: {what}", headings, rows)
     degrees = math.degrees(1.0)
     parts = ("mean", "std", "min", "max")
     angles = [[angle, *(_number(metrics.get(f"{angle}_{part}"), degrees) for part in parts)] for angle in ANGLES]
-    print_table("Orientation [degrees]", [("", "left"), *((part, "right") for part in parts)], angles)
+    print_table("Orientation [degrees]", columns(", mean>, std>, min>, max>"), angles)
     ending = Ending[metrics["status"]]
     if ending is not Ending.ok:
         click.echo(ending.value)
-    for file in files:
-        click.echo(f"wrote {file}")
 
 
 def _number(value: float | None, factor: float) -> str:
@@ -204,20 +194,7 @@ def _number(value: float | None, factor: float) -> str:
     return f"{value:.1f}" if abs(value) >= 10 else f"{value:.2f}"
 
 
-WALK_EPILOG = """\b
-Examples:
-  nermo-mjx walk
-  nermo-mjx walk --frequency 0.8 --spine stride_extension --video w.mp4
-  nermo-mjx walk --turn-rate 0.5 --steering mix --record turn.npz
-  nermo-mjx walk --set contact.friction=0.6 --json
-  nermo-mjx walk --switch 2,gait=lat --switch 6,spine=stride_extension
-  nermo-mjx walk --controller bound.py:Bound --set reach=0.04
-  nermo-mjx walk --controller policy.npz --duration 5 --record walk.npz
-  nermo-mjx walk --metrics my_metrics.py
-"""
-
-
-@click.command("walk", epilog=WALK_EPILOG)
+@command("walk")
 @options.gait
 @click.option("--controller", metavar="FILE", help="Custom controller: FILE.py:NAME, or a policy FILE.npz.")
 @click.option("--metrics", multiple=True, metavar="FILE.py[:NAME]", help="Custom metrics; repeatable.")
@@ -238,44 +215,56 @@ Examples:
 @options.file("--record", ".npz", "Save the whole run.")
 @options.file("--video", ".mp4", "Render it; MP4, GIF or WebP.")
 @options.camera
-@options.report
-def walk_command(
-    engine: str, record: Path | None, video: Path | None, camera: str, as_json: bool, quiet: bool, **chosen: Any
-) -> None:
-    """Simulate one walk, and summarize it."""
-    with stdout_reserved():
-        wanted = plan(**chosen)
-        check_video(wanted.setup, video, camera)
-        result = _run_walk(wanted, engine, bool(record or video), quiet)
-        if result.trace is not None:
-            save_run(result.recording(), record, video, camera, quiet)
-    report = result.about()
-    if as_json:
-        print_json(report)
-    elif not quiet:
-        print_walk(report, wanted, [path for path in (record, video) if path is not None])
+def walk_command(engine: str, record: Path | None, video: Path | None, camera: str, **chosen: Any) -> Outcome:
+    """Simulate one walk, and summarize it.
 
-
-def _run_walk(wanted: Plan, engine: str, record: bool, quiet: bool) -> RunResult:
+    Examples:
+      nermo-mjx walk
+      nermo-mjx walk --frequency 0.8 --spine stride_extension --video w.mp4
+      nermo-mjx walk --turn-rate 0.5 --steering mix --record turn.npz
+      nermo-mjx walk --set contact.friction=0.6 --json
+      nermo-mjx walk --switch 2,gait=lat --switch 6,spine=stride_extension
+      nermo-mjx walk --controller bound.py:Bound --set reach=0.04
+      nermo-mjx walk --controller policy.npz --duration 5 --record walk.npz
+      nermo-mjx walk --metrics my_metrics.py
+    """
     from nermo_mjx.rollout import Simulator
 
-    with Progress("walk", quiet=quiet, compiles=True) as progress:
+    wanted = plan(**chosen)
+    check_video(wanted.setup, video, camera)
+    with Progress("walk", compiles=True) as progress:
         simulator = Simulator(wanted.setup, engine=engine)
-        return simulator.run(wanted.values, wanted.run, record=record, progress=progress.share)
+        result = simulator.run(wanted.values, wanted.run, record=bool(record or video), progress=progress.share)
+    if result.trace is not None:
+        save_run(result.recording(), record, video, camera)
+    report = result.about()
+    return Outcome(report, lambda: print_walk(report, wanted), _written(record, video))
 
 
-DRIVE_EPILOG = """\b
-Examples:
-  nermo-mjx drive
-  nermo-mjx drive --scene stairs --frequency 0.8 --record drive.npz
-  nermo-mjx drive --controller policy.npz
-  nermo-mjx drive --no-browser --port 8000
-  nermo-mjx drive --robot mqtt://192.168.0.10 --frequency 0.8
-  nermo-mjx drive --serve mqtt://localhost --delay 20 --loss 0.01
-"""
+def _written(*files: Path | None) -> list[Path]:
+    return [file for file in files if file is not None]
 
 
-@click.command("drive", epilog=DRIVE_EPILOG)
+def _address(context: click.Context, parameter: click.Parameter, given: tuple[str, ...]) -> tuple[str, str | None]:
+    """The model's name, and the address of a robot."""
+    urls = [each for each in given if "://" in each]
+    names = [each for each in given if "://" not in each]
+    for name in names:
+        click.Choice(ROBOTS).convert(name, parameter, context)
+    if len(urls) > 1 or len(names) > 1:
+        raise click.BadParameter("give one name and one address at most.", context, parameter)
+    return names[0] if names else ROBOTS[0], urls[0] if urls else None
+
+
+#: Options of `drive` that need another one: which, and what is missing without it.
+DRIVE_NEEDS = {
+    "headless": "--robot URL", "rate": "--robot URL", "watchdog": "--robot URL", "delay": "--serve URL",
+    "loss": "--serve URL", "channels": "--robot URL or --serve URL", "port": "a page", "browser": "a page",
+    "record": "a page",
+}  # fmt: skip
+
+
+@command("drive")
 @options.gait
 @click.option("--controller", metavar="FILE", help="Custom controller: FILE.py:NAME, or a policy FILE.npz.")
 @options.choice("--pilot", PILOTS, "Default: open_loop, which turns as you steer.", default=None)
@@ -287,13 +276,27 @@ Examples:
 @options.number("--port", "Of the page; by default any that is free.", click.IntRange(1, 65535))
 @options.number("--seconds", "Duration; by default until Ctrl-C.", options.POSITIVE)
 @click.option("--browser/--no-browser", default=True, help="Open the page, or only print its address.")
-@wire.wire_options
-@options.report
+@click.option("--robot", multiple=True, metavar="NAME|URL", callback=_address, shell_complete=options.names(*ROBOTS),
+              help=f"{' or '.join(ROBOTS)}, and the address of a real one: mqtt://HOST[:PORT] of a broker, or "
+              "ros://HOST[:PORT] of a rosbridge.")  # fmt: skip
+@click.option("--serve", metavar="URL", help="Be a simulated robot that is driven from there.")
+@click.option("--channels", default="published", show_default=True, metavar="FILE.yaml", type=options.SPEC,
+              help="Channel, direction, zero and limits of each servo, as for `servos`.")  # fmt: skip
+@options.number("--rate", "Commands per second; by default that of the channels, or of the controller.",
+                options.POSITIVE)  # fmt: skip
+@options.number("--watchdog", "Seconds without messages after which the robot holds still.",
+                click.FloatRange(0, 5, min_open=True), default=0.25)  # fmt: skip
+@click.option("--headless", is_flag=True, help="Drive a robot without a page, from now on.")
+@click.option("--switch", "switches", multiple=True, metavar="AT,NAME=X...", help="As for `walk`; repeatable.")
+@options.number("--delay", "With --serve: each message takes about this long, each way [ms].",
+                click.FloatRange(0, 10_000), default=0.0)  # fmt: skip
+@options.number("--loss", "With --serve: share of messages that get lost, each way.", click.FloatRange(0, 1),
+                default=0.0)  # fmt: skip
 def drive_command(
-    record: Path | None, port: int | None, seconds: float | None, browser: bool, as_json: bool, quiet: bool,
-    pilot: str | None, robot: tuple[str, str | None], serve: str | None, headless: bool, delay: float, loss: float,
-    channels: Path, rate: float | None, watchdog: float, **chosen: Any,
-) -> None:  # fmt: skip
+    record: Path | None, port: int | None, seconds: float | None, browser: bool, pilot: str | None,
+    robot: tuple[str, str | None], serve: str | None, headless: bool, delay: float, loss: float, channels: Path,
+    rate: float | None, watchdog: float, **chosen: Any,
+) -> Outcome:  # fmt: skip
     """Drive the robot in the browser while it walks: keyboard, gamepad, sliders.
 
     The page is served to this machine alone, and its address holds a secret.
@@ -308,73 +311,72 @@ def drive_command(
     of the gait slowly. Without messages, or with the page away, it holds
     still; after 5 s the drive ends. --serve is the other side: a simulated
     robot behind the same topics.
-    """
-    with stdout_reserved():
-        from nermo_mjx.hardware.live import SendError, address
-        from nermo_mjx.live.driving import Driving
-        from nermo_mjx.live.running import Running
-        from nermo_mjx.live.server import Drive
-        from nermo_mjx.live.wire import RobotDriving, SimulatedRobot, drive_robot, reached, wiring
-        from nermo_mjx.runs.files import make_writable
 
-        model, url = robot
-        wire.check_use(url, serve, headless)
-        default = "open_loop" if chosen["controller"] is None else None
-        wanted = plan(pilot=pilot or default, seed=None, cycles=None, duration=None, warmup=None, robot=model, **chosen)
-        setup, values, about, files = wanted.setup, dict(wanted.values), dict[str, Any](), list[Path]()
-        wired = None if url is None else (url, *wiring(setup, url, channels, rate), watchdog)
-        if not quiet and (headless or serve is not None):
-            click.echo("drive: Ctrl-C ends it", err=True)
-        try:
-            if serve is not None:
-                address(serve, "serve")
-                about = SimulatedRobot(setup, values, channels, delay / 1e3, loss).run(serve, seconds)
-            elif headless and wired is not None:
-                with reached(Running(setup, values), *wired) as there:
-                    about = dataclasses.asdict(drive_robot(there, seconds))
-            else:
-                if record is not None:
-                    make_writable(record.parent)
-                with Progress("drive", quiet=quiet, compiles=True):
-                    driving = (RobotDriving if url else Driving)(setup, values, record=record is not None)
-                with contextlib.ExitStack() as stack:
-                    if isinstance(driving, RobotDriving) and wired is not None:
-                        driving.wired = stack.enter_context(reached(driving.running, *wired))
-                    drive = Drive(setup, values, record, port or 0, driving)
-                    if isinstance(driving, RobotDriving):
-                        driving.operator = lambda: drive.away
-                    click.echo(f"drive: {drive.link.address}", err=True)
+    Examples:
+      nermo-mjx drive
+      nermo-mjx drive --scene stairs --frequency 0.8 --record drive.npz
+      nermo-mjx drive --controller policy.npz
+      nermo-mjx drive --no-browser --port 8000
+      nermo-mjx drive --robot mqtt://192.168.0.10 --frequency 0.8
+      nermo-mjx drive --serve mqtt://localhost --delay 20 --loss 0.01
+    """
+    model, url = robot
+    there = {"--robot URL": bool(url), "--serve URL": bool(serve), "a page": not (headless or serve)}
+    there["--robot URL or --serve URL"] = bool(url or serve)
+    if url and serve:
+        raise WrongUse("Give --robot URL or --serve URL, not both.")
+    for name, flag in options.given().items():
+        if not there.get(need := DRIVE_NEEDS.get(name, ""), True):
+            raise WrongUse(f"{flag} has no effect without {need}.")
+    from nermo_mjx.hardware.live import SendError, address
+    from nermo_mjx.live.driving import Driving
+    from nermo_mjx.live.server import Drive
+    from nermo_mjx.live.wire import RobotDriving, SimulatedRobot
+    from nermo_mjx.runs.files import make_writable
+
+    default = "open_loop" if chosen["controller"] is None else None
+    wanted = plan(pilot=pilot or default, robot=model, **chosen)
+    setup, values, about, files = wanted.setup, dict(wanted.values), dict[str, Any](), list[Path]()
+    if not there["a page"]:
+        say("Ctrl-C ends it")
+    if record is not None:
+        make_writable(record.parent)
+    try:
+        if serve is not None:
+            address(serve, "serve")
+            about = SimulatedRobot(setup, values, channels, delay / 1e3, loss).run(serve, seconds)
+        else:
+            kept, robots = record is not None, None
+            with Progress("drive", quiet=headless or is_quiet(), compiles=True):
+                if url is not None:
+                    robots = RobotDriving(setup, values, url, channels, rate, watchdog, record=kept)
+                driving = robots or Driving(setup, values, record=kept)
+            with robots.reach() if robots else contextlib.nullcontext():
+                if robots and headless:
+                    robots.run(seconds)
+                else:
+                    drive = Drive(driving, record, port or 0)
+                    if robots:
+                        robots.operator = lambda: drive.away
+                    click.echo(f"drive: {drive.address}", err=True)
                     if browser:
-                        webbrowser.open(drive.link.address)
+                        webbrowser.open(drive.address)
                     with contextlib.suppress(KeyboardInterrupt, SendError):
                         drive.run(seconds)
-                about, files = drive.report(), drive.files
-                if isinstance(driving, RobotDriving) and driving.wired is not None:
-                    about |= dataclasses.asdict(driving.wired.driven)
-        except SendError as error:
-            raise Failure(f"{str(error).rstrip('.')}.") from None
-    if as_json:
-        print_json(about)
-    elif not quiet:
+                    about, files = drive.report(), drive.files
+            about |= dataclasses.asdict(robots.driven) if robots else {}
+    except SendError as error:
+        raise Failure(f"{str(error).rstrip('.')}.") from None
+
+    def show() -> None:
         for name, value in about.items() if url or serve else ():
-            told = ", ".join(f"{each} {what}" for what, each in value.items()) if isinstance(value, dict) else value
-            click.echo(f"{name}: {f'{told:.4g}' if isinstance(told, float) else told}")
-        for file in files:
-            click.echo(f"wrote {file}")
-    if about.get("ended"):
-        raise Failure(f"{about['ended'].rstrip('.')}.")
+            text = ", ".join(f"{each} {what}" for what, each in value.items()) if isinstance(value, dict) else value
+            click.echo(f"{name}: {f'{text:.4g}' if isinstance(text, float) else text}")
+
+    return Outcome(about, show, files, f"{about['ended'].rstrip('.')}." if about.get("ended") else "")
 
 
-REPLAY_EPILOG = """\b
-Examples:
-  nermo-mjx replay runs/quickstart --row 57 --video row57.mp4
-  nermo-mjx replay runs/quickstart --row 57 --engine mjx --json
-  nermo-mjx replay runs/atlas --row 8123 --video gait.mp4
-  nermo-mjx replay drive.npz --sweep drive.yaml
-"""
-
-
-@click.command("replay", epilog=REPLAY_EPILOG)
+@command("replay")
 @click.argument("out", metavar="DIR|FILE.npz", type=click.Path(path_type=Path))
 @options.number("--row", "Row of the table, from 0; not with a FILE.npz.", int, metavar="N")
 @options.choice("--engine", ENGINES, "By default the directory's own.", default=None)
@@ -382,11 +384,10 @@ Examples:
 @options.file("--video", ".mp4", "Render it; MP4, GIF or WebP.")
 @options.file("--sweep", ".yaml", "Write a sweep file that walks as was driven, of a FILE.npz.")
 @options.camera
-@options.report
 def replay_command(
     out: Path, row: int | None, engine: str | None, record: Path | None, video: Path | None, sweep: Path | None,
-    camera: str, as_json: bool, quiet: bool,
-) -> None:  # fmt: skip
+    camera: str,
+) -> Outcome:  # fmt: skip
     """Rerun one row of a sweep's or a search's directory on its own, or a
     recorded drive.
 
@@ -397,97 +398,75 @@ def replay_command(
 
     A FILE.npz of `drive --record` is driven again, by the same commands, and
     compared sample by sample.
+
+    Examples:
+      nermo-mjx replay runs/quickstart --row 57 --video row57.mp4
+      nermo-mjx replay runs/quickstart --row 57 --engine mjx --json
+      nermo-mjx replay runs/atlas --row 8123 --video gait.mp4
+      nermo-mjx replay drive.npz --sweep drive.yaml
     """
-    files = [path for path in (record, video) if path is not None]
     if out.suffix == ".npz":
         if row is not None or engine is not None:
             raise WrongUse("--row and --engine belong to a directory: a recorded drive has neither.")
-        return _replay_drive(out, record, video, sweep, camera, as_json, quiet)
+        return _replay_drive(out, record, video, sweep, camera)
     if row is None or sweep is not None:
         raise WrongUse("Give --row N, a row of the table." if row is None else "--sweep belongs to a recorded drive.")
-    with stdout_reserved():
-        from nermo_mjx.runs.files import make_writable
-        from nermo_mjx.sweep.replay import find_row, replay_row, report_of
+    from nermo_mjx.optimize.search_directory import find_evaluation
+    from nermo_mjx.runs.files import make_writable
+    from nermo_mjx.runs.text import plain
+    from nermo_mjx.sweep.replay import find_row, replay_row, report_of
 
-        if (out / "search.yaml").exists():
-            from nermo_mjx.optimize.search_directory import find_evaluation
-
-            found = find_evaluation(out, row)
-        else:
-            found = find_row(out, row)
-        wanted = Plan(found.walk.setup, found.walk.run, found.values, found.parameters)
-        for path in files:
-            make_writable(path.parent)
-        check_video(wanted.setup, video, camera)
-        with Progress("replay", quiet=quiet, compiles=True) as progress:
-            replay = replay_row(found, engine, progress.share)
-        report = report_of(found, replay)
-        if files:
-            if not len(replay.history.time):
-                raise Failure(f"row {row} diverged in its first tick: there is nothing to record or to show.")
-            from nermo_mjx.runs.text import plain
-
-            recording = dataclasses.replace(replay.recording(), metadata=plain(report))
-            save_run(recording, record, video, camera, quiet)
-    if as_json:
-        print_json(report)
-    elif not quiet:
-        _print_replay(found, wanted, replay, report, files)
+    found = (find_evaluation if (out / "search.yaml").exists() else find_row)(out, row)
+    wanted = Plan(found.walk.setup, found.walk.run, found.values, found.parameters)
+    files = _written(record, video)
+    for path in files:
+        make_writable(path.parent)
+    check_video(wanted.setup, video, camera)
+    with Progress("replay", compiles=True) as progress:
+        replay = replay_row(found, engine, progress.share)
+    report = report_of(found, replay)
+    if files:
+        if not len(replay.history.time):
+            raise Failure(f"row {row} diverged in its first tick: there is nothing to record or to show.")
+        save_run(dataclasses.replace(replay.recording(), metadata=plain(report)), record, video, camera)
+    return Outcome(report, lambda: _print_replay(found, wanted, replay, report), files)
 
 
-def _replay_drive(
-    path: Path, record: Path | None, video: Path | None, sweep: Path | None, camera: str, as_json: bool, quiet: bool
-) -> None:
+def _replay_drive(path: Path, record: Path | None, video: Path | None, sweep: Path | None, camera: str) -> Outcome:
     """Drive a recording again, and compare."""
-    with stdout_reserved():
-        from nermo_mjx.live.driving import as_sweep, difference, replayed
-        from nermo_mjx.recording import RecordingError, whole_file
+    from nermo_mjx.live.driving import as_sweep, difference, replayed
+    from nermo_mjx.recording import RecordingError, whole_file
+    from nermo_mjx.sweep import Sweep
 
-        recording = load_recording(path)
-        try:
-            if sweep is not None:
-                from nermo_mjx.sweep import Sweep
-
-                with whole_file(sweep, "the sweep file") as file:
-                    file.write(Sweep.from_dict(as_sweep(recording)).to_yaml(sweep.parent).encode())
-            with Progress("replay", quiet=quiet, compiles=True):
-                again = replayed(recording)
-        except RecordingError as error:
-            raise WrongUse(f"{path}: {error}") from None
-        save_run(again, record, video, camera, quiet)
-    differs = difference(recording, again)
-    if as_json:
-        print_json({"recording": path, "samples": len(again.time), "equal": differs is None, "differs_from": differs})
-    elif not quiet:
-        samples = f"{len(again.time):,} samples"
-        click.echo(f"All {samples} equal the recording's, to the last bit." if differs is None else
-                   f"Of {samples} those from {differs:.2f} s on differ from the recording's.")  # fmt: skip
+    recording = load_recording(path)
+    try:
+        if sweep is not None:
+            with whole_file(sweep, "the sweep file") as file:
+                file.write(Sweep.from_dict(as_sweep(recording)).to_yaml(sweep.parent).encode())
+        with Progress("replay", compiles=True):
+            again = replayed(recording)
+    except RecordingError as error:
+        raise WrongUse(f"{path}: {error}") from None
+    save_run(again, record, video, camera)
+    differs, samples = difference(recording, again), f"{len(again.time):,} samples"
+    sentence = (f"All {samples} equal the recording's, to the last bit." if differs is None else
+                f"Of {samples} those from {differs:.2f} s on differ from the recording's.")  # fmt: skip
+    content = {"recording": path, "samples": len(again.time), "equal": differs is None, "differs_from": differs}
+    return Outcome(content, lambda: click.echo(sentence))
 
 
-def _print_replay(found: SweepRow, wanted: Plan, replay: Replay, report: dict[str, Any], files: list[Path]) -> None:
+def _print_replay(found: SweepRow, wanted: Plan, replay: Replay, report: dict[str, Any]) -> None:
     values = "".join(f", {name} {label}" for name, label in found.walk.labels.items())
     values += "".join(f", {name} {value:.4g}" for name, value in found.values.items())
     click.echo(f"Row {found.row} of {found.out}: variant {report['variant']}, repeat {report['repeat']}{values}\n")
-    print_walk(report, wanted, [])
+    print_walk(report, wanted)
     for flag, what in (("fell", "fell"), ("diverged", "lost its numbers")):
         if report["metrics"][flag]:
             click.echo(f"It {what} at {replay.metrics['failure_time']:.2f} s, of {found.end:.2f} s.")
     click.echo(report["compared"])
-    for file in files:
-        click.echo(f"wrote {file}")
 
 
-SERVOS_EPILOG = """\b
-Examples:
-  nermo-mjx servos --frequency 0.8 --out trot.csv
-  nermo-mjx servos --gait lat --turn-rate 0.5 --rate 100 --out turn.csv
-  nermo-mjx servos --spine stride_extension --cycles 3 --out walk.csv
-  nermo-mjx servos --channels published --send mqtt://127.0.0.1 --seconds 10
-  nermo-mjx servos --recording walk.npz --out policy.csv
-"""
-
-
-@click.command("servos", epilog=SERVOS_EPILOG)
+@command("servos")
 @options.gait
 @options.number("--rate", "Rows per second; by default that of the channels, or 50.", options.POSITIVE)
 @options.number("--cycles", "Whole gait cycles, by default 1.", click.IntRange(1))
@@ -507,20 +486,10 @@ Examples:
 )
 @click.option("--topic", default="q_values", show_default=True, metavar="NAME", help="MQTT or ROS topic.")
 @options.number("--seconds", "Duration of sending; by default until Ctrl-C.", options.POSITIVE)
-@options.report
 def servos_command(
-    rate: float | None,
-    cycles: int | None,
-    channels: Path | None,
-    recording: Path | None,
-    out: Path | None,
-    send: str | None,
-    topic: str,
-    seconds: float | None,
-    as_json: bool,
-    quiet: bool,
-    **chosen: Any,
-) -> None:
+    rate: float | None, channels: Path | None, recording: Path | None, out: Path | None, send: str | None, topic: str,
+    seconds: float | None, **chosen: Any,
+) -> Outcome:  # fmt: skip
     """Write the servo angles of a gait as CSV, ready to be played in a loop, or
     send them to the robot.
 
@@ -539,61 +508,62 @@ def servos_command(
     --send plays the table repeatedly in real time. Over MQTT a message
     is a JSON list of degrees, one per channel; to ROS 2, through a
     rosbridge server, a Float32MultiArray of radians.
+
+    Examples:
+      nermo-mjx servos --frequency 0.8 --out trot.csv
+      nermo-mjx servos --gait lat --turn-rate 0.5 --rate 100 --out turn.csv
+      nermo-mjx servos --spine stride_extension --cycles 3 --out walk.csv
+      nermo-mjx servos --channels published --send mqtt://127.0.0.1 --seconds 10
+      nermo-mjx servos --recording walk.npz --out policy.csv
     """
     if out is None and send is None:
         raise WrongUse("Give --out FILE.csv, --send URL, or both.")
     if send is None and seconds is not None:
         raise WrongUse("--seconds limits the duration of --send: give --send URL, too.")
-    with stdout_reserved():
-        from nermo_mjx.runs.files import replace_file
+    from nermo_mjx.runs.files import replace_file
 
-        if recording is None:
-            table, words = _of_gait(rate, cycles, channels, chosen)
-        else:
-            table, words = _of_recording(recording, rate, channels)
-        if out is not None:
-            try:
-                out.parent.mkdir(parents=True, exist_ok=True)
-                replace_file(out, table.to_csv(", ".join(words)).encode())
-            except OSError as error:
-                raise Failure(f"{out}: the table cannot be written ({error.strerror}).") from None
-        sent = None if send is None else _sent(table, send, topic, seconds)
+    if recording is None:
+        table, words = _of_gait(rate, channels, chosen)
+    else:
+        table, words = _of_recording(recording, rate, channels)
+    if out is not None:
+        try:
+            out.parent.mkdir(parents=True, exist_ok=True)
+            replace_file(out, table.to_csv(", ".join(words)).encode())
+        except OSError as error:
+            raise Failure(f"{out}: the table cannot be written ({error.strerror}).") from None
+    sent = None if send is None else _sent(table, send, topic, seconds)
     lows, highs = table.angles.min(axis=0), table.angles.max(axis=0)
-    if as_json:
-        servos = [
-            {"servo": name, "channel": channel.number, "low_deg": low, "high_deg": high, "speed_deg_per_s": speed}
-            for name, channel, low, high, speed in zip(
-                table.names, table.channels, lows, highs, table.speed, strict=True
-            )
-        ]
-        about: dict[str, Any] = {"out": out, "rows": len(table.time), "rate": table.rate, "cycles": table.cycles}
-        about |= {"frequency": table.frequency, "servo_speed_deg_per_s": table.servo_speed}
-        about |= {} if sent is None else {"sent": dataclasses.asdict(sent)}
-        print_json({**about, "servos": servos})
-    elif not quiet:
+    servos = [{"servo": name, "channel": channel.number, "low_deg": low, "high_deg": high, "speed_deg_per_s": speed}
+              for name, channel, low, high, speed
+              in zip(table.names, table.channels, lows, highs, table.speed, strict=True)]  # fmt: skip
+    content: dict[str, Any] = {"out": out, "rows": len(table.time), "rate": table.rate, "cycles": table.cycles,
+               "frequency": table.frequency, "servo_speed_deg_per_s": table.servo_speed}  # fmt: skip
+    content |= {} if sent is None else {"sent": dataclasses.asdict(sent)}
+
+    def show() -> None:
         if table.too_fast:
-            click.echo(f"servos: {table.too_fast}", err=True)
-        columns = [("channel", "right"), ("servo", "left"), ("from [deg]", "right"), ("to [deg]", "right"),
-                   ("fastest [deg/s]", "right")]  # fmt: skip
-        rows = [[str(channel.number), name, f"{low:.1f}", f"{high:.1f}", f"{speed:.0f}"] for name, channel, low, high,
-                speed in zip(table.names, table.channels, lows, highs, table.speed, strict=True)]  # fmt: skip
-        print_table(f"{table.how_many}, {len(table.time)} rows, {table.rate:.6g} rows/s", columns, rows)
+            say(table.too_fast)
+        rows = [[str(each["channel"]), each["servo"], f"{each['low_deg']:.1f}", f"{each['high_deg']:.1f}",
+                 f"{each['speed_deg_per_s']:.0f}"] for each in servos]  # fmt: skip
+        headings = columns("channel>, servo, from [deg]>, to [deg]>, fastest [deg/s]>")
+        print_table(f"{table.how_many}, {len(table.time)} rows, {table.rate:.6g} rows/s", headings, rows)
         if out is not None:
             click.echo(f"wrote {out}")
         if sent is not None:
             click.echo(f"sent {sent.messages} messages in {sent.seconds:.1f} s, {sent.skipped} skipped; the latest was "
                        f"{1e3 * sent.latest:.1f} ms late")  # fmt: skip
 
+    return Outcome({**content, "servos": servos}, show)
 
-def _of_gait(
-    rate: float | None, cycles: int | None, channels: Path | None, chosen: dict[str, Any]
-) -> tuple[ServoTable, list[str]]:
+
+def _of_gait(rate: float | None, channels: Path | None, chosen: dict[str, Any]) -> tuple[ServoTable, list[str]]:
     """The table of a gait, and what it is in words."""
     from nermo_mjx.hardware import servo_table
 
-    wanted = plan(pilot="open_loop", seed=None, cycles=None, duration=None, warmup=None, scene="flat",
-                  physics="reference", **chosen)  # fmt: skip
-    table = servo_table(wanted.setup, wanted.values, rate=rate, cycles=cycles or 1, channels=channels)
+    cycles = chosen.pop("cycles") or 1
+    wanted = plan(pilot="open_loop", scene="flat", physics="reference", **chosen)
+    table = servo_table(wanted.setup, wanted.values, rate=rate, cycles=cycles, channels=channels)
     words = [f"gait {wanted.setup.gait}", f"spine {wanted.setup.spine}", f"steering {wanted.setup.steering}"]
     named = {"frequency": table.frequency, **wanted.values}
     return table, words + [f"{name} {value:g}" for name, value in named.items()]
@@ -605,11 +575,9 @@ def _of_recording(path: Path, rate: float | None, channels: Path | None) -> tupl
     from nermo_mjx.view import robot_of
 
     kept = ("recording", "rate", "channels", "out", "send", "topic", "seconds", "as_json", "quiet")
-    context = click.get_current_context()
-    for each in context.command.params:
-        source = context.get_parameter_source(each.name or "")
-        if each.name not in kept and source is not ParameterSource.DEFAULT:
-            raise WrongUse(f"{each.opts[0]} has no effect with --recording, whose walk is over: leave one of them out.")
+    for name, flag in options.given().items():
+        if name not in kept:
+            raise WrongUse(f"{flag} has no effect with --recording, whose walk is over: leave one of them out.")
     recording = load_recording(path)
     return recorded_table(recording, robot_of(recording), rate=rate, channels=channels), [f"walk {path.name}"]
 

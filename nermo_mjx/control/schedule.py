@@ -217,6 +217,12 @@ def _courses(control: Any, schedule: Schedule) -> dict[str, Any]:
     return found
 
 
+def turned(moves: Mapping[str, Any]) -> Any:
+    """By how much of the cycle a limb goes backward at most, by changes of parameters by name."""
+    offsets = [np.abs(move) for name, move in moves.items() if name.startswith("offset.")]
+    return (np.maximum.reduce(offsets) if offsets else 0.0) + np.abs(moves.get("duty", 0.0))
+
+
 def check_schedule(control: Any, schedule: Schedule, switches: int, cycle_rate: Any) -> None:
     """Reject switches that overlap, or by which a limb would go backward in its cycle.
 
@@ -239,17 +245,15 @@ def check_schedule(control: Any, schedule: Schedule, switches: int, cycle_rate: 
             )
     courses = {name: np.asarray(course, float) for name, course in _courses(control, schedule).items()}
     moves = {name: np.abs(np.diff(course)) for name, course in courses.items()}
-    limbs = [moves[name] for name in moves if name.startswith("offset.")]
-    turned = np.maximum.reduce(limbs) if limbs else np.zeros_like(blend)
-    turned = turned + moves.get("duty", 0.0)
+    backward = np.zeros_like(blend) + turned(moves)
     if "frequency" in courses:
         course = courses["frequency"]
-        turned = turned * course[..., :1] / np.minimum(course[..., 1:], course[..., :-1])
-    turned, blend = np.broadcast_arrays(turned, blend)
+        backward = backward * course[..., :1] / np.minimum(course[..., 1:], course[..., :-1])
+    backward, blend = np.broadcast_arrays(backward, blend)
     for k in range(switches):
-        short = (turned[..., k] >= blend[..., k]).ravel()
+        short = (backward[..., k] >= blend[..., k]).ravel()
         if short.any():
-            value, least = blend[..., k].ravel()[short][0], turned[..., k].ravel()[short][0]
+            value, least = blend[..., k].ravel()[short][0], backward[..., k].ravel()[short][0]
             raise ParameterError(
                 f"schedule.blend.{k + 1} is {value:g}: allowed is more than {least:g} cycles; a limb would go backward."
             )

@@ -1,4 +1,9 @@
-"""A drive: the controller and a body on engine c, tick by tick, with everything that makes it again bit for bit."""
+"""A drive: controller and body on engine c, tick by tick, under commands that come while the robot walks.
+
+A command is a `Switch` that begins when it comes. Commands whose blends overlap are added, each with its own length, so
+feet and servos are continuous as in a schedule. The loop is the compiled one of engine `c`, and a recorded drive can be
+made again bit for bit.
+"""
 
 from __future__ import annotations
 
@@ -7,16 +12,22 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
+import jax
 import numpy as np
 from jaxtyping import Float
 
-from nermo_mjx.control.schedule import Switch
-from nermo_mjx.live.running import Running
-from nermo_mjx.physics.c_engine import CBodies
+from nermo_mjx.control.head_and_tail import GAZE, TAIL_MOTIONS
+from nermo_mjx.control.protocol import ChecksParameters
+from nermo_mjx.control.schedule import GAINS, MODES, Schedule, Switch, turned
+from nermo_mjx.control.spine_modes import LATERAL_MODES, NO_MODE, SAGITTAL_MODES
+from nermo_mjx.physics.c_engine import LANES, CBodies, CEngine
 from nermo_mjx.recording import Recording, RecordingError, model_hash
 from nermo_mjx.robot import ParameterError
-from nermo_mjx.rollout import Run, Setup
-from nermo_mjx.rollout.simulator import MOST_RECORDED, TICK_BYTES
+from nermo_mjx.robot.quantity import choice, quantities, replace_quantities, values_of
+from nermo_mjx.rollout import Run, Setup, Simulator
+from nermo_mjx.rollout.loop import LoopState
+from nermo_mjx.rollout.setup import Window
+from nermo_mjx.rollout.simulator import MOST_RECORDED, TICK_BYTES, default_precision
 from nermo_mjx.runs.provenance import versions
 from nermo_mjx.runs.text import plain
 from nermo_mjx.specs.walk import WalkSpec
@@ -46,51 +57,162 @@ class Push:
 class Driving:
     """A drive from its start to now.
 
+    >>> from nermo_mjx import Setup
+    >>> driving = Driving(Setup(pilot="open_loop"), {"frequency": 0.8})
+    >>> driving.dt, driving.steps_per_tick
+    (0.01, 5)
+
     Attributes:
-        running: the controller.
-        values: of parameters at the start, by name.
-        pushes: since the start.
+        setup, values: as given.
+        simulator: its program, with every mode that a command can turn on: the last digits of a drive may be others
+            than those of a walk, whose program has only its own modes.
+        dt: between ticks [s].
+        steps_per_tick: readings of the sensors between two ticks.
+        parameters: those that a command can change, with their ranges.
+        ticks: since the start.
+        commands, pushes: since the start, each command with the tick before which it came.
+        control: the controller's parameters of this moment, leaves (1, ...).
+        modes: those that act, by the choice that makes them.
     """
 
     def __init__(self, setup: Setup, values: Mapping[str, float] | None = None, *, record: bool = True) -> None:
         """
         Args:
-            setup, values: as for `Running`.
+            setup: any. The switches of its schedule are commands that come at their times.
+            values: of parameters at the start, by name.
             record: whether every tick is kept, for `recording`.
 
         Raises:
-            ParameterError: see `Running`.
+            ParameterError: see `Setup`, `Simulator`.
         """
-        self.running, self.values, self._record = Running(setup, values), dict(values or {}), record
-        parameters = setup.defaults() | self.values
-        self._about = {"parameters": parameters, "setup": setup.fields(), "engine": "c", "versions": versions()}
-        self._hash = model_hash(self.running.simulator.robot.model)
+        self.setup, self.values, self._record = setup, dict(values or {}), record
+        once = dataclasses.replace(setup, schedule=())
+        self.simulator = Simulator(_with_all_modes(once) if setup.controller is None else once, "c")
+        self.batch = self.simulator.prepare(self.values, Run(duration=1.0))
+        engine, self._controller = self.simulator.engine, self.simulator.controller
+        assert isinstance(engine, CEngine)
+        self._engine = engine
+        self.dt, self.steps_per_tick = float(self._controller.dt), self.simulator.loop.steps_per_tick
+        self.parameters = dict(quantities(self._controller.parameters))
+        endless = jax.tree.map(np.full_like, self.batch.params.window, Window(begin=0.0, end=1e6, distance=1e6))
+        self._params = dataclasses.replace(self.batch.params, window=endless, schedule=None)
+        self._about = {"parameters": setup.defaults() | self.values, "setup": setup.fields(), "engine": "c",
+                       "versions": versions()}  # fmt: skip
+        self._hash = model_hash(self.simulator.robot.model)
+        self._compiled: Any = None
         self.reset()
 
     def reset(self) -> None:
         """Start anew: the robot at its start, and all commands as in the setup."""
-        running = self.running
-        self._body = CBodies(running.simulator.engine, running.batch.qpos, running.batch.fields, 1)  # type: ignore[arg-type]
+        self._body = CBodies(self._engine, self.batch.qpos, self.batch.fields, 1)
         self._forces = self._body.batch.bind("xfrc_applied")
-        self._readings = np.repeat(self._body.sensordata[:, None], running.steps_per_tick, axis=1)
+        self._readings = np.repeat(self._body.sensordata[:, None], self.steps_per_tick, axis=1)
         self.pushes: list[Push] = []
         self._rows: list[tuple[np.ndarray, ...]] = []
-        running.reset(self._body.sensordata[0])
+        self.restart(self._body.sensordata[0])
 
-    @property
-    def time(self) -> float:
-        """Since the start [s]."""
-        return self.running.ticks * self.running.dt
+    def restart(self, sensordata: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n_servos"]:
+        """Start the controller anew, with the parameters of the setup.
 
-    @property
-    def is_finite(self) -> bool:
-        """Whether the simulation still has numbers."""
-        return bool(np.isfinite(self._readings).all())
+        Args:
+            sensordata: of the body at rest.
 
-    @property
-    def sample(self) -> Recording:
-        """The moment after the last tick, or the start: a recording of one sample."""
-        return self._recorded([self._row()], np.array([self.time]), {})
+        Returns:
+            Servo angles of the start pose [rad].
+        """
+        rest = np.asarray(sensordata, float)
+        if self._compiled is None:  # all programs, by a command that changes nothing, and the tick after it
+            self._begin(rest)
+            for name, value in [*self._commanded.items()][:1]:
+                self.command(Switch(0.0, values={name: value}))
+            self.targets(np.tile(rest, (self.steps_per_tick, 1)))
+        self._begin(rest)
+        self._due = sorted(self.setup.schedule, key=lambda switch: switch.at)
+        return np.asarray(self.state.ctrl)
+
+    def _begin(self, rest: np.ndarray) -> None:
+        start = Switch(0.0, spine=self.setup.spine, head=self.setup.head, tail_motion=self.setup.tail_motion)
+        # Parameters as commanded, those of modes that do not act among them, and the modes that do.
+        self._commanded, self.modes = _numbers(self._params.control), {f: set(m) for f, m in start.modes.items()}
+        self.control = self._aim = self._acting(self._commanded, self.modes)
+        self._base = np.array([*_numbers(self._aim).values()])
+        # Commands that have not ended: tick at which each began, how long it takes [s], by how much values change.
+        self._blends: list[tuple[int, float, np.ndarray]] = []
+        self.ticks, self.commands, self._due = 0, list[tuple[int, Switch]](), list[Switch]()
+        lanes, readings = self._lanes(), np.tile(rest, (LANES, 1))
+        self._compiled = self._engine.packed(lanes, readings)
+        self._row = self._compiled.pack(lanes)
+        self._state = self._compiled.init(self._row, readings)
+
+    def command(self, switch: Switch) -> None:
+        """Begin to change what a switch names; its `at` does not count.
+
+        It takes `blend` gait cycles of this moment's frequency, and is added to what earlier commands still change.
+
+        Raises:
+            ParameterError: an unknown parameter, a value out of range, a mode that is not there, a stride outside the
+                legs' workspace, or a limb that would go backward; nothing has changed then.
+        """
+        values, rate = switch.absolute(), self.cycle_rate
+        for name, value in values.items():
+            self.parameters[choice("parameter", name, self.parameters)].check(name, value)
+        dict(quantities(Schedule))["blend.1"].check("blend", switch.blend)
+        for field, names in switch.modes.items():
+            for mode in names:
+                choice(field, mode, self.simulator.setup.modes[field] or (NO_MODE,))
+        commanded = self._commanded | values
+        modes = self.modes | {field: set(names) for field, names in switch.modes.items()}
+        aim = self._acting(commanded, modes)
+        if isinstance(self._controller, ChecksParameters):
+            self._controller.check(aim)
+        old, new = _numbers(self._aim), _numbers(aim)
+        moves = {name: new[name] - old[name] for name in new}
+        moves |= {name: move - round(move) for name, move in moves.items() if name.startswith("offset.")}
+        now = _numbers(self.control).get("frequency", 1.0)
+        slower = now / min(now, now + moves.get("frequency", 0.0))
+        if (least := float(turned(moves)) * slower) >= switch.blend:
+            raise ParameterError(
+                f"blend is {switch.blend:g}: allowed is more than {least:g} cycles; a limb would go backward."
+            )
+        added, move = np.array([*moves.values()]), np.array([*moves.values()])
+        for _, seconds, other in self._blends:
+            added = added + other * switch.blend / rate / seconds
+        if float(turned(dict(zip(moves, added, strict=True)))) * slower >= switch.blend:
+            raise ParameterError("beside the change before, a limb would go backward: wait until that has ended.")
+        self._commanded, self.modes, self._aim = commanded, modes, aim
+        self._blends.append((self.ticks, switch.blend / rate, move))
+        self.commands.append((self.ticks, switch))
+
+    def targets(self, readings: Float[np.ndarray, "steps n"]) -> Float[np.ndarray, " n_servos"]:
+        """The controller's tick: servo angles [rad], from the readings since the last; at the start, at rest."""
+        while self._due and self._due[0].at <= self.ticks * self.dt + 1e-9:
+            self.command(self._due.pop(0))
+        if self._blends:
+            self._blend()
+            self._row = self._compiled.pack(self._lanes())
+        lanes = np.tile(np.asarray(readings, float), (LANES, 1, 1))
+        self._state, ctrl = self._compiled.step(self._compiled.once, self._row, self._state, lanes)
+        self.ticks += 1
+        return np.asarray(ctrl)[0]
+
+    def _blend(self) -> None:
+        """Bring the parameters to this moment, in the precision of a schedule."""
+        under_way = list[tuple[int, float, np.ndarray]]()
+        for began, seconds, move in self._blends:
+            if (self.ticks - began) * self.dt < seconds:
+                under_way.append((began, seconds, move))
+            else:
+                self._base = self._base + move
+        self._blends, self.control = under_way, self._aim
+        if not self._blends:
+            self._base = np.array([*_numbers(self._aim).values()])
+            return
+        begun, lengths, moves = map(np.array, zip(*self._blends, strict=True))
+        course = self._base + np.cumsum([np.zeros_like(self._base), *moves], axis=0)
+        passed, lengths, course = default_precision(((self.ticks - begun) * self.dt, lengths, course))
+        now = course[0] + ((passed / lengths)[:, None] * np.diff(course, axis=0)).sum(0)
+        values = {name: np.array([value]) for name, value in zip(_numbers(self._aim), now, strict=True)}
+        self.control = replace_quantities(self._aim, values)
 
     def push(self, body: int, force: tuple[float, float, float], seconds: float) -> None:
         """Begin to push a body; it replaces another push.
@@ -98,33 +220,61 @@ class Driving:
         Raises:
             ParameterError: no such body, or a force or time that is not allowed.
         """
-        bodies, weld = self.running.simulator.robot.model.nbody, self.running.simulator.robot.model.body_weldid
+        bodies, weld = self.simulator.robot.model.nbody, self.simulator.robot.model.body_weldid
         if not 0 < body < bodies or weld[body] == 0:
             raise ParameterError(f"push.body is {body}: allowed is one of the robot's, below {bodies}.")
         if not np.all(np.abs(force) <= MOST_FORCE):
             raise ParameterError(f"push.force is {list(force)}: allowed is [-{MOST_FORCE:g}, {MOST_FORCE:g}] N.")
         if not 0 < seconds <= LONGEST_PUSH:
             raise ParameterError(f"push.seconds is {seconds:g}: allowed is (0, {LONGEST_PUSH:g}] s.")
-        ticks = max(1, round(seconds / self.running.dt))
-        self.pushes.append(Push(self.running.ticks, ticks, body, (float(force[0]), float(force[1]), float(force[2]))))
-
-    def commanded(self) -> Float[np.ndarray, " n_servos"]:
-        """The controller's tick: servo angles [rad]."""
-        return self.running.tick(self._readings[0])
+        ticks = max(1, round(seconds / self.dt))
+        self.pushes.append(Push(self.ticks, ticks, body, (float(force[0]), float(force[1]), float(force[2]))))
 
     def tick(self) -> None:
         """The controller's tick, and the physics until the next one."""
-        now, self._forces[...] = self.running.ticks, 0.0
+        now, self._forces[...] = self.ticks, 0.0
         if self.pushes and now < self.pushes[-1].tick + self.pushes[-1].ticks:
             self._forces[0, self.pushes[-1].body, :3] = self.pushes[-1].force
-        self._body.ctrl[...] = self.commanded()
+        self._body.ctrl[...] = self._next()
         self._body.move(self._readings)
         if self._record:
             if TICK_BYTES * len(self._rows) > MOST_RECORDED:
                 raise ParameterError(
                     f"the drive has lasted {self.time:g} s: its recording would exceed {MOST_RECORDED / 1e9:g} GB."
                 )
-            self._rows.append(self._row())
+            self._rows.append(self._sample())
+
+    def _next(self) -> Float[np.ndarray, " n_servos"]:
+        return self.targets(self._readings[0])
+
+    @property
+    def time(self) -> float:
+        """Since the start [s]."""
+        return self.ticks * self.dt
+
+    @property
+    def is_finite(self) -> bool:
+        """Whether the simulation still has numbers."""
+        return bool(np.isfinite(self._readings).all())
+
+    @property
+    def state(self) -> LoopState:
+        """Of the controller and the metrics, leaves without a world axis."""
+        return jax.tree.map(lambda leaf: np.asarray(leaf)[0], self._compiled.unpack(self._state))
+
+    @property
+    def cycle_rate(self) -> float:
+        """Gait cycles per second of this moment [1/s]."""
+        return float(np.ravel(self._controller.cycle_rate(self.control))[0])
+
+    def value(self, name: str) -> float | None:
+        """A parameter as commanded; None for one that the controller does not have."""
+        return self._commanded.get(name)
+
+    @property
+    def sample(self) -> Recording:
+        """The moment after the last tick, or the start: a recording of one sample."""
+        return self._recorded([self._sample()], np.array([self.time]), {})
 
     def recording(self) -> Recording:
         """What was driven since the start; `replayed` makes it again.
@@ -134,22 +284,46 @@ class Driving:
         """
         if not self._rows:
             raise RecordingError("nothing was driven: there is nothing to record.")
-        time = (1 + np.arange(len(self._rows))) * self.running.dt
-        commands = [[tick, switch.written()] for tick, switch in self.running.commands]
+        commands = [[tick, switch.written()] for tick, switch in self.commands]
         pushes = [dataclasses.asdict(push) for push in self.pushes]
-        return self._recorded(self._rows, time, {"values": self.values, "commands": commands, "pushes": pushes})
+        driven = {"values": self.values, "commands": commands, "pushes": pushes}
+        return self._recorded(self._rows, (1 + np.arange(len(self._rows))) * self.dt, driven)
 
-    def _row(self) -> tuple[np.ndarray, ...]:
+    def _sample(self) -> tuple[np.ndarray, ...]:
         body = self._body
         return body.qpos[0].copy(), body.qvel[0].copy(), body.ctrl[0].copy(), self._readings[0, -1].copy()
 
     def _recorded(self, rows: list[tuple[np.ndarray, ...]], time: np.ndarray, driven: dict[str, Any]) -> Recording:
-        robot = self.running.simulator.robot
         qpos, qvel, ctrl, sensordata = map(np.stack, zip(*rows, strict=True))
-        sensors = robot.sensors(sensordata)
+        sensors = self.simulator.robot.sensors(sensordata)
         named = {field.name: np.asarray(getattr(sensors, field.name)) for field in dataclasses.fields(sensors)}
         about = plain(self._about | {"driven": driven}) if driven else self._about
         return Recording(time, qpos, qvel, ctrl, named, self._hash, about)
+
+    def _acting(self, commanded: Mapping[str, float], modes: Mapping[str, set[str]]) -> Any:
+        """The parameters as commanded, with gains of 0 for the modes that do not act."""
+        there = self.simulator.setup.modes
+        off = {gain for field in MODES for name in set(there[field]) - modes[field] for gain in GAINS[name]}
+        values = {name: np.array([value]) for name, value in {**commanded, **dict.fromkeys(off, 0.0)}.items()}
+        return default_precision(replace_quantities(self._params.control, values))
+
+    def _lanes(self) -> Any:
+        params = dataclasses.replace(self._params, control=self.control)
+        return jax.tree.map(lambda leaf: np.repeat(np.asarray(leaf), LANES, 0), params)
+
+
+def _numbers(control: Any) -> dict[str, float]:
+    """The parameters of one world by name; leaves (1, ...)."""
+    return {name: float(np.asarray(value)[0]) for name, value in values_of(control)}
+
+
+def _with_all_modes(setup: Setup) -> Setup:
+    """The setup with every mode of the robot, those that do not act turned on after its end."""
+    spine = LATERAL_MODES + (SAGITTAL_MODES if setup.robot == "nermo_41" else ())
+    on: list[dict[str, Any]] = [{"spine": "+".join(spine), "head": GAZE}]
+    on += [{"tail_motion": name} for name in TAIL_MOTIONS if setup.tail != "rigid" and name != NO_MODE]
+    later = tuple(Switch(1e5 * (k + 1), **one) for k, one in enumerate(on))
+    return dataclasses.replace(setup, schedule=later)
 
 
 def _read(recording: Recording) -> tuple[Setup, dict[str, float], list[tuple[int, Switch]], list[Push]]:
@@ -157,7 +331,9 @@ def _read(recording: Recording) -> tuple[Setup, dict[str, float], list[tuple[int
     driven: Any = recording.metadata.get("driven")
     fields: Any = dict(recording.metadata.get("setup") or {})
     try:
-        commands = [(int(tick), _switch(dict(written))) for tick, written in driven["commands"]]
+        commands = [(int(tick), Switch(**{("values" if name == "set" else name): value
+                                          for name, value in dict(written).items()}))
+                    for tick, written in driven["commands"]]  # fmt: skip
         pushes = [Push(**{**push, "force": tuple(push["force"])}) for push in driven["pushes"]]
         values = {str(name): float(value) for name, value in driven["values"].items()}
     except (TypeError, KeyError, ValueError, AttributeError) as error:
@@ -201,10 +377,10 @@ def replayed(recording: Recording) -> Recording:
     for tick in range(len(recording.time)):
         for at, switch in commands:
             if at == tick:
-                driving.running.command(switch)
+                driving.command(switch)
         for push in pushes:
             if push.tick == tick:
-                driving.push(push.body, push.force, push.ticks * driving.running.dt)
+                driving.push(push.body, push.force, push.ticks * driving.dt)
         driving.tick()
     return driving.recording()
 
@@ -214,7 +390,3 @@ def difference(one: Recording, other: Recording) -> float | None:
     pairs = [(getattr(one, name), getattr(other, name)) for name in ("qpos", "qvel", "ctrl")]
     differs = np.any([(a != b).any(axis=1) for a, b in pairs], axis=0)
     return float(one.time[np.argmax(differs)]) if differs.any() else None
-
-
-def _switch(written: dict[str, Any]) -> Switch:
-    return Switch(**{("values" if name == "set" else name): value for name, value in written.items()})

@@ -15,7 +15,7 @@ import queue
 import secrets
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from http import HTTPStatus
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
@@ -26,10 +26,11 @@ from pydantic import BaseModel, Field, ValidationError
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.server import serve
 
+from nermo_mjx.control.parameters import STEERING
 from nermo_mjx.control.schedule import GAINS, Switch
 from nermo_mjx.live.driving import Driving
 from nermo_mjx.live.showing import Shown
-from nermo_mjx.robot.parameters import GAIT_NAMES
+from nermo_mjx.robot.parameters import GAIT_NAMES, GAIT_PATTERNS
 from nermo_mjx.robot.quantity import ParameterError
 
 #: Longest message of a page [bytes], and how many may wait.
@@ -83,53 +84,48 @@ class Message(BaseModel, extra="forbid"):
     shown: Annotated[int, Field(strict=True)] | None = None
 
 
-class Link:
-    """The server, and the page that drives.
+class Drive:
+    """A drive under a page, in real time.
 
     Attributes:
+        driving, record: its robot, its file.
         address: of the page, with its token.
-        inbox: `(page, text)` of each message, `(page, True)` of a page that came, `(page, False)` of one that went.
+        paused, speed: whether time stands still, and seconds of the drive per second.
+        over: set it to end the drive.
+        delays: from the end of a tick to its picture on the screen, of the latest pictures [s].
     """
 
-    def __init__(self, page: Callable[[], str], port: int = 0) -> None:
+    def __init__(self, driving: Driving, record: Path | None = None, port: int = 0) -> None:
         """
         Args:
-            page: makes the document.
+            driving: the robot, at its start.
+            record: file for what was driven; after a reset, what follows goes to FILE-2, FILE-3, ...
             port: of the loopback; 0 for any that is free.
 
         Raises:
             ParameterError: the port is taken.
         """
-        self._token, self._made = secrets.token_urlsafe(16), page
+        self.driving, self._shown = driving, Shown(driving)
+        self.record, self.files = record, list[Path]()
+        self._gait, self._steering = driving.setup.gait, str(driving.setup.steering)
+        self.paused, self.speed, self.over, self._began = False, 1.0, False, False
+        self._sent = dict[int, float]()
+        self._number, self.delays, self._spent = 0, list[float](), [0.0, 0.0]
+        self._token = secrets.token_urlsafe(16)
         self._page: Any = None
-        self._lock = threading.Lock()
-        self.inbox: queue.Queue[tuple[Any, str | bytes | bool]] = queue.Queue(WAITING)
+        # `(page, text)` of each message, `(page, True)` of a page that came, `(page, False)` of one that went.
+        self._inbox: queue.Queue[tuple[Any, str | bytes | bool]] = queue.Queue(WAITING)
         silent = logging.getLogger(__name__)  # browsers open connections that they do not use
         silent.setLevel(logging.CRITICAL)
         try:
             self._server = serve(
-                self._handle, "127.0.0.1", port, process_request=self._answer, max_size=LONGEST, compression=None,
+                self._listen, "127.0.0.1", port, process_request=self._answer, max_size=LONGEST, compression=None,
                 logger=silent,
             )  # fmt: skip
         except OSError as error:
             raise ParameterError(f"port is {port}: it cannot be opened ({error.strerror or error}).") from None
         self.address = f"http://127.0.0.1:{self._server.socket.getsockname()[1]}/{self._token}/"
         threading.Thread(target=self._server.serve_forever, daemon=True).start()
-
-    def close(self) -> None:
-        """Close the page's socket and the server."""
-        self._server.shutdown()
-        if self._page is not None:
-            self._page.close(1001, "the drive has ended")
-
-    def send(self, message: bytes | dict[str, Any]) -> None:
-        """To the page that drives, if there is one."""
-        with contextlib.suppress(ConnectionClosed, AttributeError):
-            self._page.send(message if isinstance(message, bytes) else json.dumps(message))
-
-    def is_driving(self, page: Any) -> bool:
-        """Whether no other page has taken over."""
-        return page is self._page
 
     def _answer(self, connection: Any, request: Any) -> Any:
         """The page, or None to let the socket open; anything else is refused."""
@@ -143,55 +139,25 @@ class Link:
             if request.headers.get("Origin") != f"http://{host}":
                 return connection.respond(HTTPStatus.FORBIDDEN, "Only its own page may drive.\n")
             return None
-        answer = connection.respond(HTTPStatus.OK, self._made())
+        answer = connection.respond(HTTPStatus.OK, self._document())
         del answer.headers["Content-Type"]
         answer.headers.update({"Content-Type": "text/html; charset=utf-8", "Cache-Control": "no-store",
                                "Referrer-Policy": "no-referrer", "X-Frame-Options": "DENY"})  # fmt: skip
         return answer
 
-    def _handle(self, page: Any) -> None:
-        with self._lock:
-            before, self._page = self._page, page
-        self.inbox.put((page, True))
-        if before is not None:  # which may take its time, if that page hangs
-            threading.Thread(target=before.close, args=(REPLACED, "another page drives now"), daemon=True).start()
+    def _listen(self, page: Any) -> None:
+        """A page's messages, in its own thread."""
+        self._inbox.put((page, True))
         try:
             for text in page:
-                self.inbox.put((page, text))
+                self._inbox.put((page, text))
         finally:
-            self.inbox.put((page, False))
-            with self._lock:
-                self._page = None if self._page is page else self._page
+            self._inbox.put((page, False))
 
-
-class Drive:
-    """A drive under a page, in real time.
-
-    Attributes:
-        driving, link, record: its robot, its page, its file.
-        paused, speed: whether time stands still, and seconds of the drive per second.
-        over: set it to end the drive.
-        factor: seconds of the drive per second, over those while it was neither paused nor slowed down.
-        delays: from the end of a tick to its picture on the screen, of the latest pictures [s].
-    """
-
-    def __init__(
-        self, setup: Any, values: dict[str, float], record: Path | None = None, port: int = 0, driving: Any = None
-    ) -> None:
-        """
-        Args:
-            setup, values: as for `Running`.
-            record: file for what was driven; after a reset, what follows goes to FILE-2, FILE-3, ...
-            port: see `Link`.
-            driving: a `Driving` of these; None to make it.
-        """
-        self.driving = driving or Driving(setup, values, record=record is not None)
-        self._shown, self.record, self.files = Shown(self.driving), record, list[Path]()
-        self._gait, self._steering = setup.gait, str(setup.steering)
-        self.paused, self.speed, self.over, self._began = False, 1.0, False, False
-        self._sent = dict[int, float]()
-        self._number, self.delays, self._spent = 0, list[float](), [0.0, 0.0]
-        self.link = Link(self._document, port)
+    def _send(self, message: bytes | dict[str, Any]) -> None:
+        """To the page that drives, if there is one."""
+        with contextlib.suppress(ConnectionClosed, AttributeError):
+            self._page.send(message if isinstance(message, bytes) else json.dumps(message))
 
     @property
     def away(self) -> float:
@@ -199,13 +165,10 @@ class Drive:
         now = time.perf_counter()
         return now - min(self._sent.values(), default=now)
 
-    def run(self, seconds: float | None = None) -> None:
-        """For seconds of the clock, or until it is interrupted; then what was driven is saved."""
-        try:
-            self._run(math.inf if seconds is None else time.perf_counter() + seconds)
-        finally:
-            self.link.close()
-            self._save()
+    @property
+    def factor(self) -> float:
+        """Seconds of the drive per second, over those while it was neither paused nor slowed down."""
+        return self._spent[0] / self._spent[1] if self._spent[1] else 1.0
 
     def report(self) -> dict[str, Any]:
         """What came of it: files, seconds driven, real-time factor, and delay of the picture (median, 95 %) [s]."""
@@ -213,58 +176,60 @@ class Drive:
         return {"files": [str(file) for file in self.files], "seconds": self.driving.time, "factor": self.factor,
                 "delay": delays[0], "delay_95": delays[1]}  # fmt: skip
 
+    def run(self, seconds: float | None = None) -> None:
+        """For seconds of the clock, or until it is interrupted; then what was driven is saved."""
+        try:
+            self._run(math.inf if seconds is None else time.perf_counter() + seconds)
+        finally:
+            self._server.shutdown()
+            if self._page is not None:
+                self._page.close(1001, "the drive has ended")
+            self._save()
+
     def _run(self, end: float) -> None:
-        due, picture = time.perf_counter(), 0.0
+        due, picture, dt = time.perf_counter(), 0.0, self.driving.dt
         while not self.over and time.perf_counter() < end:
-            begun = time.perf_counter()
-            for page, message in self._messages(0.05 if self._stands else max(due - begun, 0.0)):
+            stands = self.paused or not self._began
+            for page, message in self._messages(0.05 if stands else max(due - time.perf_counter(), 0.0)):
                 self._receive(page, message)
-            if self._stands:
-                due = time.perf_counter()
+            now = time.perf_counter()
+            if self.paused or not self._began:
+                due = now
                 continue
-            if (now := time.perf_counter()) < due:
+            if now < due:
                 continue
             self.driving.tick()
             if not self.driving.is_finite:
-                self.link.send({"refused": "The simulation has lost its numbers: it starts again."})
+                self._send({"refused": "The simulation has lost its numbers: it starts again."})
                 self._restart()
-            due += self.driving.running.dt / self.speed
+            due += dt / self.speed
             late = time.perf_counter() - due
-            if late > LATE:
-                due += late
+            late = late if late > LATE else 0.0
+            due += late
             if self.speed == 1.0:
-                self._spent[0] += self.driving.running.dt
-                self._spent[1] += self.driving.running.dt + (late if late > LATE else 0.0)
+                self._spent = [self._spent[0] + dt, self._spent[1] + dt + late]
             if now - picture >= 0.99 / PICTURES and len(self._sent) < UNDER_WAY:
                 picture = now
                 self._show()
 
-    @property
-    def _stands(self) -> bool:
-        return self.paused or not self._began
-
-    @property
-    def factor(self) -> float:
-        """See the class."""
-        return self._spent[0] / self._spent[1] if self._spent[1] else 1.0
-
     def _messages(self, patience: float) -> Iterator[tuple[Any, Any]]:
         """Those that wait, or the first one that comes in time [s]."""
         with contextlib.suppress(queue.Empty):
-            yield self.link.inbox.get(timeout=patience) if patience > 0 else self.link.inbox.get_nowait()
+            yield self._inbox.get(timeout=patience) if patience > 0 else self._inbox.get_nowait()
             while True:
-                yield self.link.inbox.get_nowait()
+                yield self._inbox.get_nowait()
 
     def _receive(self, page: Any, message: str | bytes | bool) -> None:
-        if message is False:
-            if self.link.is_driving(page) or self.link.is_driving(None):
-                self.paused, self._sent = True, {}
-            return
-        if not self.link.is_driving(page):
-            return
         if message is True:
-            self._began, self._sent = True, {}
+            if self._page is not None:  # closing may take its time, if that page hangs
+                end = (REPLACED, "another page drives now")
+                threading.Thread(target=self._page.close, args=end, daemon=True).start()
+            self._page, self._began, self._sent = page, True, {}
             self._show()
+        elif page is not self._page:
+            return
+        elif message is False:
+            self._page, self.paused, self._sent = None, True, {}
         else:
             try:
                 said = Message.model_validate_json(message)
@@ -273,15 +238,18 @@ class Drive:
                         self.delays = [*self.delays[-999:], time.perf_counter() - sent]
                     return
                 self._obey(said)
-            except (ValidationError, ParameterError) as error:
-                self.link.send({"refused": sentence_of(error)})
-                return
+            except ValidationError as error:
+                first = error.errors()[0]
+                where = ".".join(map(str, first["loc"])) or "message"
+                return self._send({"refused": f"{where}: {first['msg'][0].lower()}{first['msg'][1:]}."[:200]})
+            except ParameterError as error:
+                return self._send({"refused": str(error)})
         self._tell()
 
     def _obey(self, message: Message) -> None:
         driving, given = self.driving, message.model_dump(include={"gait", "steering", "spine", "head", "tail_motion"})
         if message.set or any(given.values()):
-            driving.running.command(Switch(driving.time, message.blend, **given, values=message.set))
+            driving.command(Switch(driving.time, message.blend, **given, values=message.set))
             self._gait, self._steering = message.gait or self._gait, message.steering or self._steering
         if message.push is not None:
             driving.push(message.push.body, message.push.force, message.push.seconds)
@@ -292,15 +260,14 @@ class Drive:
 
     def _restart(self) -> None:
         self._save()
-        setup = self.driving.running.setup
         self.driving.reset()
-        self._gait, self._steering = setup.gait, str(setup.steering)
+        self._gait, self._steering = self.driving.setup.gait, str(self.driving.setup.steering)
         self._shown.restart()
-        self.link.send({"restart": True})
+        self._send({"restart": True})
         self._show()
 
     def _save(self) -> None:
-        if self.record is not None and self.driving.running.ticks:
+        if self.record is not None and self.driving.ticks:
             number = f"-{len(self.files) + 1}" if self.files else ""
             path = self.record.with_name(f"{self.record.stem}{number}{self.record.suffix}")
             self.files.append(self.driving.recording().save(path))
@@ -308,31 +275,24 @@ class Drive:
     def _show(self) -> None:
         self._number += 1
         self._sent[self._number] = time.perf_counter()
-        self.link.send(self._number.to_bytes(4, "little") + self._shown.row())
+        self._send(self._number.to_bytes(4, "little") + self._shown.row())
 
     def _tell(self) -> None:
-        running = self.driving.running
-        modes = {field: "+".join(sorted(names)) or "none" for field, names in running.modes.items()}
-        values = {name: running.value(name) for name in SLIDERS}
-        self.link.send({
+        modes = {field: "+".join(sorted(names)) or "none" for field, names in self.driving.modes.items()}
+        self._send({
             "paused": self.paused, "speed": self.speed, "gait": GAIT_NAMES.get(self._gait, self._gait),
-            "steering": self._steering, **modes, "values": values, "factor": round(self.factor, 3),
+            "steering": self._steering, **modes, "values": {name: self.driving.value(name) for name in SLIDERS},
+            "factor": round(self.factor, 3),
         })  # fmt: skip
 
     def _document(self) -> str:
-        running = self.driving.running
+        driving = self.driving
         sliders = [{"name": name, "title": title, "unit": unit, "low": low, "high": high}
-                   for name, (title, unit, low, high) in SLIDERS.items() if name in running.known]  # fmt: skip
+                   for name, (title, unit, low, high) in SLIDERS.items() if name in driving.parameters]  # fmt: skip
         # Without those that would do nothing: the harmonics, unless they have amplitudes.
-        modes = {field: sorted(name for name in names if any(map(running.value, GAINS[name])))
-                 for field, names in running.simulator.setup.modes.items()}  # fmt: skip
-        return self._shown.document({"sliders": sliders, "modes": modes, "ours": "offset.front_left" in running.known})
-
-
-def sentence_of(error: Exception) -> str:
-    """What was wrong with a message."""
-    if isinstance(error, ValidationError):
-        first = error.errors()[0]
-        where = ".".join(map(str, first["loc"])) or "message"
-        return f"{where}: {first['msg'][0].lower()}{first['msg'][1:]}."[:200]
-    return str(error)
+        modes = {field: sorted(name for name in names if any(map(driving.value, GAINS[name])))
+                 for field, names in driving.simulator.setup.modes.items()}  # fmt: skip
+        ours = "offset.front_left" in driving.parameters
+        gaits = [GAIT_NAMES.get(name, name) for name in GAIT_PATTERNS]
+        choices = {"gait": gaits, "steering": [*STEERING]} if ours else {}
+        return self._shown.document({"sliders": sliders, "choices": choices | modes})

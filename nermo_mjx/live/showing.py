@@ -25,7 +25,7 @@ class Shown:
     def __init__(self, driving: Driving) -> None:
         self.driving = driving
         start = driving.sample
-        self._model = recorded_model(start, driving.running.simulator.robot)
+        self._model = recorded_model(start, driving.simulator.robot)
         self._data = mujoco.MjData(self._model)
         self._packer = Packer()
         self._header = clips_of([start], ["drive"], self._packer)
@@ -95,6 +95,6 @@ class Shown:
 
     def _mean_speed(self, speed: float) -> float:
         """Over the last gait cycle."""
-        begin = self._time - 1.0 / self.driving.running.cycle_rate
+        begin = self._time - 1.0 / self.driving.cycle_rate
         self._speeds = [each for each in self._speeds if each[0] > begin] + [(self._time, speed)]
         return float(np.mean([each for _, each in self._speeds]))

@@ -31,7 +31,6 @@ from nermo_mjx.hardware.channels import Channels
 from nermo_mjx.hardware.live import PATIENCE, ROS_TYPE, TOPIC, NotSentError, SendError, address, linked, servo_message
 from nermo_mjx.hardware.table import channels_of, sent_angles
 from nermo_mjx.live.driving import Driving
-from nermo_mjx.live.running import Running
 from nermo_mjx.physics.c_engine import CBodies, CEngine
 from nermo_mjx.recording import Recording
 from nermo_mjx.robot import ParameterError, Robot, Sensors
@@ -216,8 +215,8 @@ def meet(measured: Measured, needed: set[str], wait: Callable[[float], None] = t
     measured.needed = needed
 
 
-class Wired:
-    """A controller that drives a robot over its topics.
+class RobotDriving(Driving):
+    """The drive of a robot over its topics; under a page a simulated body gets the same commands, and is shown.
 
     The servos go from the robot's pose to that in which the gait starts, and then the controller runs. Without messages
     for `measured.watchdog` it stands still, and nothing is sent: servos hold their last angle. When messages have come
@@ -226,40 +225,76 @@ class Wired:
     the gait's start.
 
     Attributes:
+        needed: fields of `Sensors` that the controller reads.
+        measured: of the robot, from when it is there.
         driven: how it goes.
         pose: the last command, before limits of channels [rad].
+        operator: how long the page has been away [s].
     """
 
     def __init__(
-        self, running: Running, measured: Measured, publish: Callable[[Any], None], url: str, rate: float | None = None
-    ) -> None:
+        self, setup: Setup, values: Mapping[str, float] | None = None, url: str = "ros://localhost",
+        channels: Any = "published", rate: float | None = None, watchdog: float = WATCHDOG, *, record: bool = True,
+    ) -> None:  # fmt: skip
         """
         Args:
-            running: the controller; see `meet` for what it may read.
-            measured: of the robot, with its channels.
-            publish, url: of the connection, see `linked`.
-            rate: of commands [Hz], at most one per tick; by default one each.
+            setup, values, record: see `Driving`.
+            url: of the robot, see `linked`.
+            channels: of its servos, see `servo_table`.
+            rate: of commands [Hz], at most one per tick; by default that of the channels, or one each.
+            watchdog: see above [s].
+
+        Raises:
+            ParameterError: the URL, a channel or the rate is invalid; before anything is compiled.
         """
-        self.running, self.measured, self.driven = running, measured, Driven(messages=measured.counts)
-        self._publish, self._url, self._period = publish, url, 0.0 if rate is None else 1.0 / rate
-        ends = ([getattr(channel, end) for channel in measured.channels] for end in ("low", "high"))
-        self._low, self._high = map(np.array, ends)
-        self._slots, self._due, self._reached = 0, 0.0, measured.clock()
-        self.pose = self.restart()
+        address(url, "robot")
+        connected, most = channels_of(channels, setup.load()), 1.0 / setup.make_controller().dt
+        rate = rate or connected.rate
+        if rate is not None and rate > most + 1e-6:
+            raise ParameterError(f"rate is {rate:g} Hz: allowed is (0, {most:g}], the controller's.")
+        self.needed, self.operator = needed_sensors(setup), lambda: 0.0
+        self._url, self._channels, self._watchdog = url, connected, watchdog
+        self._period = 0.0 if rate is None else 1.0 / rate
+        self.measured: Measured | None = None
+        super().__init__(setup, values, record=record)
 
-    def restart(self) -> Float[np.ndarray, " n_servos"]:
-        """Begin anew, from wherever the robot is; returns the pose in which the gait starts."""
-        self._target = self.running.reset(self.measured.sensordata)
-        self._away, self._there, self._quiet = True, False, self.measured.clock()
-        return self._target
+    @contextlib.contextmanager
+    def reach(self) -> Iterator[None]:
+        """The robot, which is there; for errors see `linked` and `meet`."""
+        measured = Measured(self.simulator.robot, self._channels, self._watchdog)
+        with linked(self._url, TOPIC, ROS_TYPE, SENSORS_TOPIC, measured.receive, "robot") as publish:
+            meet(measured, self.needed)
+            self.connect(measured, publish)
+            yield
 
-    def tick(self, operator: float = 0.0) -> None:
+    def connect(self, measured: Measured, publish: Callable[[Any], None]) -> None:
+        """Drive the robot that has been measured from now on; `publish` sends it a message."""
+        self.measured, self.driven, self._publish = measured, Driven(messages=measured.counts), publish
+        self._low, self._high = (
+            np.array([getattr(channel, end) for channel in measured.channels]) for end in ("low", "high")
+        )
+        self._slots, self._send_due, self._reached = 0, 0.0, measured.clock()
+        self._approach(measured)
+        self.pose = self._start
+
+    def reset(self) -> None:
+        """See `Driving`; the robot goes slowly to the start of the gait, from wherever it is."""
+        super().reset()
+        if self.measured is not None:
+            self._approach(self.measured)
+
+    def _approach(self, measured: Measured) -> None:
+        self._start = self.restart(measured.sensordata)
+        self._away, self._there, self._quiet = True, False, measured.clock()
+
+    def step(self, operator: float = 0.0) -> None:
         """One tick of the controller, or of the approach, or of standing still; `driven.ended` says if it was the last.
 
         Args:
             operator: how long the operator has been away [s].
         """
-        running, measured, driven, dt = self.running, self.measured, self.driven, self.running.dt
+        measured, driven, dt = self.measured, self.driven, self.dt
+        assert measured is not None
         silence = max(measured.silence if measured.told else 0.0, operator)
         if silence > PATIENCE:
             driven.ended = f"no message {'of the robot ' if operator < silence else ''}for {PATIENCE:g} s"
@@ -274,123 +309,70 @@ class Wired:
             self.pose = measured.pose if "servo_angle" in measured.told else self.pose
             self._away = self._there = False
         elif self._there:
-            readings = np.tile(measured.sensordata, (running.steps_per_tick, 1))
-            self.pose = self._target = running.tick(readings)
+            self.pose = self._start = self.targets(np.tile(measured.sensordata, (self.steps_per_tick, 1)))
             driven.walked += dt
         else:
-            self.pose = self.pose + np.clip(self._target - self.pose, -APPROACH * dt, APPROACH * dt)
-            self._there = bool(np.abs(self._target - self.pose).max() < _NEAR)
-            if self._there and not running.ticks and not running.commands:
-                running.reset(measured.sensordata)  # the walk begins where the robot stands now
+            self.pose = self.pose + np.clip(self._start - self.pose, -APPROACH * dt, APPROACH * dt)
+            self._there = bool(np.abs(self._start - self.pose).max() < _NEAR)
+            if self._there and not self.ticks and not self.commands:
+                self.restart(measured.sensordata)  # the walk begins where the robot stands now
         self._slots += 1
-        if self._slots * dt >= self._due - 1e-9:
-            self._due = max(self._due + self._period, self._slots * dt)
-            self._send()
+        if self._slots * dt >= self._send_due - 1e-9:
+            self._send_due = max(self._send_due + self._period, self._slots * dt)
+            self._send(measured)
 
-    def _send(self) -> None:
-        channels, driven, clock = self.measured.channels, self.driven, self.measured.clock
+    def _send(self, measured: Measured) -> None:
+        channels, driven = measured.channels, self.driven
         if not np.isfinite(self.pose).all():
             driven.ended = "the controller asks for an angle that is not a number"
             return
-        asked = sent_angles(channels, self.measured.robot.servos, np.degrees(self.pose)[None])[0]
-        degrees = np.clip(asked, self._low, self._high)
-        driven.limited += bool(np.abs(degrees - asked).max() > 1e-6)
+        wanted = sent_angles(channels, measured.robot.servos, np.degrees(self.pose)[None])[0]
+        degrees = np.clip(wanted, self._low, self._high)
+        driven.limited += bool(np.abs(degrees - wanted).max() > 1e-6)
         try:
             self._publish(servo_message(self._url, degrees, channels.given(degrees)))
-            driven.sent, self._reached = driven.sent + 1, clock()
+            driven.sent, self._reached = driven.sent + 1, measured.clock()
         except SendError as error:
             driven.unsent += 1
-            if not isinstance(error, NotSentError) or clock() - self._reached > PATIENCE:
+            if not isinstance(error, NotSentError) or measured.clock() - self._reached > PATIENCE:
                 driven.ended = str(error)
 
+    def run(self, seconds: float | None = None, wait: Callable[[float], None] = time.sleep) -> Driven:
+        """Drive in real time, without a page.
 
-def drive_robot(wired: Wired, seconds: float | None = None, wait: Callable[[float], None] = time.sleep) -> Driven:
-    """Drive a robot in real time, without a page.
+        Args:
+            seconds: duration of the walk, without approach and holds; None until a `KeyboardInterrupt`.
+            wait: function for waiting [s].
+        """
+        measured, driven, dt = self.measured, self.driven, self.dt
+        assert measured is not None
+        due = measured.clock()
+        with contextlib.suppress(KeyboardInterrupt):
+            while not driven.ended and (seconds is None or driven.walked < seconds - 1e-9):
+                early = due - measured.clock()
+                if early > 1e-6:
+                    wait(early)
+                    continue
+                if -early > measured.watchdog:  # this machine was away: the gait goes on late, instead of hurrying
+                    driven.skipped, due = driven.skipped + int(-early / dt), due - early
+                self.step()
+                due += dt
+        return driven
 
-    Args:
-        wired: the robot and its controller.
-        seconds: duration of the walk, without approach and holds; None until a `KeyboardInterrupt`.
-        wait: function for waiting [s].
-    """
-    measured, driven, dt = wired.measured, wired.driven, wired.running.dt
-    due = measured.clock()
-    with contextlib.suppress(KeyboardInterrupt):
-        while not driven.ended and (seconds is None or driven.walked < seconds - 1e-9):
-            early = due - measured.clock()
-            if early > 1e-6:
-                wait(early)
-                continue
-            if -early > measured.watchdog:  # this machine was away: the gait goes on late, instead of hurrying
-                driven.skipped, due = driven.skipped + int(-early / dt), due - early
-            wired.tick()
-            due += dt
-    return driven
-
-
-def wiring(setup: Setup, url: str, channels: Any, rate: float | None = None) -> tuple[Channels, float | None, set[str]]:
-    """The channels of a robot, the rate of its commands [Hz], and what its controller reads, before anything compiles.
-
-    Args:
-        setup, url: of the robot, see `linked`.
-        channels: see `servo_table`.
-        rate: of commands [Hz]; by default that of the channels. None is one per tick.
-
-    Raises:
-        ParameterError: the URL, a channel or the rate is invalid.
-    """
-    address(url, "robot")
-    connected, most = channels_of(channels, setup.load()), 1.0 / setup.make_controller().dt
-    rate = rate or connected.rate
-    if rate is not None and rate > most + 1e-6:
-        raise ParameterError(f"rate is {rate:g} Hz: allowed is (0, {most:g}], the controller's.")
-    return connected, rate, needed_sensors(setup)
-
-
-@contextlib.contextmanager
-def reached(
-    running: Running, url: str, channels: Channels, rate: float | None, needed: set[str], watchdog: float = WATCHDOG
-) -> Iterator[Wired]:
-    """A robot that is there, and its controller; for the arguments see `wiring`, for errors `linked` and `meet`."""
-    measured = Measured(running.simulator.robot, channels, watchdog)
-    running.reset(measured.sensordata)  # compiled before the robot is reached
-    with linked(url, TOPIC, ROS_TYPE, SENSORS_TOPIC, measured.receive, "robot") as publish:
-        meet(measured, needed)
-        yield Wired(running, measured, publish, url, rate)
-
-
-class RobotDriving(Driving):
-    """The drive of a robot under a page, which shows a simulated body that gets the same commands.
-
-    Attributes:
-        wired: the robot, from when it is there.
-        operator: how long the page has been away [s].
-    """
-
-    wired: Wired | None = None
-    operator: Callable[[], float] = staticmethod(lambda: 0.0)
-
-    def reset(self) -> None:
-        """See `Driving`; the robot goes slowly to the start of the gait."""
-        super().reset()
-        if self.wired is not None:
-            self.wired.restart()
-
-    def commanded(self) -> Float[np.ndarray, " n_servos"]:
-        """See `Driving`. Raises `SendError` when the drive has ended."""
-        assert self.wired is not None
-        self.wired.tick(self.operator())
-        if self.wired.driven.ended:
-            raise SendError(self.wired.driven.ended)
-        return self.wired.pose
+    def _next(self) -> Float[np.ndarray, " n_servos"]:
+        self.step(self.operator())
+        if self.driven.ended:
+            raise SendError(self.driven.ended)
+        return self.pose
 
     def recording(self) -> Recording:
         """The commands, what the robot measured, and how the simulated body moved; no `replay` makes it again."""
         made = super().recording()
         return dataclasses.replace(made, metadata={**made.metadata, "driven": None})
 
-    def _row(self) -> tuple[np.ndarray, ...]:
-        measured = None if self.wired is None else self.wired.measured.sensordata
-        return super()._row() if measured is None else (*super()._row()[:3], measured)
+    def _sample(self) -> tuple[np.ndarray, ...]:
+        simulated = super()._sample()
+        return simulated if self.measured is None else (*simulated[:3], self.measured.sensordata)
 
 
 class Way:

@@ -8,35 +8,36 @@ const find = (id) => document.getElementById(id);
 /** Time in which a slider's new value is reached [s], and between two messages of sliders [ms]. */
 const SOON = 0.2;
 const PACE = 90;
-/** Turn rate of a key that is held, and steps of the keys for stride [1] and frequency [Hz]. */
-const TURN = 0.6;
-const STEPS = { stride: 0.1, frequency: 0.1 };
 /** A stick nearer to its centre is at rest. */
 const DEAD = 0.12;
+/** Turn rate of a key that is held. */
+const TURN = 0.6;
 /** Force of a push by the length of its drag [N per pixel], at most [N], and how long it lasts [s]. */
 const PUSH = { newton: 0.005, most: 3, seconds: 0.1 };
 /** Time between two drawings of the plots [ms]: of a window that moves, and of the whole. */
 const DRAWN = { window: 80, whole: 500 };
 const called = (name) => name.replaceAll("_", " ");
-const GAITS = ["trot", "walking_trot", "lateral_walk", "bound", "gallop"];
-const STEERINGS = ["leg", "spine", "mix"];
 
+/** `[keys, how the help names them, what they do, button of a gamepad, the same as a function of the drive]`. */
+const CONTROLS = [
+  [["ArrowUp", "w"], "↑ W", "longer strides", null, (drive) => drive.add("stride", 0.1)],
+  [["ArrowDown", "s"], "↓ S", "shorter strides; at 0 it steps in place", null, (drive) => drive.add("stride", -0.1)],
+  [["ArrowLeft", "a"], "← A", "turn left while held", null, (drive, key) => drive.turn(TURN, key)],
+  [["ArrowRight", "d"], "→ D", "turn right while held", null, (drive, key) => drive.turn(-TURN, key)],
+  [["e"], "E", "higher frequency", 5, (drive) => drive.add("frequency", 0.1)],
+  [["q"], "Q", "lower frequency", 4, (drive) => drive.add("frequency", -0.1)],
+  [["v"], "V", "next gait", 0, (drive) => drive.next("gait")],
+  [["x"], "X", "stride extension of the spine, on or off", 1, (drive) => drive.choose("spine", "stride_extension")],
+  [["b"], "B", "balance of the spine, on or off", 2, (drive) => drive.choose("spine", "balance")],
+  [["y"], "Y", "steering by leg, spine or both", 3, (drive) => drive.next("steering")],
+  [[" ", "k"], "Space", "pause, go on", 9, (drive) => drive.player.toggle()],
+  [["m"], "M", "slow motion, or real time", null, (drive) => drive.send({ speed: drive.state.speed < 1 ? 1 : 0.25 })],
+  [["Backspace"], "⌫", "back to the start", 8, (drive) => drive.send({ reset: true })],
+];
 const TIME = ["back", "forth", "first", "last", "slower", "faster", "play", "loop", "compare"];
 /** As in keys.js; keys of the picture and the panels are the viewer's. */
 export const SHORTCUTS = [
-  [["ArrowUp", "w"], "longer", "↑ W", "longer strides"],
-  [["ArrowDown", "s"], "shorter", "↓ S", "shorter strides; at 0 it steps in place"],
-  [["ArrowLeft", "a"], "left", "← A", "turn left while held"],
-  [["ArrowRight", "d"], "right", "→ D", "turn right while held"],
-  [["e"], "quicker", "E", "higher frequency"],
-  [["q"], "calmer", "Q", "lower frequency"],
-  [["v"], "gait", "V", "next gait"],
-  [["x"], "extension", "X", "stride extension of the spine, on or off"],
-  [["b"], "balance", "B", "balance of the spine, on or off"],
-  [["y"], "steering", "Y", "steering by leg, spine or both"],
-  [[" ", "k"], "play", "Space", "pause, go on"],
-  [["m"], "slow", "M", "slow motion, or real time"],
-  [["Backspace"], "reset", "⌫", "back to the start"],
+  ...CONTROLS.map(([keys, label, meaning]) => [keys, meaning, label, meaning]),
   ...VIEWER.filter(([, name]) => !TIME.includes(name)),
 ];
 
@@ -51,11 +52,8 @@ export class Drive {
     this.#panel();
     this.#push();
     find("speed").addEventListener("change", () => this.send({ speed: Number(find("speed").value) }));
-    addEventListener("keyup", (event) => {
-      const key = event.key.toLowerCase();
-      if (["arrowleft", "arrowright", "a", "d"].includes(key) && this.held === key) this.#turn((this.held = null));
-    });
-    addEventListener("blur", () => this.held && this.#turn((this.held = null)));
+    addEventListener("keyup", (event) => this.held === event.key.toLowerCase() && this.turn(0, null));
+    addEventListener("blur", () => this.held && this.turn(0, null));
     setInterval(() => this.#flush(), PACE);
     const poll = () => {
       this.#gamepad();
@@ -78,29 +76,6 @@ export class Drive {
     };
   }
 
-  send(message) {
-    if (this.socket.readyState === WebSocket.OPEN) this.socket.send(JSON.stringify(message));
-  }
-
-  /** A new value of a parameter, sent soon, together with others. */
-  set(name, value) {
-    const slider = this.live.sliders.find((each) => each.name === name);
-    if (!slider) return;
-    this.wanted[name] = Math.min(Math.max(value, slider.low), slider.high);
-    this.touched[name] = performance.now();
-    this.#showValue(name, this.wanted[name]);
-  }
-
-  #flush() {
-    if (!Object.keys(this.wanted).length) return;
-    this.send({ set: this.wanted, blend: Math.max(SOON * (this.state.values?.frequency ?? 1), 0.05) });
-    this.wanted = {};
-  }
-
-  #value(name) {
-    return this.wanted[name] ?? this.state.values?.[name] ?? 0;
-  }
-
   #row(data) {
     const number = new DataView(data).getUint32(0, true);
     this.clip.append(new Float32Array(data, 4));
@@ -121,10 +96,10 @@ export class Drive {
     for (const { name } of this.live.sliders) {
       if (performance.now() - (this.touched[name] ?? -1e9) > 600) this.#showValue(name, message.values[name]);
     }
-    for (const [button, isOn] of this.buttons) button.setAttribute("aria-pressed", String(isOn(message)));
-    const spine = message.spine === "none" ? "" : `, spine ${message.spine.replaceAll("_", " ")}`;
+    for (const [button, isOn] of this.buttons) button.setAttribute("aria-pressed", String(isOn()));
+    const spine = message.spine === "none" ? "" : `, spine ${called(message.spine)}`;
     const { frequency } = message.values;
-    if (this.live.ours) document.querySelector("h1").textContent = `${called(message.gait)}, ${frequency.toFixed(2)} Hz${spine}`;
+    if (this.live.choices.gait) document.querySelector("h1").textContent = `${called(message.gait)}, ${frequency.toFixed(2)} Hz${spine}`;
     const factor = message.factor < 0.99 ? `, ${message.factor.toFixed(2)} of real time` : "";
     find("drive-state").textContent = `${message.paused ? "paused" : "driving"}${factor}`;
   }
@@ -137,6 +112,75 @@ export class Drive {
     if (!stays) this.silence = setTimeout(() => (told.hidden = true), 5000);
   }
 
+  // What is commanded.
+
+  send(message) {
+    if (this.socket.readyState === WebSocket.OPEN) this.socket.send(JSON.stringify(message));
+  }
+
+  /** A new value of a parameter, sent soon, together with others. */
+  set(name, value) {
+    const slider = this.live.sliders.find((each) => each.name === name);
+    if (!slider) return;
+    this.wanted[name] = Math.min(Math.max(value, slider.low), slider.high);
+    this.touched[name] = performance.now();
+    this.#showValue(name, this.wanted[name]);
+  }
+
+  #flush() {
+    if (!Object.keys(this.wanted).length) return;
+    this.send({ set: this.wanted, blend: Math.max(SOON * (this.state.values?.frequency ?? 1), 0.05) });
+    this.wanted = {};
+  }
+
+  add(name, step) {
+    this.set(name, (this.wanted[name] ?? this.state.values?.[name] ?? 0) + step);
+  }
+
+  turn(rate, key) {
+    this.held = key?.toLowerCase();
+    this.set("pilot.turn_rate", rate);
+  }
+
+  /** A gait or a steering, or a mode that goes on or off; the spine can have several. */
+  choose(field, name) {
+    if (!this.live.choices[field]?.includes(name)) return;
+    const on = this.#chosen(field).filter((each) => each !== "none");
+    const left = on.includes(name) ? on.filter((each) => each !== name) : field === "spine" ? [...on, name] : [name];
+    this.send({ [field]: ["gait", "steering"].includes(field) ? name : left.join("+") || "none" });
+  }
+
+  next(field) {
+    const names = this.live.choices[field] ?? [];
+    this.choose(field, names[(names.indexOf(this.state[field]) + 1) % names.length]);
+  }
+
+  #chosen(field) {
+    return (this.state[field] ?? "none").split("+");
+  }
+
+  /** Left stick: stride forward, turn sideways; buttons as in `CONTROLS`. */
+  #gamepad() {
+    const pad = [...(navigator.getGamepads?.() ?? [])].find((each) => each?.connected);
+    if (!pad) return;
+    const rest = (axis) => (Math.abs(axis) < DEAD ? 0 : axis);
+    const stick = { "pilot.turn_rate": -rest(pad.axes[0]), stride: Math.max(0, -rest(pad.axes[1])) };
+    for (const [name, value] of Object.entries(stick)) {
+      const before = this.stick[name] ?? 0;
+      const close = Math.abs(value - before) < 0.04 && !(value === 0 && before !== 0);
+      if (!close) this.set(name, (this.stick[name] = value));
+    }
+    pad.buttons.forEach(({ pressed }, i) => {
+      if (pressed && !this.pressed?.[i]) CONTROLS.find(([, , , button]) => button === i)?.[4](this);
+    });
+    this.pressed = pad.buttons.map(({ pressed }) => pressed);
+  }
+
+  /** For keys.js. */
+  actions() {
+    return Object.fromEntries(CONTROLS.map(([, , name, , act]) => [name, (key, event) => act(this, event.key)]));
+  }
+
   // The panel.
 
   #panel() {
@@ -144,31 +188,24 @@ export class Drive {
     panel.id = "drive";
     panel.setAttribute("aria-label", "Drive");
     const buttons = element("div", "", "drive-buttons");
-    const { modes, ours } = this.live;
-    if (ours) {
-      this.#group(buttons, "gait", GAITS.map((gait) => [called(gait), { gait }, (state) => state.gait === gait]));
-      this.#group(buttons, "steering", STEERINGS.map((name) => [name, { steering: name }, (state) => state.steering === name]));
-    }
-    for (const field of ["spine", "head", "tail_motion"]) {
-      const has = (mode) => (state) => state[field].split("+").includes(mode);
-      const made = modes[field].map((mode) => [called(mode), () => this.#toggled(field, mode), has(mode)]);
+    for (const [field, names] of Object.entries(this.live.choices)) {
+      const made = names.map((name) => [called(name), () => this.choose(field, name), () => this.#chosen(field).includes(name)]);
       if (made.length) this.#group(buttons, field.replace("_motion", ""), made);
     }
     this.pushes = this.#group(buttons, "hand", [["push", () => this.#aim(), () => this.pushing]])[0];
-    const reset = this.#group(buttons, "", [["reset", { reset: true }, null]])[0];
+    const reset = this.#group(buttons, "", [["reset", () => this.send({ reset: true })]])[0];
     reset.title = "Back to the start (Backspace)";
     const sliders = element("div", "", "drive-sliders");
     for (const { name, title, unit, low, high } of this.live.sliders) {
-      const label = element("label", "");
+      const label = element("label");
       const input = element("input");
       Object.assign(input, { type: "range", min: low, max: high, step: 0.01, id: `drive-${name}` });
       input.addEventListener("input", () => this.set(name, Number(input.value)));
       input.addEventListener("pointerup", () => input.blur()); // so that arrows drive
-      const value = element("output");
-      label.append(element("span", title), input, value);
+      if (name === "pilot.turn_rate") input.addEventListener("dblclick", () => this.set(name, 0));
+      label.append(element("span", title), input, element("output"));
       label.dataset.unit = unit;
       sliders.append(label);
-      if (name === "pilot.turn_rate") input.addEventListener("dblclick", () => this.set(name, 0));
     }
     const told = element("p");
     Object.assign(told, { id: "told", hidden: true });
@@ -176,25 +213,23 @@ export class Drive {
     panel.append(buttons, sliders);
     find("stage").append(told);
     document.querySelector("footer").before(panel);
-    const state = element("span", "");
+    const state = element("span");
     state.id = "drive-state";
     find("clock").after(state);
   }
 
-  /** Buttons under a title: `[label, message or what makes it, whether a state has it pressed]`. */
+  /** Buttons under a title: `[label, what a click does, whether it is pressed]`. */
   #group(panel, title, buttons) {
     const group = element("div", "", "drive-group");
     group.setAttribute("role", "group");
     group.setAttribute("aria-label", title);
     if (title) group.append(element("span", title));
-    const made = buttons.map(([label, message, isOn]) => {
+    const made = buttons.map(([label, act, isOn]) => {
       const button = element("button", label);
       button.type = "button";
-      button.dataset.drive = label;
       button.addEventListener("click", () => {
         button.blur(); // so that Space pauses
-        const given = typeof message === "function" ? message() : message;
-        if (given) this.send(given);
+        act();
       });
       if (isOn) this.buttons.push([button, isOn]);
       return button;
@@ -202,12 +237,6 @@ export class Drive {
     group.append(...made);
     panel.append(group);
     return made;
-  }
-
-  #toggled(field, mode) {
-    const on = this.state[field].split("+").filter((name) => name !== "none");
-    const left = on.includes(mode) ? on.filter((name) => name !== mode) : field === "spine" ? [...on, mode] : [mode];
-    return { [field]: left.join("+") || "none" };
   }
 
   #showValue(name, value) {
@@ -220,61 +249,11 @@ export class Drive {
     input.style.setProperty("--share", (value - input.min) / (input.max - input.min));
   }
 
-  // Keys and gamepad.
-
-  actions() {
-    const step = (name, by) => () => this.set(name, this.#value(name) + by * STEPS[name]);
-    const turn = (side) => (_, event) => {
-      this.held = event.key.toLowerCase();
-      this.#turn(side);
-    };
-    return {
-      longer: step("stride", 1), shorter: step("stride", -1), quicker: step("frequency", 1), calmer: step("frequency", -1),
-      left: turn(1), right: turn(-1),
-      gait: () => this.#next("gait", GAITS), steering: () => this.#next("steering", STEERINGS),
-      extension: () => this.#toggleSpine("stride_extension"), balance: () => this.#toggleSpine("balance"),
-      slow: () => this.send({ speed: this.state.speed < 1 ? 1 : 0.25 }), reset: () => this.send({ reset: true }),
-    };
-  }
-
-  #turn(side) {
-    this.set("pilot.turn_rate", TURN * (side ?? 0));
-  }
-
-  #next(field, names) {
-    if (this.live.ours) this.send({ [field]: names[(names.indexOf(this.state[field]) + 1) % names.length] });
-  }
-
-  #toggleSpine(mode) {
-    if (this.live.modes.spine.includes(mode)) this.send(this.#toggled("spine", mode));
-  }
-
-  /** Left stick: stride forward, turn sideways; A gait, B stride extension, X balance, Y steering; shoulders frequency. */
-  #gamepad() {
-    const pad = [...(navigator.getGamepads?.() ?? [])].find((each) => each?.connected);
-    if (!pad) return;
-    const rest = (axis) => (Math.abs(axis) < DEAD ? 0 : axis);
-    const stick = { "pilot.turn_rate": -rest(pad.axes[0]), stride: Math.max(0, -rest(pad.axes[1])) };
-    for (const [name, value] of Object.entries(stick)) {
-      const before = this.stick[name] ?? 0;
-      const close = Math.abs(value - before) < 0.04 && !(value === 0 && before !== 0);
-      if (!close) this.set(name, (this.stick[name] = value));
-    }
-    const { gait, extension, balance, steering, calmer, quicker, reset } = this.actions();
-    const play = () => this.player.toggle();
-    const does = { 0: gait, 1: extension, 2: balance, 3: steering, 4: calmer, 5: quicker, 8: reset, 9: play };
-    pad.buttons.forEach(({ pressed }, i) => {
-      if (pressed && !this.pressed?.[i]) does[i]?.();
-    });
-    this.pressed = pad.buttons.map(({ pressed }) => pressed);
-  }
-
   // Pushes: a drag from a body, with Shift or after the button.
 
   #aim() {
     this.pushing = !this.pushing;
     this.pushes.setAttribute("aria-pressed", String(this.pushing));
-    return null;
   }
 
   #push() {
@@ -285,30 +264,29 @@ export class Drive {
     arrow.style.display = "none";
     find("stage").append(arrow);
     let begin = null;
-    canvas.addEventListener("pointerdown", (event) => {
-      if (!(event.shiftKey || this.pushing) || event.button !== 0 || !this.stage) return;
+    /** While a body is dragged, the camera does not take the pointer. */
+    const on = (kind, does) => canvas.addEventListener(kind, (event) => {
+      if (kind === "pointerdown" ? !(event.shiftKey || this.pushing) || event.button !== 0 || !this.stage : !begin) return;
       event.stopImmediatePropagation();
-      canvas.setPointerCapture(event.pointerId);
-      begin = { x: event.offsetX, y: event.offsetY, body: this.#bodyAt(event.offsetX, event.offsetY) };
+      does(event);
     }, { capture: true });
-    canvas.addEventListener("pointermove", (event) => {
-      if (!begin) return;
-      event.stopImmediatePropagation();
+    on("pointerdown", ({ pointerId, offsetX: x, offsetY: y }) => {
+      canvas.setPointerCapture(pointerId);
+      begin = { x, y, body: this.#bodyAt(x, y) };
+    });
+    on("pointermove", (event) => {
       arrow.style.display = "block";
       const [line, text] = arrow.children;
       for (const [name, value] of Object.entries({ x1: begin.x, y1: begin.y, x2: event.offsetX, y2: event.offsetY })) line.setAttribute(name, value);
       text.setAttribute("x", event.offsetX + 8);
       text.setAttribute("y", event.offsetY);
-      const force = this.#force(begin, event);
-      text.textContent = `${force.length().toFixed(1)} N`;
-    }, { capture: true });
-    canvas.addEventListener("pointerup", (event) => {
-      if (!begin) return;
-      event.stopImmediatePropagation();
+      text.textContent = `${this.#force(begin, event).length().toFixed(1)} N`;
+    });
+    on("pointerup", (event) => {
       this.send({ push: { body: begin.body, force: this.#force(begin, event).toArray(), seconds: PUSH.seconds } });
       begin = null;
       arrow.style.display = "none";
-    }, { capture: true });
+    });
   }
 
   /** The moving body whose centre is nearest on the screen. */
