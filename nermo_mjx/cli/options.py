@@ -200,10 +200,29 @@ def given() -> dict[str, str]:
             if context.get_parameter_source(each.name or "") is not ParameterSource.DEFAULT}  # fmt: skip
 
 
-def out(function: F) -> F:
-    """`--out`, the directory of results."""
-    folder = click.Path(file_okay=False, path_type=Path)
-    return click.option("--out", metavar="DIR", required=True, type=folder, help="Where results go.")(function)
+def _keep_threads(ctx: click.Context, parameter: click.Parameter, value: int | None) -> None:
+    """For this process, and for those that it starts."""
+    if value is not None:
+        os.environ[THREADS] = str(value)
+
+
+#: The directory of results, and that, or a file, of what is found in finished tables: see `nermo_mjx.sweep.table`.
+out = click.option("--out", metavar="DIR", required=True, type=click.Path(file_okay=False, path_type=Path),
+                   help="Where results go.")  # fmt: skip
+report_out = click.option("--out", metavar="DIR|FILE", type=click.Path(path_type=Path),
+                          help="A directory for table, JSON and figures, or FILE.csv or FILE.parquet for the table "
+                          "only.")  # fmt: skip
+threads = number("--threads", "Number of CPU cores for the engine c; by default all.", click.IntRange(1),
+                 expose_value=False, callback=_keep_threads)  # fmt: skip
+accept_new_code = click.option("--accept-new-code", is_flag=True,
+                               help="Resume a directory made by other code or another engine; the column code "
+                               "distinguishes its rows.")  # fmt: skip
+physics = choice("--physics", PHYSICS, "fast: 1.6 to 2 times the speed, speeds within 1.5 %.")
+scene = click.option("--scene", default="flat", metavar="NAME", show_default=True, shell_complete=names(*SCENES),
+                     help="A scene of mjcf/scenes, or the path of an MJCF file.")  # fmt: skip
+camera = click.option("--camera", default=VIEWS[0], metavar="NAME", show_default=True,
+                      help=f"{', '.join(VIEWS)}; what the robot sees: eyes, left_eye, right_eye, stereo.",
+                      shell_complete=names(*VIEWS, "eyes", "left_eye", "right_eye", "stereo"))  # fmt: skip
 
 
 def engine(function: F) -> F:
@@ -212,24 +231,12 @@ def engine(function: F) -> F:
     return choice("--engine", ENGINES, about)(threads(function))
 
 
-def threads(function: F) -> F:
-    """`--threads`, for this process and for those that it starts."""
-
-    def keep(ctx: click.Context, parameter: click.Parameter, value: int | None) -> None:
-        if value is not None:
-            os.environ[THREADS] = str(value)
-
-    return number("--threads", "Number of CPU cores for the engine c; by default all.", click.IntRange(1),
-                  expose_value=False, callback=keep)(function)  # fmt: skip
-
-
 def workers(function: F) -> F:
     """`--workers` and `--ray-address`; see `crew`."""
     about = "ADDRESS:PORT of a Ray cluster, or auto; by default one is started here."
     address = click.option("--ray-address", metavar="ADDR", help=about)
-    return choice("--workers", ("local", "ray"), "Where to simulate: on this machine, or on a Ray cluster.")(
-        address(function)
-    )
+    where = choice("--workers", ("local", "ray"), "Where to simulate: on this machine, or on a Ray cluster.")
+    return where(address(function))
 
 
 def crew(kind: str, address: str | None, say: Callable[[str], None] | None) -> AbstractContextManager[Workers]:
@@ -245,31 +252,6 @@ def crew(kind: str, address: str | None, say: Callable[[str], None] | None) -> A
     from nermo_mjx.runs.ray_workers import RayWorkers
 
     return RayWorkers(address, say)
-
-
-def accept_new_code(function: F) -> F:
-    """`--accept-new-code`."""
-    about = "Resume a directory made by other code or another engine; the column code distinguishes its rows."
-    return click.option("--accept-new-code", is_flag=True, help=about)(function)
-
-
-def physics(function: F) -> F:
-    """`--physics`."""
-    return choice("--physics", PHYSICS, "fast: 1.6 to 2 times the speed, speeds within 1.5 %.")(function)
-
-
-def scene(function: F) -> F:
-    """`--scene`."""
-    return click.option("--scene", default="flat", metavar="NAME", show_default=True,
-                        help="A scene of mjcf/scenes, or the path of an MJCF file.",
-                        shell_complete=names(*SCENES))(function)  # fmt: skip
-
-
-def camera(function: F) -> F:
-    """`--camera`."""
-    known = f"{', '.join(VIEWS)}; what the robot sees: eyes, left_eye, right_eye, stereo."
-    return click.option("--camera", default=VIEWS[0], metavar="NAME", show_default=True, help=known,
-                        shell_complete=names(*VIEWS, "eyes", "left_eye", "right_eye", "stereo"))(function)  # fmt: skip
 
 
 def set_option(about: str) -> Callable[[F], F]:
@@ -301,9 +283,3 @@ def gait(function: F) -> F:
     for option in reversed(listed):
         function = option(function)
     return function
-
-
-def report_out(function: F) -> F:
-    """`--out` of what is found in finished tables; see `nermo_mjx.sweep.table`."""
-    about = "A directory for table, JSON and figures, or FILE.csv or FILE.parquet for the table only."
-    return click.option("--out", metavar="DIR|FILE", type=click.Path(path_type=Path), help=about)(function)
