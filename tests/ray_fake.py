@@ -1,11 +1,11 @@
 """What runs on Ray, each in a process of its own, on this machine's loopback interface; prints what happened as JSON.
 
-ray_fake.py nodes OUT LOG: the sweep of `sweep_fake` on three nodes, of which one is killed; then another one comes. LOG
-gets a line for each batch that is begun: the process, and the frequency, amplitude and phase of its first row.
-ray_fake.py driver OUT LOG: the same on a cluster of one node, to be killed.
-ray_fake.py tune OUT LOG: the tuning of `tune_fake` from five starts on three nodes, of which one is killed on the way.
-ray_fake.py experiments OUT: two experiments with three bodies on two nodes.
-ray_fake.py identify OUT: a small identification on two nodes.
+ray_fake.py nodes OUT: on one cluster of three nodes a sweep, OUT/sweep, of `sweep_fake`, while one node is killed and
+another one comes; a tuning, OUT/tuning, of `tune_fake` from five starts, while one is killed; and the command that
+sweeps OUT/sweep.yaml into OUT/command. OUT/sweep.log gets a line for each batch that is begun: the process, and the
+frequency, amplitude and phase of its first row.
+ray_fake.py driver OUT LOG: the same sweep on a cluster of one node, to be killed.
+ray_fake.py real OUT: two experiments with three bodies, OUT/experiments, and a small identification, on two nodes.
 ray_fake.py tasks: a cluster of one node, computers that it takes and does not take, and where it listens.
 """
 
@@ -45,93 +45,74 @@ class LoggingSimulator(FakeSimulator):
             self.log = log
 
 
-def nodes(out, log):
-    """A sweep while nodes come and go."""
+@contextlib.contextmanager
+def cluster_of(others):
+    """A cluster of a head and so many other nodes, and these."""
     os.environ.update(ray_workers.QUIET | ray_workers.LOOPBACK)  # before Ray is imported
     from ray.cluster_utils import Cluster
 
+    cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False})
+    try:
+        yield cluster, [cluster.add_node(num_cpus=1) for _ in range(others)]
+    finally:
+        cluster.shutdown()
+
+
+def nodes(out):
+    """Jobs while nodes come and go."""
+    from click.testing import CliRunner
+
+    from nermo_mjx.cli import main
+    from nermo_mjx.optimize import Tuning, run_tuning
     from nermo_mjx.sweep import run_sweep
 
-    cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False})
-    others, said = [cluster.add_node(num_cpus=1) for _ in range(2)], []
+    tuning, killed, ended = Tuning.from_dict(STARTS), [], {}
+    with cluster_of(2) as (cluster, others):
 
-    def disturb(progress):
-        """After a third of the rows one node is killed, after two thirds another one comes."""
-        if progress.done >= 12 and len(others) == 2:
-            cluster.remove_node(others.pop(), allow_graceful=False)
-        if progress.done >= 24 and len(others) == 1:
-            others.extend([cluster.add_node(num_cpus=1), None])
+        def swept(progress):
+            """After a third of the rows one node is killed, after two thirds another one comes."""
+            if progress.done >= 12 and not killed:
+                killed.append(others.pop())
+                cluster.remove_node(killed[0], allow_graceful=False)
+            if progress.done >= 24 and len(others) == 1:
+                others.append(cluster.add_node(num_cpus=1))
 
-    simulator = LoggingSimulator(delay=0.3, log=log)
-    try:
+        def tuned(progress):
+            """After three iterations one node is killed."""
+            if progress.done >= 4 and len(others) == 2:
+                cluster.remove_node(others.pop(), allow_graceful=False)
+
+        said = []
         with ray_workers.RayWorkers(cluster.address, said.append) as workers:
-            result = run_sweep(SPEC, out, chunk=1, workers=workers, simulator=simulator, watch=Watch(disturb))
-    finally:
-        cluster.shutdown()
-    print(json.dumps({"complete": result.complete, "said": said, "chunks_run": result.chunks_run}))
-
-
-def tune(out, log):
-    """A tuning while a node goes."""
-    os.environ.update(ray_workers.QUIET | ray_workers.LOOPBACK)
-    from ray.cluster_utils import Cluster
-
-    from nermo_mjx.optimize import Tuning, run_tuning
-
-    tuning = Tuning.from_dict(STARTS)
-    cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False})
-    others, said = [cluster.add_node(num_cpus=1) for _ in range(2)], []
-
-    def disturb(progress):
-        """After three iterations one node is killed."""
-        if progress.done >= 4 and len(others) == 2:
-            cluster.remove_node(others.pop(), allow_graceful=False)
-
-    try:
+            simulator = LoggingSimulator(delay=0.3, log=f"{out}/sweep.log")
+            result = run_sweep(SPEC, f"{out}/sweep", chunk=1, workers=workers, simulator=simulator, watch=Watch(swept))
+        ended["sweep"] = {"complete": result.complete, "said": said, "chunks_run": result.chunks_run}
+        said = []
         with ray_workers.RayWorkers(cluster.address, said.append) as workers:
-            problem = FakeProblem(tuning, delay=0.5, log=log)
-            result = run_tuning(tuning, out, problem=problem, workers=workers, watch=Watch(disturb))
-    finally:
-        cluster.shutdown()
-    print(json.dumps({"said": said, "iterations": result.iterations_run}))
+            problem = FakeProblem(tuning, delay=0.5, log=f"{out}/tuning.log")
+            result = run_tuning(tuning, f"{out}/tuning", problem=problem, workers=workers, watch=Watch(tuned))
+        ended["tuning"] = {"said": said, "iterations": result.iterations_run}
+        command = f"sweep {out}/sweep.yaml --out {out}/command --engine c --workers ray --json --ray-address"
+        result = CliRunner().invoke(main, [*command.split(), cluster.address])
+        ended["command"] = json.loads(result.stdout) if result.exit_code == 0 else result.stderr
+    print(json.dumps(ended))
 
 
-def experiments(out):
-    """Experiments, and their bodies one by one."""
-    os.environ.update(ray_workers.QUIET | ray_workers.LOOPBACK)
-    from ray.cluster_utils import Cluster
-
+def real(out):
+    """Experiments, and their bodies one by one; an identification whose batches two nodes share."""
     from nermo_mjx.experiments import ensemble
+    from nermo_mjx.experiments.identification import run_identification
     from nermo_mjx.experiments.run import run_experiments
 
     ensemble.AT_ONCE = 1
-    cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False})
-    cluster.add_node(num_cpus=1)
-    done = []
-    try:
-        with ray_workers.RayWorkers(cluster.address) as workers:
-            result = run_experiments(["balance", "body"], out, engine="c", quick=True, bodies=3, workers=workers,
-                                     watch=Watch(lambda now: done.append(now.what)))  # fmt: skip
-    finally:
-        cluster.shutdown()
-    print(json.dumps({"names": [each.name for each in result.results], "done": sorted(set(done))}))
-
-
-def identify(out):
-    """An identification whose batches two nodes share."""
-    os.environ.update(ray_workers.QUIET | ray_workers.LOOPBACK)
-    from ray.cluster_utils import Cluster
-
-    from nermo_mjx.experiments.identification import run_identification
-
-    cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False})
-    cluster.add_node(num_cpus=1)
-    try:
-        with ray_workers.RayWorkers(cluster.address) as workers:
-            content = run_identification(out, workers=workers, **IDENTIFY)
-    finally:
-        cluster.shutdown()
-    print(json.dumps(content))
+    done, names = [], ["balance", "body"]
+    with cluster_of(1) as (cluster, _), ray_workers.RayWorkers(cluster.address) as workers:
+        watch = Watch(lambda now: done.append(now.what))
+        how = {"engine": "c", "quick": True, "bodies": 3, "workers": workers, "watch": watch}
+        result = run_experiments(names, f"{out}/experiments", **how)
+        identified = run_identification(f"{out}/identification", workers=workers, **IDENTIFY)
+    named = [each.name for each in result.results]
+    print(json.dumps({"names": named, "done": sorted(set(done)), "identified": identified}))
 
 
 def driver(out, log):
@@ -193,4 +174,4 @@ def tasks():
 
 
 if __name__ == "__main__":
-    {each.__name__: each for each in (nodes, tune, experiments, identify, driver, tasks)}[sys.argv[1]](*sys.argv[2:])
+    {each.__name__: each for each in (nodes, driver, real, tasks)}[sys.argv[1]](*sys.argv[2:])

@@ -36,17 +36,6 @@ FAKE = Path(__file__).with_name("ray_fake.py")
 WALKS = {"vary": {"frequency": {"linspace": [0.7, 1.2, 7]}}, "run": {"cycles": 2, "warmup_cycles": 1}, "plots": False}
 
 
-def listening():
-    """Addresses on which this machine listens for TCP, as in /proc/net: by socket."""
-    found = {}
-    for name in ("tcp", "tcp6"):
-        for line in Path("/proc/net", name).read_text().splitlines()[1:]:
-            fields = line.split()
-            if fields[3] == "0A":
-                found[fields[9]] = fields[1].partition(":")[0]
-    return found
-
-
 @pytest.fixture(scope="module", autouse=True)
 def ray():
     """Skips where Ray is not installed."""
@@ -75,15 +64,22 @@ def computed(log):
     return collections.Counter(tuple(first) for _, *first in lines), {line[0] for line in lines}
 
 
-def test_a_cluster_that_loses_and_gains_nodes_makes_the_undisturbed_table(tmp_path):
+@pytest.fixture(scope="module")
+def nodes(tmp_path_factory):
+    """Three jobs on one cluster whose nodes come and go: where they are, and how they ended."""
+    out = tmp_path_factory.mktemp("nodes")
+    (out / "sweep.yaml").write_text(json.dumps(WALKS | {"chunk": 3}))
+    return out, told(started("nodes", out))
+
+
+def test_a_cluster_that_loses_and_gains_nodes_makes_the_undisturbed_table(tmp_path, nodes):
     """Three nodes, one killed, one added: bit for bit, and only what the lost one was at is computed again."""
-    undisturbed = run_sweep(SPEC, tmp_path / "one", simulator=FakeSimulator()).table
-    ended = told(started("nodes", tmp_path / "out", tmp_path / "log"))
-    assert (ended["complete"], ended["chunks_run"]) == (True, 36)
-    assert read_table(tmp_path / "out").equals(undisturbed)
-    (sentence,) = ended["said"]
+    undisturbed, (out, ended) = run_sweep(SPEC, tmp_path, simulator=FakeSimulator()).table, nodes
+    assert (ended["sweep"]["complete"], ended["sweep"]["chunks_run"]) == (True, 36)
+    assert read_table(out / "sweep").equals(undisturbed)
+    (sentence,) = ended["sweep"]["said"]
     assert re.fullmatch(r"a worker on \S+ \(\S+\) is lost \(\w+\); what it computed is computed again\.", sentence)
-    times, processes = computed(tmp_path / "log")
+    times, processes = computed(out / "sweep.log")
     assert len(times) == 36
     assert sum(times.values()) <= 37, "the one chunk in flight"
     assert len(processes) >= 3
@@ -111,44 +107,46 @@ def test_a_driver_that_is_killed_goes_on_from_what_it_wrote(tmp_path, number):
     assert len(processes) == 2
 
 
-def test_a_tuning_on_a_cluster_that_loses_a_node_finds_what_one_process_finds(tmp_path):
+def test_a_tuning_on_a_cluster_that_loses_a_node_finds_what_one_process_finds(tmp_path, nodes):
     """Five starts on three nodes are shares of two: the numbers are those of one batch but for XLA's rounding."""
-    ended = told(started("tune", tmp_path / "out", tmp_path / "log"))
-    tuning = Tuning.from_dict(STARTS)
-    alone = run_tuning(tuning, tmp_path / "one", problem=FakeProblem(tuning))
-    assert (ended["iterations"], len(ended["said"])) == (alone.iterations_run, 1)
-    table = pq.read_table(tmp_path / "out" / "history.parquet").drop_columns(["wall_seconds"])
+    (out, ended), tuning = nodes, Tuning.from_dict(STARTS)
+    alone = run_tuning(tuning, tmp_path, problem=FakeProblem(tuning))
+    assert (ended["tuning"]["iterations"], len(ended["tuning"]["said"])) == (alone.iterations_run, 1)
+    table = pq.read_table(out / "tuning" / "history.parquet").drop_columns(["wall_seconds"])
     for name in table.column_names:
         theirs, ours = (each.column(name).to_pylist() for each in (table, alone.history))
         assert theirs == (pytest.approx(ours, rel=1e-4, abs=1e-5, nan_ok=True) if name != "code" else ours), name
-    processes, sizes = zip(*(line.split() for line in (tmp_path / "log").read_text().splitlines()), strict=True)
+    processes, sizes = zip(*(line.split() for line in (out / "tuning.log").read_text().splitlines()), strict=True)
     assert set(sizes) == {"2"}, "one shape, so that each worker compiles once"
-    assert len(sizes) <= 3 * ended["iterations"] + 1, "the share in flight"
+    assert len(sizes) <= 3 * alone.iterations_run + 1, "the share in flight"
     assert len(set(processes)) == 3
 
 
+def test_the_command_makes_the_table_of_one_process_on_ray(tmp_path, nodes, simulator):
+    """Real walks in MuJoCo C, bit for bit, whoever simulated them."""
+    walked, (out, ended) = run_sweep(WALKS, tmp_path, chunk=2, simulator=simulator("c")).table, nodes
+    assert ended["command"]["chunks_run"] == 3, ended["command"]
+    table = read_table(out / "command")
+    for name in walked.column_names:
+        np.testing.assert_array_equal(table.column(name), walked.column(name), strict=True, err_msg=name)
+
+
 @pytest.mark.long
-def test_experiments_on_a_cluster_give_the_tables_of_one_process(tmp_path):
-    """Real ones in MuJoCo C, and their bodies one by one: bit for bit, in the order asked for."""
-    ended = told(started("experiments", tmp_path / "out"))
+def test_experiments_and_an_identification_on_a_cluster_are_those_of_one_process(tmp_path):
+    """Real walks in MuJoCo C, bit for bit: tables of experiments and bodies, candidates' objectives, the ensemble."""
+    ended = told(started("real", tmp_path))
     names = ["balance", "body"]
     assert ended["names"] == names
     assert {"balance", "body", "balance, 3 bodies", "body, 3 bodies"} <= set(ended["done"])
     run_experiments(names, tmp_path / "one", engine="c", quick=True, bodies=3)
     for name in (*names, *(f"{name}-bodies" for name in names)):
-        theirs, ours = (pq.read_table(tmp_path / out / "results" / f"{name}.parquet") for out in ("out", "one"))
+        theirs, ours = (pq.read_table(tmp_path / out / "results" / f"{name}.parquet") for out in ("experiments", "one"))
         assert theirs.column_names == ours.column_names
         for column in ours.column_names:
             np.testing.assert_array_equal(theirs[column], ours[column], strict=True, err_msg=f"{name} {column}")
-
-
-@pytest.mark.long
-def test_an_identification_on_a_cluster_finds_what_one_process_finds(tmp_path):
-    """Real walks in MuJoCo C, bit for bit: every candidate's objective, and the bodies of the ensemble."""
-    ours = run_identification(tmp_path / "one", **IDENTIFY)
-    theirs = told(started("identify", tmp_path / "out"))
+    ours = run_identification(tmp_path / "alone", **IDENTIFY)
     for name in ("costs", "parameters", "objective", "ensemble"):
-        assert theirs[name] == ours[name], name
+        assert ended["identified"][name] == ours[name], name
 
 
 def test_tasks_and_nodes_that_fail_are_named(tmp_path):
@@ -165,20 +163,6 @@ def test_tasks_and_nodes_that_fail_are_named(tmp_path):
     loopback = {"127.0.0.1", "::ffff:127.0.0.1", "::1"}
     assert told_by["addresses"]
     assert set(told_by["addresses"]) <= loopback, "who is elsewhere cannot run code here"
-
-
-def test_the_command_makes_the_table_of_one_process_on_ray(tmp_path, simulator):
-    """Real walks in MuJoCo C, bit for bit, whoever simulated them."""
-    walked = run_sweep(WALKS, tmp_path / "one", chunk=2, simulator=simulator("c")).table
-    (tmp_path / "sweep.yaml").write_text(json.dumps(WALKS | {"chunk": 3}))
-    out = tmp_path / "out"
-    command = ["sweep", tmp_path / "sweep.yaml", "--out", out, "--engine", "c", "--workers", "ray", "--json"]
-    done = subprocess.run([sys.executable, "-m", "nermo_mjx", *command], capture_output=True, text=True, timeout=300)
-    assert done.returncode == 0, done.stderr
-    assert json.loads(done.stdout)["chunks_run"] == 3
-    table = read_table(out)
-    for name in walked.column_names:
-        np.testing.assert_array_equal(table.column(name), walked.column(name), strict=True, err_msg=name)
 
 
 @pytest.mark.long
@@ -246,12 +230,3 @@ def test_this_process_asks_for_a_task_when_it_is_free():
     assert next(results) == (0, 0)
     assert (asked, told_of) == ([0], [(0, 0.5)])
     assert list(results) == [(1, 20), (2, 40)]
-
-
-@pytest.mark.skipif(not Path("/proc/net/tcp").exists(), reason="Linux lists its sockets there")
-def test_a_cluster_of_this_machine_listens_to_this_machine_only():
-    before = listening()
-    with RayWorkers():
-        new = {address for socket, address in listening().items() if socket not in before}
-    assert new
-    assert new <= {"0100007F", "0000000000000000FFFF00000100007F", "00000000000000000000000001000000"}, new

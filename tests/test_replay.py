@@ -8,7 +8,6 @@ import math
 import os
 import re
 import shutil
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -294,56 +293,24 @@ def test_a_world_that_diverges_at_once_gives_a_sentence(
 # --- wrong use
 
 
-def _nothing(folder: Path) -> None:
-    folder.rmdir()
-
-
-def _a_file(folder: Path) -> None:
-    folder.rmdir()
-    folder.write_text("")
-
-
-def _no_yaml(folder: Path) -> None:
-    (folder / "sweep.yaml").unlink()
-
-
-def _written(text: str | bytes) -> Callable[[Path], None]:
-    def write(folder: Path) -> None:
-        (folder / "sweep.yaml").write_bytes(text.encode() if isinstance(text, str) else text)
-
-    return write
-
-
 @pytest.mark.parametrize(
-    ("damage", "row", "sentence"),
+    ("file", "text", "row", "sentence"),
     [
-        (None, "2", "row is 2: allowed is 0 to 1."),
-        (None, "-1", "row is -1: allowed is 0 to 1."),
-        (None, "first", "'first' is not a valid integer"),
-        (_nothing, "0", "out: no such directory."),
-        (_a_file, "0", "out: this is a file, not a directory."),
-        (_no_yaml, "0", "out: not the directory of a sweep or a search; allowed is one with"),
-        (_written("vary: {frequency: [0.8"), "0", "out/sweep.yaml:1: not valid YAML"),
-        (_written("vary:\n  frequncy: [0.8]\n"), "0", "did you mean 'frequency'?"),
-        (_written(b"\xff\xfe\x00"), "0", "sweep.yaml: not a text file in UTF-8"),
-        (_written(""), "0", "a sweep is a mapping of fields, but this file holds nothing."),
+        ("out/sweep.yaml", json.dumps(SHORT), "2", "row is 2: allowed is 0 to 1."),
+        ("out/sweep.yaml", json.dumps(SHORT), "-1", "row is -1: allowed is 0 to 1."),
+        ("out/sweep.yaml", "vary: {frequency: [0.8", "0", "out/sweep.yaml:1: not valid YAML"),
+        ("other", "", "0", "out: no such directory."),
+        ("out", "", "0", "out: this is a file, not a directory."),
+        ("out/other", "", "0", "out: not the directory of a sweep or a search; allowed is one with"),
     ],
 )
 def test_wrong_use_is_refused_before_a_simulator_is_built(
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    damage: Callable[[Path], None] | None,
-    row: str,
-    sentence: str,
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, file: str, text: str, row: str, sentence: str
 ) -> None:
-    out = tmp_path / "out"
-    out.mkdir()
-    if damage not in (_nothing, _a_file):
-        _written(json.dumps(SHORT))(out)
-    if damage is not None:
-        damage(out)
+    (tmp_path / file).parent.mkdir(exist_ok=True)
+    (tmp_path / file).write_text(text)
     monkeypatch.setattr(module, "Simulator", None)
-    result = call(out, "--row", row)
+    result = call(tmp_path / "out", "--row", row)
     assert result.exit_code == 2
     assert result.stdout == ""
     assert sentence in " ".join(result.stderr.split())

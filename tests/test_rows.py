@@ -146,16 +146,6 @@ def test_without_the_directory_nothing_is_written(tmp_path):
     assert not path.exists()
 
 
-def test_other_code_is_refused(held):
-    runs = opened(held)
-    runs.take_codes([STAMP], accept=False)
-    add(runs, [1.0])
-    changed = CodeStamp("1", "s2", "m", "c", "3", "3", "0.8")
-    with pytest.raises(OtherCode, match="s, not s2"):
-        opened(held).take_codes([changed], accept=False)
-    opened(held).take_codes([changed], accept=True)
-
-
 def test_runs_of_unknown_code_are_used_only_when_that_is_accepted(held, tmp_path):
     with RunDirectory(tmp_path / "there", "sweep") as there:
         add(opened(there), [1.0])

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
-import multiprocessing
 import os
-import random
-import re
 import signal
 import threading
 import time
@@ -15,7 +12,6 @@ import time
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-import sweep_fake
 from click.testing import CliRunner
 from sweep_fake import SPEC, FakeSimulator, part_of
 from test_rows import FullDisk
@@ -47,12 +43,6 @@ def done(tmp_path):
     """A finished directory of 36 rows in 9 parts."""
     run_sweep(SPEC, tmp_path / "out", chunk=4, simulator=FakeSimulator())
     return tmp_path / "out"
-
-
-@pytest.fixture(autouse=True, scope="module")
-def warm():
-    """Modules that killed processes need are imported once."""
-    multiprocessing.get_context("forkserver").set_forkserver_preload(["sweep_fake", "nermo_mjx.sweep"])
 
 
 def contents(out):
@@ -90,21 +80,6 @@ def test_the_directory_holds_what_other_programs_rely_on(done):
     assert all(metadata[b"description"] for metadata in about.values())
     assert sorted(pandas.read_parquet(done / "results")["row"]) == list(range(36))
     assert "key" not in read_table(done).column_names + Results(sorted(done.glob("results/*"))).schema.names
-
-
-def test_numbers_pass_through_the_store_unchanged(done):
-    """What the simulator gave stands in the table, bit by bit."""
-    table = read_table(done)
-    values = {name: table.column(name).to_numpy() for name in ("frequency", "spine.amplitude", "spine.phase")}
-    expected = FakeSimulator().run(values, None).metrics["speed"]
-    np.testing.assert_array_equal(table.column("speed").to_numpy(), expected.astype(np.float64))
-
-
-def test_a_finished_directory_is_not_run_again(done):
-    before, simulator = contents(done / "results"), FakeSimulator()
-    assert run_sweep(SPEC, done, simulator=simulator).chunks_run == 0
-    assert simulator.batches == []
-    assert contents(done / "results") == before
 
 
 # --- damage
@@ -353,45 +328,6 @@ def test_an_error_of_the_writer_ends_the_sweep(tmp_path, monkeypatch, reference,
             run_sweep(SPEC, tmp_path, chunk=4, simulator=simulator)
     assert len(simulator.batches) == min(broken + 2, 9)
     goes_on(tmp_path, reference, 9 - len(simulator.batches) + 1)
-
-
-def kill_at_random(out, process, chance, startup):
-    """Kill a sweep's process at a random moment: while it starts, or after it has written a part or two."""
-    before, wanted, began = len(list(out.glob("results/*.parquet"))), chance.randrange(3), time.monotonic()
-    while len(list(out.glob("results/*.parquet"))) < before + wanted:
-        assert time.monotonic() - began < 100, "the sweep does not go on"
-        time.sleep(0.001)
-    time.sleep(chance.uniform(0.0, 0.03) if wanted else chance.uniform(0.0, startup))
-    process.kill()
-
-
-def test_kills_at_random_moments_lose_nothing(tmp_path, reference):
-    """SIGKILL at a random moment: in the end the table is that of an undisturbed run."""
-    context, chance = multiprocessing.get_context("forkserver"), random.Random(2)
-    for _ in range(5):
-        process = context.Process(target=sweep_fake.work, args=(tmp_path,), kwargs={"chunk": 1, "delay": 0.02})
-        process.start()
-        kill_at_random(tmp_path, process, chance, startup=0.5)
-        process.join()
-    kept = len(list(tmp_path.glob("results/*.parquet")))
-    assert kept > 0
-    goes_on(tmp_path, reference, 36 - kept)
-
-
-def test_a_second_process_is_refused_and_the_first_one_goes_on(tmp_path, reference):
-    """One sentence for the second process while the first one is working."""
-    context = multiprocessing.get_context("forkserver")
-    process = context.Process(target=sweep_fake.work, args=(tmp_path,), kwargs={"chunk": 9, "delay": 0.5})
-    process.start()
-    waited = time.monotonic()
-    while not list(tmp_path.glob("results/*.parquet")):
-        assert time.monotonic() - waited < 60
-        time.sleep(0.01)
-    with pytest.raises(DirectoryError, match=rf"^another process works in {re.escape(str(tmp_path))}; wait for it, or"):
-        run_sweep(SPEC, tmp_path, simulator=FakeSimulator())
-    process.join(60)
-    assert process.exitcode == 0
-    assert read_table(tmp_path).equals(reference)
 
 
 # --- shards

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 from sweep_fake import AMPLITUDES, FREQUENCIES, SPEC, FakeSimulator, speed
 
@@ -102,23 +103,9 @@ def test_all_chunks_have_one_shape(tmp_path):
 def test_chunk_mates_last_alike_long(tmp_path):
     """Rows are cut by simulated time: a chunk does not wait for one slow gait among fast ones."""
     run_sweep(SPEC, tmp_path, chunk=9, simulator=FakeSimulator())
-    import pyarrow.parquet as pq
-
     tables = [pq.read_table(path) for path in sorted(tmp_path.glob("results/*.parquet"))]
     spans = [set(table.column("frequency").to_pylist()) for table in tables]
     assert sorted(spans, key=min) == [{0.5}, {0.7}, {0.9}, {1.1}]
-
-
-def test_shards_make_the_same_table_as_one_process(tmp_path, reference):
-    """Two shards, one after the other, write one table; only the last one sums up."""
-    first = run_sweep(SPEC, tmp_path, chunk=4, shard=(0, 2), simulator=FakeSimulator())
-    assert not first.complete
-    assert not (tmp_path / "summary.json").exists()
-    second = run_sweep(SPEC, tmp_path, chunk=4, shard=(1, 2), simulator=FakeSimulator())
-    assert (first.chunks_run, second.chunks_run) == (5, 4)
-    assert second.complete
-    assert second.table.equals(reference.table)
-    assert (tmp_path / "summary.json").exists()
 
 
 @pytest.mark.parametrize(("given", "message"), [({"shard": (2, 2)}, "shard is 2/2"), ({"chunk": 0}, "chunk is 0")])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 import os
 from collections.abc import Iterator, Mapping, Sequence
@@ -28,7 +29,7 @@ from nermo_mjx.runs.files import DirectoryError
 from nermo_mjx.runs.rows import part_files
 from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.sweep.results import HELD, Results, SweepRecord
-from nermo_mjx.sweep.spec import OBJECTIVES
+from nermo_mjx.sweep.spec import OBJECTIVES, SIDES
 from nermo_mjx.sweep.structures import label_of
 from nermo_mjx.sweep.table import LEADING, Columns, columns_of, meta, report_table
 
@@ -46,18 +47,22 @@ class Arm:
         results: the table that holds them.
         rows: their places in it, (n,).
         keys: what may distinguish their variants, name -> (n,): the varied columns, and values fixed instead.
+        variant: where they are paired, the common variant of each, (n,), from 0.
+        seed: where they are paired, those of their random draws, (n,).
     """
 
     name: str
     results: Results
     rows: np.ndarray
     keys: Mapping[str, np.ndarray]
+    variant: np.ndarray | None = None
+    seed: np.ndarray | None = None
 
     def take(self, chosen: np.ndarray) -> Arm:
         """The runs at these places, or where a mask holds."""
-        return dataclasses.replace(
-            self, rows=self.rows[chosen], keys={name: values[chosen] for name, values in self.keys.items()}
-        )
+        keys = {name: values[chosen] for name, values in self.keys.items()}
+        variant, seed = (None if each is None else each[chosen] for each in (self.variant, self.seed))
+        return dataclasses.replace(self, rows=self.rows[chosen], keys=keys, variant=variant, seed=seed)
 
     def column(self, name: str) -> np.ndarray:
         """A column of these runs, (n,)."""
@@ -296,25 +301,6 @@ def _sums(values: np.ndarray, place: np.ndarray, places: int) -> np.ndarray:
 
 
 @dataclasses.dataclass(frozen=True)
-class Side:
-    """The runs of one side in common variants.
-
-    Attributes:
-        arm: those runs, (n,).
-        variant: the common variant of each, (n,), from 0.
-        seed: of its random draws, (n,).
-    """
-
-    arm: Arm
-    variant: np.ndarray
-    seed: np.ndarray
-
-    def take(self, chosen: np.ndarray) -> Side:
-        """The runs where a mask holds."""
-        return Side(self.arm.take(chosen), self.variant[chosen], self.seed[chosen])
-
-
-@dataclasses.dataclass(frozen=True)
 class Pairing:
     """Two sides over common variants.
 
@@ -322,15 +308,15 @@ class Pairing:
     runs are averaged, or in groups by this key those of one value.
 
     Attributes:
-        base, other: their runs.
+        base, other: their runs, with variants and seeds.
         variants: how many there are in common.
         values: the keys of the common variants, name -> (variants,).
         alone: keys that one side has alone.
         notes: what is averaged or left out, in sentences.
     """
 
-    base: Side
-    other: Side
+    base: Arm
+    other: Arm
     variants: int
     values: Mapping[str, np.ndarray]
     alone: tuple[str, ...]
@@ -359,12 +345,11 @@ class Pairing:
         if not names:
             yield {}, self
             return
-        of_base = not absent(self.base.arm.keys[names[0]]).all()
-        own = self.base if of_base else self.other
-        column = own.arm.keys[names[0]]
+        side = "other" if absent(self.base.keys[names[0]]).all() else "base"
+        runs: Arm = getattr(self, side)
+        column = runs.keys[names[0]]
         for value in np.unique(column[~absent(column)]):
-            kept = own.take(column == value)
-            part = dataclasses.replace(self, base=kept) if of_base else dataclasses.replace(self, other=kept)
+            part = dataclasses.replace(self, **{side: runs.take(column == value)})
             for more, smallest in part._by_value(names[1:]):
                 yield {names[0]: value.item(), **more}, smallest
 
@@ -414,12 +399,12 @@ def pair(base: Arm, other: Arm) -> Pairing:
     first = first[np.isin(everything[first], common)]
     known = all("seed" in arm.results.schema.names for arm in (base, other))
     seeds = (arm.column("seed") if known else np.full(len(arm.rows), i) for i, arm in enumerate((base, other)))
-    paired = [
-        Side(arm.take(at >= 0), at[at >= 0], seed[at >= 0])
+    paired = (
+        dataclasses.replace(arm, variant=at, seed=seed).take(at >= 0)
         for arm, at, seed in zip((base, other), variants, seeds, strict=True)
-    ]
+    )
     kept = {name: column[first] for name, column in values.items()}
-    return Pairing(paired[0], paired[1], len(common), kept, tuple(alone), tuple(notes))
+    return Pairing(*paired, len(common), kept, tuple(alone), tuple(notes))
 
 
 #: Metrics that say what became of a run; all runs have them.
@@ -429,16 +414,18 @@ OF_ALL_RUNS: Final = ("fell", "diverged")
 def differences(pairing: Pairing, metrics: Sequence[str]) -> Iterator[dict[str, Any]]:
     """The numbers of each metric's row in the table. Failed runs count in `fell` and `diverged` alone."""
     sides = (pairing.base, pairing.other)
-    well = [side.arm.results.well[side.arm.rows] for side in sides]
-    schema, found = pairing.base.arm.results.schema, dict[str, dict[str, Any]]()
+    well = [side.results.well[side.rows] for side in sides]
+    schema, found = pairing.base.results.schema, dict[str, dict[str, Any]]()
     at_once = max(1, HELD // max(len(pairing.base.seed) + len(pairing.other.seed), 1))
     for start in range(0, len(metrics), at_once):
         names = metrics[start : start + at_once]
-        columns = [{name: column[side.arm.rows] for name, column in side.arm.results.columns(names)} for side in sides]
+        columns = [{name: column[side.rows] for name, column in side.results.columns(names)} for side in sides]
         alike: dict[bytes, tuple[list[np.ndarray], list[str]]] = {}  # metrics of which the same runs have a number
         for name in names:
-            both = zip(columns, well, strict=True)
-            masks = [np.isfinite(column[name]) & (good | (name in OF_ALL_RUNS)) for column, good in both]
+            masks = [
+                np.isfinite(column[name]) & (good | (name in OF_ALL_RUNS))
+                for column, good in zip(columns, well, strict=True)
+            ]
             alike.setdefault(b"".join(each.tobytes() for each in masks), (masks, []))[1].append(name)
         for masks, few in alike.values():
             numbers = [np.stack([column[name] for name in few], axis=1) for column in columns]
@@ -446,28 +433,21 @@ def differences(pairing: Pairing, metrics: Sequence[str]) -> Iterator[dict[str, 
             for i, name in enumerate(few):
                 difference, low, high = (float(each[i]) for each in (interval.estimate, interval.low, interval.high))
                 scale = abs(float(base[i])) if known[i] else math.nan
+                numbers_of = (float(base[i]), float(other[i]), difference, low, high)
+                relative = (difference / scale, low / scale, high / scale)
+                failed = (int((~good).sum()) for good in well)
                 found[name] = {
                     "metric": name,
                     "metric_unit": meta(schema.field(name))["unit"],
                     "better": better(schema.field(name)),
-                    "base_mean": float(base[i]),
-                    "other_mean": float(other[i]),
-                    "difference": difference,
-                    "low": low,
-                    "high": high,
-                    "relative": difference / scale,
-                    "relative_low": low / scale,
-                    "relative_high": high / scale,
-                    "p": float(interval.p[i]),
-                    **dict(zip(("variants", "runs_base", "runs_other"), counts, strict=True)),
-                    "failed_base": int((~well[0]).sum()),
-                    "failed_other": int((~well[1]).sum()),
+                    **dict(zip(_NUMBERS, (*numbers_of, *relative, float(interval.p[i])), strict=True)),
+                    **dict(zip(_COUNTS, (*counts, *failed), strict=True)),
                 }
     yield from (found[name] for name in metrics)
 
 
 def _compare(
-    sides: Sequence[Side], numbers: Sequence[np.ndarray], masks: Sequence[np.ndarray]
+    sides: Sequence[Arm], numbers: Sequence[np.ndarray], masks: Sequence[np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, Interval, tuple[int, int, int]]:
     """The sides' means over common variants (m,), where the base's is beyond its noise (m,), the interval of their
     difference, and how many variants and runs there are, of numbers (runs, m) where the masks (runs,) hold."""
@@ -484,9 +464,7 @@ def _compare(
     order = [np.lexsort((side.seed, at)) for side, at in zip(kept, variant, strict=True)]
     keys = [np.stack([at[index], side.seed[index]]) for side, at, index in zip(kept, variant, order, strict=True)]
     once = keys[0].shape[1] == np.unique(keys[0], axis=1).shape[1]
-    if not (
-        once and np.array_equal(keys[0], keys[1])
-    ):  # a seed is on one side alone: each variant has a cell of either side
+    if not (once and np.array_equal(*keys)):  # a seed is on one side alone: each variant has a cell of either side
         cell, values = np.concatenate([variant[0], variant[1] + len(both)]), np.concatenate([-numbers[0], numbers[1]])
         owner = np.tile(np.arange(len(both)), 2)
     else:  # runs with the same seed are paired: what they share cancels in the difference
@@ -592,15 +570,11 @@ class Comparison:
 
     def _about(self, other: str, only: Sequence[str]) -> dict[str, Any]:
         about: dict[str, Any] = {"other": other, "metrics": _by_metric(self.rows(other), self.groups)}
+        rows = [row for row in self.rows(other, grouped=True) if not only or row["metric"] in only]
         if self.groups:
-            grouped: dict[int, list[dict[str, Any]]] = {}
-            for row in self.rows(other, grouped=True):
-                if only and row["metric"] not in only:
-                    continue
-                grouped.setdefault(row["group"], []).append(row)
             about["groups"] = [
-                {"for": {name: rows[0][name] for name in self.groups}, "metrics": _by_metric(rows, self.groups)}
-                for rows in grouped.values()
+                {"for": {name: own[0][name] for name in self.groups}, "metrics": _by_metric(own, self.groups)}
+                for own in (list(own) for _, own in itertools.groupby(rows, lambda row: row["group"]))
             ]
         return about
 
@@ -674,8 +648,8 @@ def compare(
                 "in general, and wide; groups have an interval for each variant."
             )
         for side in (pairing.base, pairing.other):
-            words, counts = np.unique(side.arm.results.column("status")[side.arm.rows].astype(str), return_counts=True)
-            status.setdefault(side.arm.name, dict(zip(words.tolist(), counts.tolist(), strict=True)))
+            words, counts = np.unique(side.results.column("status")[side.rows].astype(str), return_counts=True)
+            status.setdefault(side.name, dict(zip(words.tolist(), counts.tolist(), strict=True)))
         lines += _lines(pairing, shared, ())
         lines += _lines(pairing, shared, groups) if groups else []
     if not any(math.isfinite(line["low"]) for line in lines):
@@ -693,7 +667,7 @@ def compare(
 
 def better(field: pa.Field) -> str:
     """Whether high or low is better of a metric, or what is nearer to 0; empty if neither is."""
-    known = {"max": "high", "min": "low", "nearest zero": "zero"}
+    known = {side: word for word, side in SIDES.items()}
     built_in = METRICS[field.name].better if field.name in METRICS else None
     return meta(field).get("better") or known.get(OBJECTIVES.get(field.name, ""), built_in or "")
 
@@ -703,7 +677,7 @@ def _lines(pairing: Pairing, metrics: Sequence[str], groups: Sequence[str]) -> l
     the tests of one metric form a family."""
     parts = list(pairing.groups(groups)) if groups else [({}, pairing)]
     lines = [
-        {"other": pairing.other.arm.name, "group": place if groups else -1, **label, **line}
+        {"other": pairing.other.name, "group": place if groups else -1, **label, **line}
         for place, (label, part) in enumerate(parts)
         for line in differences(part, metrics)
     ]
@@ -747,11 +721,9 @@ def _table(
 
 
 def _by_metric(rows: Sequence[Mapping[str, Any]], groups: Sequence[str]) -> dict[str, dict[str, Any]]:
-    left_out = {"other", "group", "metric", *groups}
+    left_out, called = {"other", "group", "metric", *groups}, {"metric_unit": "unit"}
     return {
-        row["metric"]: {
-            ("unit" if key == "metric_unit" else key): value for key, value in row.items() if key not in left_out
-        }
+        row["metric"]: {called.get(key, key): value for key, value in row.items() if key not in left_out}
         for row in rows
     }
 
@@ -880,15 +852,12 @@ def _by_groups(
             _line(ax, across, values, [own[i]["beyond_noise"] for i in chosen], chosen, place, len(each))
         words = [f"{spoken(name)} {_text(value)}" for name, value in zip(panels, part, strict=True)]
         ax.set_title(", ".join([*([titled(metric)] if len(metrics) > 1 else []), *words]))
-        if isinstance(across, ShownValues):
-            set_scales(ax, across)
-        else:
-            ax.set_xticks(range(len(across[0])), across[0])
+        set_scales(ax, across)
         ax.axhline(0, color=MUTED, lw=0.8, zorder=1)
         horizontal_grid(ax)
         if len(metrics) > 1 or at % columns == 0:
             ax.set_ylabel(f"difference [{'%' if relative else numbers.unit or 1}]")
-        ax.set_xlabel(across.label if isinstance(across, ShownValues) else spoken(x))
+        ax.set_xlabel(across.label)
     for metric in metrics:  # the same scale for all of its panels
         alike = [ax for ax, (_, name) in zip(page.axes.ravel(), drawn, strict=False) if name == metric]
         ends = [ax.get_ylim() for ax in alike]
@@ -905,7 +874,7 @@ def _by_groups(
 
 def _line(
     ax: Axes,
-    across: ShownValues | tuple[list[str], np.ndarray],
+    across: ShownValues,
     values: np.ndarray,
     beyond: Sequence[bool | None],
     own: Sequence[int],
@@ -913,15 +882,13 @@ def _line(
     count: int,
 ) -> None:
     """One line with bars; lines stand a little apart, so that their bars do not cover each other."""
-    positions = across.values if isinstance(across, ShownValues) else across[1]
-    distinct = np.unique(positions)
+    distinct = np.unique(across.values)
     step = float(np.diff(distinct).min()) if len(distinct) > 1 else 1.0
-    order = np.array(own)[np.argsort(positions[own], kind="stable")]
-    log = isinstance(across, ShownValues) and across.log
-    shift = 0.0 if log else (place - (count - 1) / 2) * 0.09 * step
-    at, colour = positions[order] + shift, SERIES[place % len(SERIES)]
+    order = np.array(own)[np.argsort(across.values[own], kind="stable")]
+    shift = 0.0 if across.log else (place - (count - 1) / 2) * 0.09 * step
+    at, colour = across.values[order] + shift, SERIES[place % len(SERIES)]
     middle, low, high = values[order].T
-    ax.plot(at, middle, color=colour, lw=1.2 if isinstance(across, ShownValues) else 0, alpha=0.7, zorder=2)
+    ax.plot(at, middle, color=colour, lw=0 if across.names else 1.2, alpha=0.7, zorder=2)
     ax.vlines(at, low, high, color=colour, lw=1.6, zorder=3)
     hollow = {i: not flag for i, flag in zip(own, beyond, strict=True)}
     ax.scatter(at, middle, s=34, ec=colour, fc=["white" if hollow[i] else colour for i in order], lw=1.3, zorder=4)
@@ -938,13 +905,13 @@ def _roles(rows: Sequence[Row], groups: Sequence[str]) -> tuple[str, str | None,
     return x, series, [name for name in rest if name != series]
 
 
-def _column(schema: pa.Schema, name: str, values: Sequence[Any]) -> ShownValues | tuple[list[str], np.ndarray]:
-    """The values across as shown, or of a column of names these and their places."""
+def _column(schema: pa.Schema, name: str, values: Sequence[Any]) -> ShownValues:
+    """The values across as shown."""
     if all(isinstance(value, float) for value in values):
         about = meta(schema.field(name))
         return shown(name, about["unit"], values, log=about.get("scale") == "log")
-    names = list(dict.fromkeys(map(_text, values)))
-    return names, np.array([names.index(_text(value)) for value in values], float)
+    names = tuple(dict.fromkeys(map(_text, values)))
+    return ShownValues(name, "", np.array([names.index(_text(value)) for value in values], float), names=names)
 
 
 def _mark(colour: str, label: str) -> Line2D:

@@ -50,7 +50,7 @@ from nermo_mjx.sweep.simulating import (
     chunk_rows_here,
     engine_name,
 )
-from nermo_mjx.sweep.spec import Sweep
+from nermo_mjx.sweep.spec import SIDES, Sweep, cost
 from nermo_mjx.sweep.store import (
     batch_values,
     check_source,
@@ -270,12 +270,9 @@ class Work:
             if isinstance(error, ParameterError):
                 raise SpecError(f"{rows} are refused: {error}") from error
             reason = (str(error).strip().splitlines() or [""])[0].rstrip(".")[:300]
-            full = isinstance(error, MemoryError) or _NO_MEMORY.search(reason) is not None
-            remedy = (
-                "take a smaller --chunk in another directory"
-                if full
-                else ("run the same command again when it is fixed")
-            )
+            remedy = "run the same command again when it is fixed"
+            if isinstance(error, MemoryError) or _NO_MEMORY.search(reason):
+                remedy = "take a smaller --chunk in another directory"
             raise JobFailed(
                 f"{rows} failed: {type(error).__name__}{f': {reason}' if reason else ''}. What is finished is kept in "
                 f"{self.out}: {remedy}."
@@ -342,10 +339,8 @@ class BatchLog:
             self._sums[name] += float(values.sum())  # type: ignore[assignment]
             self._counts[name] += len(values)
             if side := better(table.schema.field(name)):
-                price = {"high": -values, "low": values, "zero": np.abs(values)}[side]
-                candidates = [self._best[name]] if name in self._best else []
-                candidates.append(float(values[np.argmin(price)]))
-                self._best[name] = min(candidates, key={"high": lambda x: -x, "low": float, "zero": abs}[side])
+                candidates = np.append(self._best.get(name, values[0]), values)
+                self._best[name] = float(candidates[np.argmin(cost(SIDES[side], candidates))])
 
     def tell(self, table: pa.Table, steps_per_second: float = math.nan) -> None:
         """Add a chunk's rows, and report the current state to TensorBoard; the step is the number of rows."""

@@ -127,7 +127,8 @@ OBJECTIVES: Final = {
     "yaw_std": "min",
     "lateral_drift": "nearest zero",
 }
-_SIDES: Final = {"high": "max", "low": "min"}
+#: The same in the words of a metric.
+SIDES: Final = {"high": "max", "low": "min", "zero": "nearest zero"}
 
 
 def sides_of(metrics: Mapping[str, Metric]) -> dict[str, str]:
@@ -136,7 +137,7 @@ def sides_of(metrics: Mapping[str, Metric]) -> dict[str, str]:
     >>> sides_of(METRICS)["speed"]
     'max'
     """
-    own = {name: _SIDES[about.better] for name, about in metrics.items() if name not in METRICS and about.better}
+    own = {name: SIDES[about.better] for name, about in metrics.items() if name not in METRICS and about.better}
     return {name: side for name, side in OBJECTIVES.items() if name in metrics} | own
 
 
