@@ -25,7 +25,7 @@ from nermo_mjx.experiments.run import Directory
 from nermo_mjx.optimize import Tuning, run_landscape, run_tuning
 from nermo_mjx.plotting.files import write_figures
 from nermo_mjx.runs import RunDirectory, Written
-from nermo_mjx.runs.lock import hold
+from nermo_mjx.runs.directory import hold
 from nermo_mjx.sweep import run_sweep
 
 pytestmark = pytest.mark.draws

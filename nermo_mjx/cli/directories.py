@@ -217,8 +217,8 @@ def _drawing_into(folder: Path) -> Iterator[None]:
     Raises:
         DirectoryError: another one does, or it cannot be written.
     """
+    from nermo_mjx.runs.directory import hold
     from nermo_mjx.runs.files import clear_errors, make_writable
-    from nermo_mjx.runs.lock import hold
 
     make_writable(folder)
     with clear_errors(folder):

@@ -2,7 +2,7 @@
 
 DIR/.lock       held by the writing process
 DIR/run.json    kind; `codes`, which code made rows, by its short name; `sessions`, each with command, versions, machine
-                (`files`: path -> digest of what the program wrote, where a user's may be in the way, see `written`)
+                (`files`: path -> digest of what the program wrote, where a user's may be in the way, see `Written`)
 DIR/*.aside-N   files that did not match, renamed: nothing is deleted that a user may want back
 """
 
@@ -10,12 +10,14 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import errno
 import filecmp
+import hashlib
 import json
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 from pydantic import BaseModel
 
@@ -30,8 +32,13 @@ from nermo_mjx.runs.files import (
     replace_file,
     sync_folder,
 )
-from nermo_mjx.runs.lock import hold
 
+try:
+    import fcntl
+except ImportError:  # Windows: a directory is not locked there
+    fcntl = None  # type: ignore[assignment]
+
+T = TypeVar("T")
 RUN: Final = "run.json"
 
 
@@ -159,7 +166,7 @@ class RunDirectory:
                 codes[stamp.id] = stamp.fields()
 
     def note_files(self, files: Mapping[str, str]) -> None:
-        """Record which files the program wrote (`written.Written`)."""
+        """Record which files the program wrote (`Written`)."""
         with self._record() as record:
             record["files"] = dict(files)
 
@@ -248,3 +255,139 @@ def remove_leftovers(folder: Path) -> None:
 def _with_article(kind: str) -> str:
     one = {"experiments": "published experiments", "benchmarks": "benchmarks"}
     return one.get(kind, f"{'an' if kind[0] in 'aeiou' else 'a'} {kind}")
+
+
+# ---
+# Locks: who may write a directory.
+
+
+def hold(folder: Path, name: str = ".lock", *, shared: bool = False, wait: bool = False) -> int:
+    """Lock a file of a folder; the file descriptor holds it until it is closed.
+
+    Args:
+        shared: several processes may hold it so, but none beside them alone.
+        wait: until the holder releases it.
+
+    Raises:
+        DirectoryError: another process holds it.
+        OSError: it cannot be opened.
+    """
+    held = os.open(folder / name, os.O_RDWR | os.O_CREAT, 0o666)
+    try:
+        if fcntl is not None:
+            fcntl.flock(held, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | (0 if wait else fcntl.LOCK_NB))
+    except BlockingIOError:
+        os.close(held)
+        raise DirectoryError(f"another process works in {folder}; wait for it, or choose another directory.") from None
+    except OSError as error:  # a network file system without locks
+        if error.errno not in (errno.ENOLCK, errno.ENOTSUP, errno.ENOSYS):
+            os.close(held)
+            raise
+    return held
+
+
+# ---
+# Which files of a directory the program wrote itself: it replaces and removes only these.
+
+
+class Written:
+    """Writes files of a directory; files in the way that are not the program's own are moved aside.
+
+    Use it in a `with` statement: what was written is noted in run.json, as `files`, path -> digest.
+
+    Args:
+        held: the directory.
+
+    Attributes:
+        known: path in the directory -> digest of what the program wrote there.
+        aside: new paths of the files that were moved aside.
+    """
+
+    def __init__(self, held: RunDirectory) -> None:
+        self.held = held
+        self.known: dict[str, str] = dict(read_record(held.out).get("files", {}))
+        self.aside: list[str] = []
+
+    def __enter__(self) -> Written:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.note()
+
+    def note(self) -> None:
+        """Record now what was written, so that the files are recognized even if the process is killed later."""
+        self.held.note_files(self.known)
+
+    def write(self, path: Path, content: bytes) -> None:
+        """Replace a file, by its path with the directory's; atomically.
+
+        Raises:
+            DirectoryError: it cannot be written.
+        """
+        if self._digest_of(path) not in (None, self.known.get(self.name(path)), digest(content)):
+            self._move_aside(path)
+        self.held.write(self.name(path), content)
+        self.known[self.name(path)] = digest(content)
+
+    def make(self, path: Path, maker: Callable[[Path], T]) -> T:
+        """Call a function that writes a file, and return its result.
+
+        Raises:
+            DirectoryError: what stands in the way cannot be moved.
+        """
+        if self._digest_of(path) not in (None, self.known.get(self.name(path))):
+            self._move_aside(path)
+        made = maker(path)
+        self.known[self.name(path)] = str(self._digest_of(path))
+        return made
+
+    def remove(self, names: Iterable[str]) -> None:
+        """Remove files, by their paths in the directory, if they are unmodified; the others are kept."""
+        for name in names:
+            path, own = self.held.out / name, self.known.pop(name, None)
+            if own is not None and self._digest_of(path) == own:
+                with clear_errors(self.held.out):
+                    path.unlink()
+
+    def clear(self, path: Path) -> None:
+        """Make way for a file of this name: the program's own file is removed, any other one moved aside.
+
+        Raises:
+            DirectoryError: it cannot be.
+        """
+        self.remove([self.name(path)])
+        if path.exists():
+            self._move_aside(path)
+
+    def sentence(self) -> str:
+        """What was moved aside; empty if nothing was."""
+        if not self.aside:
+            return ""
+        more = f" and {len(self.aside) - 1} more" if len(self.aside) > 1 else ""
+        what = (
+            "Files in the way were not as this program wrote them"
+            if more
+            else ("A file in the way was not as this program wrote it")
+        )
+        return f"{what}: moved aside in {self.held.out}, to {self.aside[0]}{more}."
+
+    def name(self, path: Path) -> str:
+        """The path of a file from the directory, for links as well."""
+        return path.relative_to(self.held.out).as_posix()
+
+    def _move_aside(self, path: Path) -> None:
+        moved = self.held.move_aside(self.name(path))
+        if moved is not None:
+            self.aside.append(self.name(moved))
+
+    def _digest_of(self, path: Path) -> str | None:
+        """Digest of a file; None if it does not exist, a marker for a folder."""
+        with clear_errors(self.held.out):
+            if path.is_dir():
+                return "a folder"
+            return digest(path.read_bytes()) if path.exists() else None
+
+
+def digest(content: bytes) -> str:
+    """A short hash of a file's content."""
+    return hashlib.blake2b(content, digest_size=8).hexdigest()

@@ -30,7 +30,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from nermo_mjx.runs.code import CodeStamp
-from nermo_mjx.runs.directory import OtherCode, RunDirectory, codes_of, remove_leftovers
+from nermo_mjx.runs.directory import OtherCode, RunDirectory, codes_of, digest, remove_leftovers
 from nermo_mjx.runs.files import DirectoryError, clear_errors, parquet_bytes, parquet_file, parquet_table, sync_folder
 from nermo_mjx.trust import one_line
 
@@ -309,7 +309,7 @@ class Runs:
     def _write(self, folder: str, table: pa.Table) -> Path:
         assert self.held is not None
         content = parquet_bytes(table)
-        path = self.out / folder / f"part-{self.group}-{_digest(content)}.parquet"
+        path = self.out / folder / f"part-{self.group}-{digest(content)}.parquet"
         self.held.write(path.relative_to(self.out), content)
         return path
 
@@ -382,11 +382,7 @@ def _content(path: Path) -> tuple[bytes | None, str]:
     except OSError as error:
         return None, f"cannot be read ({error.strerror})"
     found = _NAME.fullmatch(path.name)
-    return (content, "") if found is not None and _digest(content) == found[2] else (None, "is damaged")
-
-
-def _digest(content: bytes) -> str:
-    return hashlib.blake2b(content, digest_size=8).hexdigest()
+    return (content, "") if found is not None and digest(content) == found[2] else (None, "is damaged")
 
 
 class _Index(NamedTuple):

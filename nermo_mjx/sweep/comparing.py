@@ -47,21 +47,21 @@ class Arm:
         results: the table that holds them.
         rows: their places in it, (n,).
         keys: what may distinguish their variants, name -> (n,): the varied columns, and values fixed instead.
-        variant: where they are paired, the common variant of each, (n,), from 0.
-        seed: where they are paired, those of their random draws, (n,).
+        variant: where they are paired, the common variant of each, (n,), from 0; else empty.
+        seed: where they are paired, those of their random draws, (n,); else empty.
     """
 
     name: str
     results: Results
     rows: np.ndarray
     keys: Mapping[str, np.ndarray]
-    variant: np.ndarray | None = None
-    seed: np.ndarray | None = None
+    variant: np.ndarray = dataclasses.field(default_factory=lambda: np.empty(0, int))
+    seed: np.ndarray = dataclasses.field(default_factory=lambda: np.empty(0, int))
 
     def take(self, chosen: np.ndarray) -> Arm:
         """The runs at these places, or where a mask holds."""
         keys = {name: values[chosen] for name, values in self.keys.items()}
-        variant, seed = (None if each is None else each[chosen] for each in (self.variant, self.seed))
+        variant, seed = (each[chosen] if len(each) else each for each in (self.variant, self.seed))
         return dataclasses.replace(self, rows=self.rows[chosen], keys=keys, variant=variant, seed=seed)
 
     def column(self, name: str) -> np.ndarray:
@@ -464,7 +464,7 @@ def _compare(
     order = [np.lexsort((side.seed, at)) for side, at in zip(kept, variant, strict=True)]
     keys = [np.stack([at[index], side.seed[index]]) for side, at, index in zip(kept, variant, order, strict=True)]
     once = keys[0].shape[1] == np.unique(keys[0], axis=1).shape[1]
-    if not (once and np.array_equal(*keys)):  # a seed is on one side alone: each variant has a cell of either side
+    if not (once and np.array_equal(keys[0], keys[1])):  # a seed is on one side alone: each side has its own cells
         cell, values = np.concatenate([variant[0], variant[1] + len(both)]), np.concatenate([-numbers[0], numbers[1]])
         owner = np.tile(np.arange(len(both)), 2)
     else:  # runs with the same seed are paired: what they share cancels in the difference

@@ -203,17 +203,6 @@ def read_saving(doc: Document, given: SaveFields | None, setup: Setup) -> Saving
     return saving
 
 
-def check_keep(doc: Document, keep: Keep | None, metrics: Mapping[str, Metric]) -> None:
-    """Fail if the best would be chosen by a metric without a better direction, or by an unknown one."""
-    sides = sides_of(metrics)
-    if keep is not None and keep.metric not in sides:
-        doc.fail(
-            ("keep", "metric"),
-            f"is '{keep.metric}': allowed is a metric with a better direction, "
-            f"{', '.join(sides)}{did_you_mean(keep.metric, sides)}",
-        )
-
-
 # ---
 # The declared fields of a sweep file, also the source of its JSON Schema.
 
@@ -304,7 +293,13 @@ def check_together(doc: Document, sweep: Sweep) -> None:
         doc.fail(("vary",), "is missing or empty, and nothing is randomized: there is nothing to sweep.")
     if not sweep.axes and sweep.sampler not in ("grid", "rows"):
         doc.fail(("sample",), f"is {sweep.sampler}, but 'vary' names no parameter to sample.")
-    check_keep(doc, sweep.keep, sweep.metrics)
+    sides = sides_of(sweep.metrics)
+    if sweep.keep is not None and sweep.keep.metric not in sides:
+        doc.fail(
+            ("keep", "metric"),
+            f"is '{sweep.keep.metric}': allowed is a metric with a better direction, "
+            f"{', '.join(sides)}{did_you_mean(sweep.keep.metric, sides)}",
+        )
     runs = sweep.variants * sweep.repeats
     if runs > LARGEST_SWEEP:
         doc.fail(

@@ -34,22 +34,6 @@ from nermo_mjx.specs.values import Checked, by_parameter, refuse_parameter
 from nermo_mjx.specs.walk import Pilot, SetupFields, WalkFields, WalkSpec, read_walk, unread
 from nermo_mjx.sweep.axes import AxisForm
 
-#: Fields of a walk that may vary; in this order they stand in a message.
-STRUCTURES: Final = (
-    "gait",
-    "spine",
-    "steering",
-    "pilot",
-    "profile",
-    "trajectory",
-    "head",
-    "tail_motion",
-    "routing",
-    "scene",
-    "tail",
-    "physics",
-    "robot",
-)
 #: Combinations in one sweep: each is a simulator, and is checked before anything runs.
 MOST_STRUCTURES: Final = 1_000
 _ABOUT: Final = {**SetupFields.model_fields, "pilot": WalkFields.model_fields["pilot"]}
@@ -142,6 +126,10 @@ class Vary(Fields):
     @classmethod
     def refuse(cls, key: str) -> None:
         refuse_parameter(key, more=STRUCTURES)
+
+
+#: Fields of a walk that may vary; in this order they stand in a message.
+STRUCTURES: Final = tuple(Vary.model_fields)
 
 
 class Choice(NamedTuple):

@@ -21,12 +21,11 @@ from scipy import stats
 from nermo_mjx.plotting.files import Figures, write_figures
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.runs.columns import Columns as Columns
-from nermo_mjx.runs.directory import RunDirectory, read_record
+from nermo_mjx.runs.directory import RunDirectory, Written, read_record
 from nermo_mjx.runs.files import DirectoryError, clear_errors, parquet_bytes, parquet_table, replace_file
 from nermo_mjx.runs.provenance import session
 from nermo_mjx.runs.status import Status
 from nermo_mjx.runs.text import to_json
-from nermo_mjx.runs.written import Written
 from nermo_mjx.sweep.results import Results
 from nermo_mjx.sweep.sampling import Rows
 from nermo_mjx.sweep.spec import Sweep, cost, sides_in
