@@ -349,7 +349,8 @@ class Pairing:
         runs: Arm = getattr(self, side)
         column = runs.keys[names[0]]
         for value in np.unique(column[~absent(column)]):
-            part = dataclasses.replace(self, **{side: runs.take(column == value)})
+            one: dict[str, Any] = {side: runs.take(column == value)}
+            part = dataclasses.replace(self, **one)
             for more, smallest in part._by_value(names[1:]):
                 yield {names[0]: value.item(), **more}, smallest
 
@@ -399,12 +400,12 @@ def pair(base: Arm, other: Arm) -> Pairing:
     first = first[np.isin(everything[first], common)]
     known = all("seed" in arm.results.schema.names for arm in (base, other))
     seeds = (arm.column("seed") if known else np.full(len(arm.rows), i) for i, arm in enumerate((base, other)))
-    paired = (
+    base, other = (
         dataclasses.replace(arm, variant=at, seed=seed).take(at >= 0)
         for arm, at, seed in zip((base, other), variants, seeds, strict=True)
     )
     kept = {name: column[first] for name, column in values.items()}
-    return Pairing(*paired, len(common), kept, tuple(alone), tuple(notes))
+    return Pairing(base, other, len(common), kept, tuple(alone), tuple(notes))
 
 
 #: Metrics that say what became of a run; all runs have them.
