@@ -21,6 +21,8 @@ vary:
 sample: grid
 randomize: {repeats: 3, contact.friction: {uniform: [1.0, 1.6]}}
 """
+SCENE = '<mujoco model="step"><worldbody><geom name="floor" type="plane" size="5 5 1"/></worldbody></mujoco>'
+WAY, ARC = [[0, 0], [0, -0.5], [0.3, -1]], {"arc": {"radius": 0.5, "direction": "left"}}
 FREQUENCY = "{linspace: [0.4, 1.2, 9]}"
 FRICTION = "contact.friction: {uniform: [1.0, 1.6]}"
 RUN = "{cycles: 8, warmup_cycles: 2}"
@@ -213,6 +215,11 @@ def test_repeats_perturb_the_start_and_a_single_run_does_not():
         {"randomize": {"repeats": 2, "mass.front": {"normal": [0.16, 0.01]}}},
         {"randomize": {"repeats": 3, "from": "identified", "mass.front": {"normal": [0.16, 0.01]}}},
         {"vary": {"contact.friction": {"logspace": [0.1, 1.0, 4]}, "contact.width": [1e-5, 1e-4]}},
+        {"vary": {"gait": ["trt", "lat"], "spine": ["none", "stride_extension"], "spine.amplitude": [0.1, 0.2]}},
+        {"vary": {"scene": ["flat", SCENE], "frequency": [0.5]}},
+        {"vary": {"pilot": ["straight", {"waypoints": {"points": WAY}}, ARC], "robot": ["nermo_lite"]}},
+        {"vary": {"physics": ["reference", "fast"], "steering": {"values": ["leg", "spine"]}}},
+        {"vary": {"profile": ["exact", "as_published"], "routing": ["type1", "type3"]}},
     ],
 )
 def test_the_resolved_file_reads_back_as_the_same_sweep(change):
@@ -270,14 +277,9 @@ def test_arrays_may_stand_for_lists_in_a_dict():
     np.testing.assert_array_equal(sweep.axes[0].values(), [0.5, 0.75, 1.0])
 
 
-def test_way_points_are_read_and_written_back():
-    sweep = Sweep.from_dict(
-        {"pilot": {"waypoints": {"points": [[0, 0], [0, -0.5], [0.3, -1]]}}, "vary": {"duty": [0.5]}}
-    )
+def test_way_points_are_read():
+    sweep = Sweep.from_dict({"pilot": {"waypoints": {"points": WAY}}, "vary": {"duty": [0.5]}})
     assert sweep.setup.waypoints == ((0.0, 0.0), (0.0, -0.5), (0.3, -1.0))
-    again = Sweep.from_text(sweep.to_yaml(), "again")
-    assert again.setup == sweep.setup
-    assert again.digest() == sweep.digest()
 
 
 @pytest.mark.parametrize(

@@ -148,24 +148,6 @@ def test_each_model_has_its_own_code_and_they_are_no_other_code(tmp_path, asked)
     assert run_sweep(spec, tmp_path, engine="c").table.equals(table)
 
 
-RESOLVED = [
-    SPEC["vary"],
-    {"scene": ["flat", SCENE], "frequency": [0.5]},
-    {"pilot": ["straight", {"waypoints": {"points": [[0, 0], [0, -0.5], [0.3, -1]]}}, ARC], "robot": ["nermo_lite"]},
-    {"physics": ["reference", "fast"], "steering": {"values": ["leg", "spine"]}, "routing": ["type1", "type3"]},
-    {"profile": ["exact", "as_published"], "spine": ["stride_extension+balance", "balance"]},
-]
-
-
-@pytest.mark.parametrize("vary", RESOLVED)
-def test_the_resolved_file_reads_back_as_the_same_sweep(vary):
-    sweep = Sweep.from_dict({"vary": vary})
-    again = Sweep.from_text(sweep.to_yaml())
-    assert again == sweep
-    assert again.digest() == sweep.digest()
-    assert [each.setup for each in again.structures] == [each.setup for each in sweep.structures]
-
-
 def test_a_time_step_is_that_of_each_physics_unless_it_is_given():
     vary = {"physics": ["reference", "fast"]}
     steps = [each.setup.timestep for each in Sweep.from_dict({"vary": vary}).structures]
