@@ -5,10 +5,12 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
+import pytest
 
+from nermo_mjx.experiments import plots
 from nermo_mjx.experiments.cases import BODY, Column, Outcome, Settings
 from nermo_mjx.experiments.published import Figure
-from nermo_mjx.experiments.run import Experiment
+from nermo_mjx.experiments.run import EXPERIMENTS, Experiment
 from nermo_mjx.robot import load_robot
 from nermo_mjx.view import Recording
 
@@ -26,6 +28,17 @@ ABOUT = {
 RUN = "trt, 0.8 Hz, with spine"
 #: Speeds [m/s] of the trot at 0.5 and 0.8 Hz, in each profile.
 SPEEDS = {"exact": (0.05, 0.08), "as_published": (0.045, 0.07), "as_built": (0.04, 0.06)}
+#: What may be set for it.
+SETTABLE = frozenset({"contact.friction", "servo.kp"})
+#: A figure that holds, one that does not, a trend, a word, and one that is not measured.
+FIGURES = (
+    Figure("speed at 0.8 Hz", "predicted", "number", '1e3 * mean("speed", frequency=0.8)', 80.0, unit="mm/s",
+           section="6.2", author=84.9, settings="tests"),
+    Figure("ratio of speeds", "fitted", "effect", "1.6", 1.2, section="6.2", sentence="faster by 20 %"),
+    Figure("faster | at 0.8 Hz", "chosen", "outcome", "True", True),
+    Figure("word", "predicted", "outcome", "'fail'", "pass", reason="the feet are round."),
+    Figure("interval", "theory", "range", 'mean("nothing")', [0.25, 0.30]),
+)  # fmt: skip
 
 
 @dataclasses.dataclass
@@ -62,32 +75,25 @@ class Fake:
         return Outcome(self.name, columns, about, {} if bodies is not None else {RUN: recording()})
 
     def experiment(self) -> Experiment:
-        """As the catalogue has one: a figure that holds, one that does not, a trend, and one that is not measured."""
-        figures = (
-            Figure(
-                "speed at 0.8 Hz", "predicted", "number", '1e3 * mean("speed", frequency=0.8)', 80.0, unit="mm/s",
-                section="6.2", author=84.9, settings="tests",
-            ),
-            Figure("ratio of speeds", "fitted", "effect", "1.6", 1.2, section="6.2", sentence="faster by 20 %"),
-            Figure("faster | at 0.8 Hz", "chosen", "outcome", "True", True),
-            Figure("word", "predicted", "outcome", "'fail'", "pass", reason="the feet are round."),
-            Figure("interval", "theory", "range", 'mean("nothing")', [0.25, 0.30]),
-        )  # fmt: skip
-        return Experiment(
-            self.name, self.run, SETTABLE, f"The {self.name}", "What is done.", quick="little",
-            metrics=("speed", "theory_speed", "followed"), own_figures=figures,
-        )  # fmt: skip
+        """As the catalogue has one."""
+        metrics = ("speed", "theory_speed", "followed")
+        about = {"quick": "little", "metrics": metrics, "own_figures": FIGURES}
+        return Experiment(self.name, self.run, SETTABLE, f"The {self.name}", "What is done.", **about)
 
 
-#: What may be set for a pretended experiment.
-SETTABLE = frozenset({"contact.friction", "servo.kp"})
+def pretend(monkeypatch: pytest.MonkeyPatch) -> dict[str, Fake]:
+    """Every experiment is one that simulates and draws nothing from now on."""
+    made = {name: Fake(name) for name in EXPERIMENTS}
+    for name, fake in made.items():
+        monkeypatch.setitem(EXPERIMENTS, name, fake.experiment())
+    monkeypatch.setattr(plots, "figures_of", lambda outcome, lines: [])
+    return made
 
 
 def recording() -> Recording:
     """A robot that stands still for half a second."""
     model = load_robot().model
     time = np.arange(0.01, 0.5, 0.01)
-    return Recording(
-        time, np.tile(model.qpos0, (len(time), 1)), np.zeros((len(time), model.nv)), np.zeros((len(time), model.nu)),
-        metadata={"setup": {"scene": "flat"}, "labels": {"frequency": 0.8}},
-    )  # fmt: skip
+    qpos, nothing = np.tile(model.qpos0, (len(time), 1)), np.zeros((len(time), model.nv))
+    metadata = {"setup": {"scene": "flat"}, "labels": {"frequency": 0.8}}
+    return Recording(time, qpos, nothing, np.zeros((len(time), model.nu)), metadata=metadata)

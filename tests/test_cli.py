@@ -22,7 +22,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 from command import call, json_of
-from experiment_fake import Fake
+from experiment_fake import Fake, pretend
 
 from nermo_mjx import Recording, load_robot
 from nermo_mjx.cli import choices, main, options
@@ -361,14 +361,7 @@ def test_sweep_json_and_directory(tmp_path: Path) -> None:
 @pytest.fixture
 def fakes(monkeypatch: pytest.MonkeyPatch) -> dict[str, Fake]:
     """Experiments that simulate and draw nothing."""
-    from nermo_mjx.experiments import plots
-    from nermo_mjx.experiments.run import EXPERIMENTS
-
-    made = {name: Fake(name) for name in choices.EXPERIMENTS}
-    for name, fake in made.items():
-        monkeypatch.setitem(EXPERIMENTS, name, fake.experiment())
-    monkeypatch.setattr(plots, "figures_of", lambda outcome, lines: [])
-    return made
+    return pretend(monkeypatch)
 
 
 def test_experiment_json_is_the_report_and_nothing_else(fakes: dict[str, Fake], tmp_path: Path) -> None:

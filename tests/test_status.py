@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from command import call
-from experiment_fake import Fake
+from experiment_fake import Fake, pretend
 from sweep_fake import SPEC, FakeSimulator, part_of
 from tune_fake import SPEC as TUNE_SPEC
 from tune_fake import FakeProblem
@@ -20,7 +20,7 @@ from tune_fake import FakeProblem
 from nermo_mjx.bench.results import RESULTS, append
 from nermo_mjx.experiments import identification, plots
 from nermo_mjx.experiments.identification import CASES
-from nermo_mjx.experiments.run import EXPERIMENTS, run_experiments
+from nermo_mjx.experiments.run import run_experiments
 from nermo_mjx.optimize import Tuning, run_landscape, run_tuning
 from nermo_mjx.runs import Interrupted, RunDirectory, codes_of, stamp
 from nermo_mjx.runs.rows import part_files
@@ -119,11 +119,7 @@ def test_a_landscape_counts_points_also_of_an_unfinished_one(tmp_path: Path) -> 
 @pytest.fixture
 def fakes(monkeypatch: pytest.MonkeyPatch) -> dict[str, Fake]:
     """Experiments that simulate and draw nothing."""
-    made = {name: Fake(name) for name in EXPERIMENTS}
-    for name, fake in made.items():
-        monkeypatch.setitem(EXPERIMENTS, name, fake.experiment())
-    monkeypatch.setattr(plots, "figures_of", lambda outcome, lines: [])
-    return made
+    return pretend(monkeypatch)
 
 
 def test_experiments_are_complete_when_all_that_was_asked_for_is_there(
