@@ -2,18 +2,28 @@
 
 import json
 import types
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from nermo_mjx.experiments import identification
-from nermo_mjx.experiments.ensemble import ALL, FREE, TOLERANCE, UNCERTAIN, names, parameters_of, point_of
+from nermo_mjx.experiments.ensemble import (
+    ALL,
+    FREE,
+    TOLERANCE,
+    UNCERTAIN,
+    correlations,
+    names,
+    parameters_of,
+    point_of,
+    quantiles,
+)
 from nermo_mjx.experiments.identification import CASES, START, TARGETS, Search, figures, identify, objective
+from nermo_mjx.robot.identified import read_ensemble
+from nermo_mjx.robot.model_parameters import ModelParameters
 from nermo_mjx.robot.quantity import ParameterError, quantities
 from nermo_mjx.rollout import Setup
-from nermo_mjx.runs import DirectoryError, JobFailed, OtherCode, RunDirectory, Watch, codes_of
-from nermo_mjx.runs.files import WrongDirectory
+from nermo_mjx.runs import JobFailed, OtherCode, Watch, codes_of
 from nermo_mjx.runs.workers import WorkersLost
 
 pytestmark = pytest.mark.draws
@@ -57,10 +67,8 @@ def test_the_unit_cube_spans_the_bounds_by_logarithm(space):
     assert parameters_of(point_of(found, space), space) == found
 
 
-def test_the_free_parameters_exist_and_their_bounds_are_allowed():
-    from nermo_mjx.rollout import all_parameters
-
-    known = all_parameters()
+def test_the_free_parameters_are_the_bodys_and_their_bounds_are_allowed():
+    known = dict(quantities(ModelParameters))
     for free in ALL.values():
         for name in free.names:
             known[name].check(name, free.low)
@@ -247,19 +255,6 @@ def test_workers_that_are_lost_leave_what_they_walked(pretended, tmp_path):
     assert again == pretended.calls, "nothing is walked twice"
 
 
-def test_a_users_files_in_the_way_are_moved_aside_with_a_sentence(pretended, tmp_path):
-    said = []
-    (tmp_path / "identification.md").write_text("my plan")
-    (tmp_path / "ensemble.csv").write_text("my bodies")
-    identification.run_identification(tmp_path, engine="c", **SMALL, bodies=32, sweeps=5, watch=Watch(warn=said.append))
-    assert (tmp_path / "identification.md.aside-1").read_text() == "my plan"
-    assert (tmp_path / "ensemble.csv.aside-1").read_text() == "my bodies"
-    assert said == [
-        "Files in the way were not as this program wrote them: moved aside in "
-        f"{tmp_path}, to ensemble.csv.aside-1 and 1 more."
-    ]
-
-
 def test_another_robot_does_not_go_on_with_the_candidates(pretended, tmp_path, monkeypatch):
     settings = {**SMALL, "bodies": 0, "engine": "c"}
     identification.run_identification(tmp_path, **settings)
@@ -283,24 +278,18 @@ def killed(pretended, out, **options):
 
 def test_candidates_of_other_code_are_refused_until_they_are_accepted(pretended, tmp_path, monkeypatch):
     """Each line says which code walked it; none is walked twice."""
-    settings = killed(pretended, tmp_path)
+    settings = killed(pretended, tmp_path, engine="mjx")
     monkeypatch.setattr("nermo_mjx.runs.code.__version__", "9.9.9")
     with pytest.raises(OtherCode, match=r"made by other code: nermo-mjx .*, not 9\.9\.9; .*--accept-new-code"):
         identification.run_identification(tmp_path, **settings)
     assert not pretended.calls
-    content = identification.run_identification(tmp_path, **settings, accept_new_code=True)
+    content = identification.run_identification(tmp_path, **settings | {"engine": "auto"}, accept_new_code=True)
+    assert content["engine"] == "mjx", "that with which it was begun"
     codes = [json.loads(line).get("code") for line in (tmp_path / "candidates.jsonl").read_text().splitlines()[1:]]
     former, new = codes_of(tmp_path)
     assert codes == [former] * 3 + [new] * pretended.calls
     assert content["codes"] == [former, new]
     assert f"code {former}, {new};" in (tmp_path / "identification.md").read_text()
-
-
-def test_another_engine_does_not_go_on_and_auto_is_the_one_begun_with(pretended, tmp_path):
-    settings = killed(pretended, tmp_path, engine="mjx")
-    with pytest.raises(OtherCode, match="engine mjx, not c"):
-        identification.run_identification(tmp_path, **settings | {"engine": "c"})
-    assert identification.run_identification(tmp_path, **settings | {"engine": "auto"})["engine"] == "mjx"
 
 
 def test_a_search_of_unknown_code_goes_on_when_it_is_accepted(pretended, tmp_path):
@@ -321,20 +310,18 @@ def test_a_search_of_unknown_code_goes_on_when_it_is_accepted(pretended, tmp_pat
     assert len(again) == len(rows) + pretended.calls
 
 
-def test_one_process_identifies_in_a_directory(pretended, tmp_path):
-    with RunDirectory(tmp_path, "identification"), pytest.raises(DirectoryError, match="another process works in"):
-        identification.run_identification(tmp_path, **SMALL)
-    (tmp_path / "run.json").write_text('{"kind": "sweep"}')
-    with pytest.raises(WrongDirectory, match="holds a sweep, and not an identification"):
-        identification.run_identification(tmp_path, **SMALL)
-    assert not pretended.calls
-
-
 def test_the_files_of_an_ensemble_agree(pretended, tmp_path):
-    """identification.json, ensemble.csv and the report: the same bodies, quantiles in order, a picture."""
-    from nermo_mjx.robot.identified import read_ensemble
-
-    identification.run_identification(tmp_path, engine="c", **SMALL, bodies=32, sweeps=5)
+    """identification.json, ensemble.csv and the report: the same bodies, quantiles in order, a picture; a user's files
+    in the way are moved aside."""
+    said, mine = [], [tmp_path / name for name in ("identification.md", "ensemble.csv")]
+    for path in mine:
+        path.write_text("a user's")
+    identification.run_identification(tmp_path, engine="c", **SMALL, bodies=32, sweeps=5, watch=Watch(warn=said.append))
+    assert [path.with_name(f"{path.name}.aside-1").read_text() for path in mine] == ["a user's"] * 2
+    assert said == [
+        "Files in the way were not as this program wrote them: moved aside in "
+        f"{tmp_path}, to ensemble.csv.aside-1 and 1 more."
+    ]
     ensemble = json.loads((tmp_path / "identification.json").read_text())["ensemble"]
     lines = (tmp_path / "ensemble.csv").read_text().splitlines()
     stored = read_ensemble(lines)
@@ -356,8 +343,6 @@ def test_the_files_of_an_ensemble_agree(pretended, tmp_path):
 
 def test_quantiles_and_correlations_are_weighted():
     """A body of weight 3 counts as three bodies."""
-    from nermo_mjx.experiments.ensemble import correlations, quantiles
-
     random = np.random.default_rng(0)
     values, weights = random.uniform(1, 2, 400), random.integers(1, 4, 400)
     np.testing.assert_allclose(
@@ -369,32 +354,11 @@ def test_quantiles_and_correlations_are_weighted():
     assert found["a"]["b"] == pytest.approx(np.corrcoef(repeated)[0, 1])
 
 
-def test_units_of_every_free_parameter_are_known():
-    from nermo_mjx.robot.model_parameters import ModelParameters
-
-    assert set(names(ALL)) <= {name for name, _ in quantities(ModelParameters)}
-
-
 @pytest.mark.parametrize(
-    ("wrong", "sentence"),
-    [
-        ({"samples": 0}, "samples is 0"),
-        ({"generations": 0}, "generations is 0"),
-        ({"population": 2}, "population is 2"),
-        ({"bodies": 3}, "bodies is 3: allowed is 8 or more"),
-        ({"sweeps": 0}, "sweeps is 0"),
-        ({"tolerance": 0.0}, "tolerance is 0"),
-    ],
+    ("name", "least"), [("samples", 1), ("generations", 1), ("population", 4), ("bodies", 8), ("sweeps", 1)]
 )
-def test_a_search_too_small_is_refused(wrong, sentence):
-    with pytest.raises(ParameterError, match=sentence):
-        Search(**wrong)
-
-
-def test_what_the_module_says_to_copy_is_what_is_written():
-    """The command in the docstring of the shipped ensemble names the file that an identification writes."""
-    from nermo_mjx.robot import identified
-
-    assert "ensemble.csv nermo_mjx/robot/identified.csv" in str(identified.__doc__)
-    assert identified.PATH.is_file()
-    assert Path(identified.__file__).with_suffix(".csv") == identified.PATH
+def test_a_search_too_small_is_refused(name, least):
+    with pytest.raises(ParameterError, match=f"{name} is {least - 1 or -1}: allowed is {least} or more"):
+        Search(**{name: least - 1 or -1})
+    with pytest.raises(ParameterError, match="tolerance is 0: allowed is more than 0"):
+        Search(tolerance=0.0)
