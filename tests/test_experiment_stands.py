@@ -8,7 +8,7 @@ import pytest
 
 from nermo_mjx.experiments import stands
 from nermo_mjx.experiments.cases import Settings
-from nermo_mjx.experiments.plots import _leg_stand, _spine_stand
+from nermo_mjx.experiments.plots import figures_of
 from nermo_mjx.experiments.published import compare
 from nermo_mjx.experiments.stands import Stand
 from nermo_mjx.kinematics import leg as kinematics
@@ -96,8 +96,8 @@ def test_the_load_case_holds_and_so_does_what_the_thesis_says_of_the_routings(of
 @pytest.mark.draws
 def test_both_stands_are_drawn(of_leg, of_spine):
     """A bar for each routing of each pair of legs, and for each plane, in four panels."""
-    for made, bars in ((_leg_stand(of_leg, ()), 2 * len(ROUTINGS)), (_spine_stand(of_spine, ()), len(stands.PLANES))):
-        ((_, figure),) = made
+    for outcome, bars in ((of_leg, 2 * len(ROUTINGS)), (of_spine, len(stands.PLANES))):
+        ((_, figure),) = figures_of(outcome, ())
         assert [len(ax.patches) for ax in figure.axes] == [bars] * 4
 
 

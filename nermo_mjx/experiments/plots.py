@@ -22,8 +22,8 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Polygon, Rectangle
 from matplotlib.ticker import FuncFormatter, MultipleLocator
 
-from nermo_mjx.experiments import stands, walks
-from nermo_mjx.experiments.cases import PROFILES, SIMULATED, Outcome, clock
+from nermo_mjx.experiments import walks
+from nermo_mjx.experiments.cases import PROFILES, SIMULATED, Outcome, clock, texts
 from nermo_mjx.experiments.published import AGREES, Line
 from nermo_mjx.kinematics.body import attitude
 from nermo_mjx.plotting import style
@@ -32,10 +32,10 @@ from nermo_mjx.plotting.shown import shown as in_shown_unit
 from nermo_mjx.plotting.style import BEST, FOOT, GRID, INK, LINE, MISSING, MUTED, OKABE_ITO, SERIES, SHADE
 from nermo_mjx.recording import Recording
 from nermo_mjx.robot import LIMBS, load_robot
-from nermo_mjx.robot.parameters import ROUTINGS
 
 Drawn = Iterator[tuple[str, Figure | None]]
 Lines = Sequence[Line]
+Case = Mapping[str, Any]
 Published = float | tuple[float, float] | None
 
 
@@ -80,6 +80,11 @@ def published(lines: Iterable[Line], figure: str) -> Published:
     return None
 
 
+def times(factor: float, value: Published) -> float | None:
+    """A published number in another unit; None of an interval."""
+    return factor * value if isinstance(value, float) else None
+
+
 def profiles(outcome: Outcome) -> list[str]:
     """The simulated profiles of an outcome, `as_published` first; the few cases of `as_built` stand in the report."""
     found = set(map(str, outcome.columns["profile"]))
@@ -106,9 +111,14 @@ def stroke(name: str, colour: str, **line: Any) -> Line2D:
     return Line2D([], [], color=colour, label=name, **line)
 
 
-def spine_strokes(**line: Any) -> list[Artist]:
+def spine_strokes(names: Mapping[bool, str] = WITH, **line: Any) -> list[Artist]:
     """Legend entries for lines without and with the spine."""
-    return [stroke(WITH[on], SPINE[on], **({"lw": 1.7} | line)) for on in (False, True)]
+    return [stroke(names[on], SPINE[on], **({"lw": 1.7} | line)) for on in (False, True)]
+
+
+def foot_entries(entry: Callable[..., Artist], **look: Any) -> list[Artist]:
+    """Legend entries for the feet."""
+    return [entry(f"{plain(foot)} foot", FOOT[foot], **look) for foot in LIMBS]
 
 
 def profile_swatches(names: Sequence[str]) -> list[Artist]:
@@ -116,15 +126,21 @@ def profile_swatches(names: Sequence[str]) -> list[Artist]:
     return [swatch(plain(name), tone("#444444", name)) for name in names] if len(names) > 1 else []
 
 
+def diamond(ax: Axes, x: float, y: float, zorder: float) -> None:
+    """A published number: a white diamond in black outline."""
+    ax.scatter(x, y, s=34, marker="D", fc="white", ec="black", lw=1.2, zorder=zorder, gid="published")
+
+
 def mark_published(ax: Axes, x: float, value: Published) -> None:
-    """The publication's number as a white diamond in black outline; an interval as a bracket around it."""
+    """The publication's number as a diamond; an interval as a bracket around it."""
     if value is None:
         return
     low, high = value if isinstance(value, tuple) else (value, value)
-    middle, half = (low + high) / 2, (high - low) / 2
-    if half > 0:
-        ax.errorbar(x, middle, half, fmt="none", ecolor="black", elinewidth=1.1, capsize=3, zorder=6)
-    ax.scatter(x, middle, s=34, marker="D", fc="white", ec="black", lw=1.2, zorder=7, gid="published")
+    if high > low:
+        ax.errorbar(
+            x, (low + high) / 2, (high - low) / 2, fmt="none", ecolor="black", elinewidth=1.1, capsize=3, zorder=6
+        )
+    diamond(ax, x, (low + high) / 2, 7)
 
 
 def published_entry() -> Line2D:
@@ -164,7 +180,7 @@ class Bar:
     colour, whether it is hatched, and its theoretical and published values."""
 
     values: np.ndarray
-    colour: str
+    colour: str = ""
     hatched: bool = False
     theory: float = math.nan
     published: Published = None
@@ -182,18 +198,19 @@ class Bar:
     @property
     def failed(self) -> bool:
         """Whether a repeat has no value."""
-        return not np.isfinite(self.values).all()
+        return len(self.good) < len(self.values)
 
 
-def repeats(outcome: Outcome, column: str, **wanted: object) -> np.ndarray:
-    """Values of the repeats of one case in shown units (deg, mm, mm/s); NaN for a run that did not end well.
+def repeats(outcome: Outcome, column: str, profile: str, **case: object) -> np.ndarray:
+    """Values of the repeats of one case in shown units (deg, mm, mm/s); times and speeds on the controller's clock.
 
-    Empty if the table has no such case.
+    NaN for a run that did not end well; empty if the table has no such case.
     """
-    rows = outcome.where(**wanted)
-    values = in_shown_unit(column, outcome.about[column].unit, outcome.columns[column][rows]).values
+    rows, unit = outcome.where(profile=profile, **case), outcome.about[column].unit
+    values = in_shown_unit(column, unit, outcome.columns[column][rows]).values
     well = outcome.columns["status"][rows] == "ok" if "status" in outcome.columns else np.full(len(values), True)
-    return np.where(well & np.isfinite(values), values, np.nan)
+    ratio = {"s": 1 / clock(profile), "m/s": clock(profile)}.get(unit, 1.0)
+    return ratio * np.where(well & np.isfinite(values), values, np.nan)
 
 
 def only(values: np.ndarray) -> float:
@@ -209,8 +226,8 @@ def axis_label(outcome: Outcome, column: str, name: str) -> str:
 
 @dataclasses.dataclass(frozen=True)
 class Panel:
-    """Axes with groups of bars: name on the axis -> bars; the number of bars that fit in a group, by default that of
-    the longest; title and labels."""
+    """Axes with groups of bars: name on the axis -> bars; title and labels; the number of bars that fit in a group, by
+    default that of the longest."""
 
     groups: Mapping[str, Sequence[Bar]]
     title: str = ""
@@ -237,9 +254,8 @@ class Panel:
                     hatch = _HATCH if bar.hatched else None
                     ax.bar(x, bar.mean, 0.9 * width, color=bar.colour, hatch=hatch, ec="white", lw=0, zorder=2)
                 if len(bar.good) > 1:
-                    ax.errorbar(
-                        x, bar.mean, bar.good.std(), fmt="none", ecolor=INK, elinewidth=0.9, capsize=1.8, zorder=5
-                    )
+                    whisker: dict[str, Any] = {"ecolor": INK, "elinewidth": 0.9, "capsize": 1.8, "zorder": 5}
+                    ax.errorbar(x, bar.mean, bar.good.std(), fmt="none", **whisker)
                 if np.isfinite(bar.theory):
                     ends = [x - 0.45 * width, x + 0.45 * width]
                     ax.plot(ends, [bar.theory] * 2, zorder=4, gid="theory", **_THEORY)
@@ -279,18 +295,44 @@ def bar_page(
     bars: list[Bar] = []
     for ax, panel in zip(page.axes.ravel(), itertools.chain(*panels), strict=True):
         bars += panel.draw(ax)
-    entries = list(handles)
-    if any(np.isfinite(bar.theory) for bar in bars):
-        entries.append(Line2D([], [], label="theory, no slip", **_THEORY))
-    if any(bar.published is not None for bar in bars):
-        entries.append(published_entry())
-    if any(bar.hatched for bar in bars):
-        entries.append(swatch(hatched, MUTED, hatch=_HATCH, ec="white", lw=0))
-    if any(bar.failed for bar in bars):
-        entries.append(Line2D([], [], label="a repeat without result", **_FAILED))
+    entries = [
+        *handles,
+        *([Line2D([], [], label="theory, no slip", **_THEORY)] if any(np.isfinite(bar.theory) for bar in bars) else []),
+        *([published_entry()] if any(bar.published is not None for bar in bars) else []),
+        *([swatch(hatched, MUTED, hatch=_HATCH, ec="white", lw=0)] if any(bar.hatched for bar in bars) else []),
+        *([Line2D([], [], label="a repeat without result", **_FAILED)] if any(bar.failed for bar in bars) else []),
+    ]
     most = max((len(bar.values) for bar in bars), default=0)
     spread = f"mean of {most} repeats; error bars: one standard deviation" if most > 1 else "one run a case"
     return page.finish(entries, note.format(spread=spread))
+
+
+def by_gait(
+    outcome: Outcome, kinds: Sequence[Case], rows: Sequence[tuple[str | None, str, Case, Callable[[Case], Bar]]]
+) -> list[list[Panel]]:
+    """Rows of panels, with a column for each gait that was walked, and groups of bars for each frequency.
+
+    Args:
+        kinds: what tells the bars of a group apart.
+        rows: of each what follows the gait in its titles, if it has any; label, cases, and the bar of a case.
+    """
+    walked = {
+        (gait, i): sorted(set(outcome.columns["frequency"][outcome.where(gait=gait, **case)].tolist()))
+        for gait, (i, (_, _, case, _)) in itertools.product(GAIT, enumerate(rows))
+    }
+    gaits = [gait for gait in GAIT if any(walked[gait, i] for i in range(len(rows)))]
+    panels: list[list[Panel]] = []
+    for i, (suffix, label, case, bar) in enumerate(rows):
+        panels.append([])
+        for gait in gaits:
+            groups = {}
+            for f in walked[gait, i]:
+                bars = [bar({"gait": gait, "frequency": f, **case, **kind}) for kind in kinds]
+                groups[f"{f:g}"] = [each for each in bars if len(each.values)]
+            head = "" if suffix is None else GAIT[gait] + suffix
+            foot = "gait frequency [Hz]" if i == len(rows) - 1 else ""
+            panels[-1].append(Panel(groups, head, foot, "" if panels[-1] else label, len(kinds)))
+    return panels if gaits else []
 
 
 # --- agreement: each number as a fraction of the published one; of an effect, of its size, the ratio minus 1
@@ -328,7 +370,7 @@ def _agreement(outcome: Outcome, lines: Lines) -> Drawn:
         if isinstance(line.published, list):
             low, high = (end / reference for end in line.published)
             ax.plot([low, min(high, MOST)], [y, y], color="black", lw=1.2, marker="|", ms=7, mew=1.2, zorder=3)
-        ax.scatter(1, y, s=34, marker="D", fc="white", ec="black", lw=1.2, zorder=4, gid="published")
+        diamond(ax, 1, y, 4)
         for profile in reversed(_TONES):
             value = _number(getattr(line, profile))
             if value is None or (line.judged_in == "as_built" and profile in SIMULATED):
@@ -390,77 +432,42 @@ def _straight_line(outcome: Outcome, lines: Lines) -> Drawn:
             reported["trt", 0.8, True] = speed * gain
         if isinstance(over, float):
             reported["lat", 0.8, False] = speed / over
-    yield "speed", _speed(outcome, reported)
-    yield "speed-over-stride", _speed_over_stride(outcome, reported)
-    yield "orientation", _orientation(outcome, lines)
-    yield "orientation-spread", _spread(outcome)
-    yield "offset-compensation", _compensation(outcome, lines)
+    names = profiles(outcome)
 
+    def speed_of(case: Case) -> Bar:
+        theory = only(repeats(outcome, "theory_speed", **case))
+        mark = reported.get((case["gait"], case["frequency"], case["spine"])) if case["profile"] == names[0] else None
+        values = repeats(outcome, "speed", **case)
+        return Bar(values, tone(SPINE[case["spine"]], case["profile"]), theory=theory, published=mark)
 
-def _speeds(outcome: Outcome, column: str, profile: str, **case: object) -> np.ndarray:
-    return clock(profile) * repeats(outcome, column, profile=profile, **case)
+    def sway_of(angle: str) -> Callable[[Case], Bar]:
+        return lambda case: Bar(repeats(outcome, f"{angle}_std", **case), tone(SPINE[case["spine"]], case["profile"]))
 
+    usual = {"stride": 1.0, "compensated": False}
+    kinds = [{"spine": on, "profile": name} for on in (False, True) for name in names]
 
-def _by_gait(
-    outcome: Outcome,
-    title: str,
-    rows: Sequence[str],
-    height: float,
-    note: str,
-    bar: Callable[[int, str, Mapping[str, Any]], Bar],
-) -> Figure | None:
-    """A column of axes for each gait, with groups of bars for each frequency, profile and spine.
-
-    Args:
-        rows: labels of the rows of axes.
-        bar: of the row's number, a profile and a case.
-    """
-    names, gaits = profiles(outcome), {}
-    for gait in GAIT:
-        walked = outcome.where(gait=gait, stride=1.0, compensated=False)
-        if walked.any():
-            gaits[gait] = sorted(set(outcome.columns["frequency"][walked].tolist()))
-    if not gaits:
-        return None
-    # The lateral walk is run only without the spine, so its groups have half the bars.
-    widths = [max(1.2, len(fs) * (0.62 if gait == "lat" else 1.0) + 0.3) for gait, fs in gaits.items()]
-    panels: list[list[Panel]] = []
-    for i, label in enumerate(rows):
-        panels.append([])
-        for gait, frequencies in gaits.items():
-            groups = {}
-            for f in frequencies:
-                case = {"gait": gait, "frequency": f, "stride": 1.0, "compensated": False}
-                bars = [bar(i, name, case | {"spine": on}) for on in (False, True) for name in names]
-                groups[f"{f:g}"] = [each for each in bars if len(each.values)]
-            head, foot = GAIT[gait] if i == 0 else "", "gait frequency [Hz]" if i == len(rows) - 1 else ""
-            panels[-1].append(Panel(groups, head, foot, "" if panels[-1] else label, slots=2 * len(names)))
-    handles = [*(swatch(WITH[on], SPINE[on]) for on in (False, True)), *profile_swatches(names)]
-    size, ratios = (max(7.4, 2.1 + 0.92 * sum(widths)), height), {"width_ratios": widths}
-    return bar_page(title, size, panels, handles, note, sharey="row", sharex="col", gridspec_kw=ratios)
-
-
-def _speed(outcome: Outcome, reported: Mapping[Any, float]) -> Figure | None:
-    first = profiles(outcome)[0]
-
-    def bar(_: int, profile: str, case: Mapping[str, Any]) -> Bar:
-        theory = only(_speeds(outcome, "theory_speed", profile, **case))
-        mark = reported.get((case["gait"], case["frequency"], case["spine"])) if profile == first else None
-        values = _speeds(outcome, "speed", profile, **case)
-        return Bar(values, tone(SPINE[case["spine"]], profile), theory=theory, published=mark)
+    def page(title: str, height: float, note: str, rows: Sequence[tuple[str, Callable[[Case], Bar]]]) -> Figure | None:
+        suffixes = ["", *[None] * (len(rows) - 1)]
+        described = [(suffix, label, usual, bar) for suffix, (label, bar) in zip(suffixes, rows, strict=True)]
+        panels = by_gait(outcome, kinds, described)
+        if not panels:
+            return None
+        # The lateral walk is run only without the spine, so its groups have half the bars.
+        shares = [0.62 if panel.title == GAIT["lat"] else 1.0 for panel in panels[0]]
+        widths = [max(1.2, len(each.groups) * share + 0.3) for each, share in zip(panels[0], shares, strict=True)]
+        handles = [*(swatch(WITH[on], SPINE[on]) for on in (False, True)), *profile_swatches(names)]
+        size, ratios = (max(7.4, 2.1 + 0.92 * sum(widths)), height), {"width_ratios": widths}
+        return bar_page(title, size, panels, handles, note, sharey="row", sharex="col", gridspec_kw=ratios)
 
     note = f"{{spread}}; {CLOCK}; published with spine and of the lateral walk: by its ratios to the trot"
     label = axis_label(outcome, "speed", "speed")
-    return _by_gait(outcome, "Speed over the gait frequency", [label], 4.2, note, bar)
-
-
-def _spread(outcome: Outcome) -> Figure | None:
-    def bar(i: int, profile: str, case: Mapping[str, Any]) -> Bar:
-        return Bar(repeats(outcome, f"{ANGLES[i]}_std", profile=profile, **case), tone(SPINE[case["spine"]], profile))
-
+    yield "speed", page("Speed over the gait frequency", 4.2, note, [(label, speed_of)])
+    yield "speed-over-stride", _speed_over_stride(outcome, reported)
+    yield "orientation", _orientation(outcome, lines)
     title = "How far the torso sways: standard deviation of its orientation"
-    labels = [axis_label(outcome, f"{angle}_std", f"{angle}, std") for angle in ANGLES]
-    return _by_gait(outcome, title, labels, 7.2, "{spread}", bar)
+    rows = [(axis_label(outcome, f"{angle}_std", f"{angle}, std"), sway_of(angle)) for angle in ANGLES]
+    yield "orientation-spread", page(title, 7.2, "{spread}", rows)
+    yield "offset-compensation", _compensation(outcome, lines)
 
 
 def _speed_over_stride(outcome: Outcome, reported: Mapping[Any, float]) -> Figure | None:
@@ -473,14 +480,14 @@ def _speed_over_stride(outcome: Outcome, reported: Mapping[Any, float]) -> Figur
     ax = page.axes[0, 0]
     foot = {"transform": ax.get_xaxis_transform(), "gid": "failed"}
     for profile, on in itertools.product(names, (False, True)):
-        case = {"gait": "trt", "frequency": 0.8, "spine": on, "compensated": False}
-        runs = [Bar(_speeds(outcome, "speed", profile, stride=s, **case), "") for s in strides]
+        case: Case = {"profile": profile, "gait": "trt", "frequency": 0.8, "spine": on, "compensated": False}
+        runs = [Bar(repeats(outcome, "speed", stride=s, **case)) for s in strides]
         colour = tone(SPINE[on], profile)
         ax.plot(strides, [run.mean for run in runs], "-o", color=colour, ms=5, lw=1.8, zorder=4)
         if profile == names[0]:
-            theory = [only(_speeds(outcome, "theory_speed", profile, stride=s, **case)) for s in strides]
+            theory = [only(repeats(outcome, "theory_speed", stride=s, **case)) for s in strides]
             ax.plot(strides, theory, ":", color=SPINE[on], lw=1.3, zorder=2)
-        lost = [s for s, run in zip(strides, runs, strict=True) if len(run.values) and run.failed]
+        lost = [s for s, run in zip(strides, runs, strict=True) if run.failed]
         ax.plot(lost, [0.02] * len(lost), "x", ms=6, mew=1.6, color=colour, **foot)
     marks = [value for (gait, _, _), value in reported.items() if gait == "trt"]
     for value in marks:
@@ -529,14 +536,14 @@ def _compensation(outcome: Outcome, lines: Lines) -> Figure | None:
         return None
     panels = []
     for measure, figure in COMPENSATION.items():
-        change, groups = published(lines, figure), {}
+        groups = {}
         for profile in profiles(outcome):
-            case = {"profile": profile, "gait": "trt", "frequency": 0.67, "spine": True, "stride": 1.0}
+            case: Case = {"profile": profile, "gait": "trt", "frequency": 0.67, "spine": True, "stride": 1.0}
             names = ("roll_std",) if measure == "std" else ("roll_min", "roll_max")
             ends = [[repeats(outcome, name, compensated=on, **case) for name in names] for on in (False, True)]
             off, on = (each[0] if measure == "std" else 0.5 * (each[1] - each[0]) for each in ends)
-            mean = Bar(off, "").mean
-            mark = change * mean if isinstance(change, float) and np.isfinite(mean) else None
+            mean = Bar(off).mean
+            mark = times(mean, published(lines, figure)) if np.isfinite(mean) else None
             bars = [Bar(off, tone(SPINE[True], profile)), Bar(on, tone(COMPENSATED, profile), published=mark)]
             groups[plain(profile)] = bars
         panels.append(Panel(groups, ylabel=axis_label(outcome, "roll_std", f"roll, {measure}")))
@@ -557,70 +564,62 @@ _NOT_FOLLOWED: Final = "a repeat did not follow the path"
 
 def _turning(outcome: Outcome, lines: Lines) -> Drawn:
     names = profiles(outcome)
+    kinds = [{"strategy": name, "profile": profile} for name in walks.STRATEGIES for profile in names]
 
-    def strayed(case: Mapping[str, Any]) -> bool:
+    def bar(column: str, case: Case, mark: Published = None, **more: Any) -> Bar:
+        values = repeats(outcome, column, **case)
+        return Bar(values, tone(STRATEGY[case["strategy"]], case["profile"]), published=mark, **more)
+
+    def strayed(case: Case) -> bool:
         return not outcome.columns["followed"][outcome.where(**case)].all()
 
-    def speed(case: Mapping[str, Any]) -> Bar:
-        profile, mark = case["profile"], None
-        at = (case["gait"], case["frequency"], case["radius"], profile)
+    def speed(case: Case) -> Bar:
+        at = (case["gait"], case["frequency"], case["radius"], case["profile"])
         time = published(lines, TIME[case["strategy"]])
-        if at == ("trt", 0.67, 0.5, "as_published") and isinstance(time, float):
-            mark = 1e3 * 0.5 * np.pi / 2 / time
-        values = clock(profile) * repeats(outcome, "speed", **case)
-        return Bar(values, tone(STRATEGY[case["strategy"]], profile), strayed(case), published=mark)
+        timed = at == ("trt", 0.67, 0.5, "as_published")
+        mark = 1e3 * 0.5 * np.pi / 2 / time if timed and isinstance(time, float) else None
+        return bar("speed", case, mark, hatched=strayed(case))
 
-    def lock(case: Mapping[str, Any]) -> Bar:
-        profile, strategy = case["profile"], case["strategy"]
-        value = published(lines, RADIUS.get(strategy, "")) if (case["gait"], profile) == ("trt", names[0]) else None
-        mark = 1e3 * value if isinstance(value, float) else None
-        theory, colour = only(repeats(outcome, "theory_radius", **case)), tone(STRATEGY[strategy], profile)
-        return Bar(repeats(outcome, "turning_radius", **case), colour, theory=theory, published=mark)
+    def lock(case: Case) -> Bar:
+        value = published(lines, RADIUS.get(case["strategy"], ""))
+        mark = times(1e3, value) if (case["gait"], case["profile"]) == ("trt", names[0]) else None
+        return bar("turning_radius", case, mark, theory=only(repeats(outcome, "theory_radius", **case)))
 
-    def by_gait(title: str, radii: Sequence[float], height: float, label: str, note: str, bar: Any) -> Figure | None:
-        """A row of axes for each radius, a column for each gait, with groups of bars for each frequency."""
-        radii = [radius for radius in radii if outcome.where(radius=radius, side="left").any()]
-        gaits = [gait for gait in GAIT if gait in outcome.columns["gait"]]
-        if not radii:
+    def page(title: str, radii: Sequence[float], height: float, label: str, note: str, bar: Any) -> Figure | None:
+        """A row of axes for each radius."""
+        rows = [
+            (f", R = {1e3 * radius:g} mm" if radius else "", label, {"radius": radius, "side": "left"}, bar)
+            for radius in radii
+            if outcome.where(radius=radius, side="left").any()
+        ]
+        panels = by_gait(outcome, kinds, rows)
+        if not panels:
             return None
-        panels: list[list[Panel]] = []
-        for radius in radii:
-            panels.append([])
-            for gait in gaits:
-                case = {"gait": gait, "radius": radius, "side": "left"}
-                kinds = [{"strategy": name, "profile": profile} for name in walks.STRATEGIES for profile in names]
-                walked = sorted(set(outcome.columns["frequency"][outcome.where(**case)].tolist()))
-                groups = {f"{f:g}": [bar({**case, "frequency": f, **kind}) for kind in kinds] for f in walked}
-                head = GAIT[gait] + (f", R = {1e3 * radius:g} mm" if radius else "")
-                foot = "gait frequency [Hz]" if radius == radii[-1] else ""
-                panels[-1].append(Panel(groups, head, foot, "" if panels[-1] else label))
         handles = [*(swatch(_BASED[name], STRATEGY[name]) for name in walks.STRATEGIES), *profile_swatches(names)]
-        size = (max(6.4, 1.2 + 3.2 * len(gaits)), height * len(radii) + 1.3)
+        size = (max(6.4, 1.2 + 3.2 * len(panels[0])), height * len(rows) + 1.3)
         return bar_page(title, size, panels, handles, note, _NOT_FOLLOWED, sharey=True, sharex="col")
 
     title, label = "Speed on quarter circles to the left", axis_label(outcome, "speed", "speed")
     note = f"{{spread}}; {CLOCK}; published: length of the path over the published time"
-    yield "speed", by_gait(title, walks.RADII, 2.5, label, note, speed)
+    yield "speed", page(title, walks.RADII, 2.5, label, note, speed)
 
     circle = {"gait": "trt", "frequency": 0.67, "radius": 0.5}
     if outcome.where(**circle).any():
-        times: list[Panel] = []
+        panels: list[Panel] = []
         for side in walks.SIDES:
             groups: dict[str, list[Bar]] = {_BASED[strategy]: [] for strategy in walks.STRATEGIES}
-            for strategy, profile in itertools.product(walks.STRATEGIES, names):
-                case = {"profile": profile, "strategy": strategy, "side": side, **circle}
-                mark = published(lines, TIME[strategy]) if profile == names[0] else None
-                values, colour = repeats(outcome, "time", **case) / clock(profile), tone(STRATEGY[strategy], profile)
-                groups[_BASED[strategy]].append(Bar(values, colour, strayed(case), published=mark))
-            label = "" if times else axis_label(outcome, "time", "time")
-            times.append(Panel(groups, f"to the {side}", ylabel=label))
+            for kind in kinds:
+                case = {**kind, "side": side, **circle}
+                mark = published(lines, TIME[kind["strategy"]]) if kind["profile"] == names[0] else None
+                groups[_BASED[kind["strategy"]]].append(bar("time", case, mark, hatched=strayed(case)))
+            label = "" if panels else axis_label(outcome, "time", "time")
+            panels.append(Panel(groups, f"to the {side}", ylabel=label))
         title, note = "Time for the quarter circle of 500 mm: trot at 0.67 Hz", f"{{spread}}; {CLOCK}"
-        swatches = profile_swatches(names)
-        yield "time", bar_page(title, (6.4, 4.1), [times], swatches, note, _NOT_FOLLOWED, sharey=True)
+        yield "time", bar_page(title, (6.4, 4.1), [panels], profile_swatches(names), note, _NOT_FOLLOWED, sharey=True)
 
     title, label = "Smallest radius: full lock to the left", axis_label(outcome, "turning_radius", "radius")
     note = "the publication gives no frequency, so that its mark stands at each; the axis ends at"
-    figure = by_gait(title, [walks.FULL_LOCK], 2.8, label, f"{{spread}}; {note} {_WIDEST:g} mm", lock)
+    figure = page(title, [walks.FULL_LOCK], 2.8, label, f"{{spread}}; {note} {_WIDEST:g} mm", lock)
     if figure is not None:
         # A robot with a radius of metres must not flatten the others.
         low, high = figure.axes[0].get_ylim()
@@ -674,39 +673,36 @@ _VERDICT: Final = {"pass": PASS, "fail": FAIL}
 
 def _balance(outcome: Outcome, lines: Lines) -> Drawn:
     yield "verdicts", _verdicts(outcome, lines)
-    yield "pitch", _over_time(outcome, "pitch", "Pitch while a leg is lifted and swung", "pitch [deg]", 180 / np.pi)
-    title = "Centre of mass inside of the support diagonal"
-    yield "stability", _over_time(outcome, "com_margin", title, "distance inside [mm]", 1e3)
-    yield "forces", _forces(outcome)
+    runs = {
+        (str(lift["leg"]), bool(lift["sbc"])): run
+        for run in outcome.recordings.values()
+        if {"leg", "sbc"} <= set(lift := run.metadata.get("metrics", {}))
+        and {"pitch", "com_margin", "foot_force"} <= set(run.sensors)
+    }
+    if runs:
+        recorded = plain(str(next(iter(runs.values())).metadata["metrics"].get("profile", "")))
+        for name, sensor, title, label, factor in (
+            ("pitch", "pitch", "Pitch while a leg is lifted and swung", "pitch [deg]", 180 / np.pi),
+            ("stability", "com_margin", "Centre of mass inside of the support diagonal", "distance inside [mm]", 1e3),
+        ):
+            yield name, _over_time(runs, recorded, sensor, title, label, factor)
+        yield "forces", _forces(runs, recorded)
     profile = profiles(outcome)[0]
     phases = [phase for phase in ("stand", "shift", "lift", "swing") if f"force_{phase}_{LIMBS[0]}" in outcome.columns]
-    if not phases:
-        return
     panels: list[list[Panel]] = []
     for sbc in (False, True):
         panels.append([])
         for limb in LIMBS:
-            case = {"profile": profile, "leg": limb, "sbc": sbc}
+            case: Case = {"profile": profile, "leg": limb, "sbc": sbc}
             groups = {
                 phase: [Bar(repeats(outcome, f"force_{phase}_{foot}", **case), FOOT[foot]) for foot in LIMBS]
                 for phase in phases
             }
             title = f"{plain(limb)} leg,\n{_SBC[sbc]}"
             panels[-1].append(Panel(groups, title, ylabel="" if panels[-1] else "force [N]"))
-    handles, note = [swatch(f"{plain(foot)} foot", FOOT[foot]) for foot in LIMBS], f"{plain(profile)}; {{spread}}"
-    title = "Mean forces on the feet in each phase"
-    yield "forces-by-phase", bar_page(title, (10.4, 5.9), panels, handles, note, sharex=True, sharey=True)
-
-
-def _lifts(outcome: Outcome, sensor: str) -> tuple[dict[tuple[str, bool], Recording], str]:
-    """The recordings with a sensor, by lifted leg and compensation, and their profile."""
-    found, profile = {}, ""
-    for run in outcome.recordings.values():
-        case = run.metadata.get("metrics", {})
-        if {"leg", "sbc"} <= set(case) and sensor in run.sensors:
-            found[str(case["leg"]), bool(case["sbc"])] = run
-            profile = profile or plain(str(case.get("profile", "")))
-    return found, profile
+    title, note = "Mean forces on the feet in each phase", f"{plain(profile)}; {{spread}}"
+    figure = bar_page(title, (10.4, 5.9), panels, foot_entries(swatch), note, sharex=True, sharey=True)
+    yield "forces-by-phase", figure if phases else None
 
 
 def _verdicts(outcome: Outcome, lines: Lines) -> Figure:
@@ -728,8 +724,7 @@ def _verdicts(outcome: Outcome, lines: Lines) -> Figure:
                 tiles.append((verdict, hardware if profile == "as_built" else simulated))
             for column, (tile, wanted) in enumerate([*tiles, (hardware, hardware)]):
                 text = str(tile or "–")
-                colour = _VERDICT.get(text, SHADE)
-                ax.add_patch(Rectangle((column - 0.46, row - 0.44), 0.92, 0.88, fc=colour, lw=0))
+                ax.add_patch(Rectangle((column - 0.46, row - 0.44), 0.92, 0.88, fc=_VERDICT.get(text, SHADE), lw=0))
                 if wanted and tile and tile != wanted:
                     ax.add_patch(Rectangle((column - 0.45, row - 0.43), 0.9, 0.86, **frame))
                 ax.text(column, row, text, ha="center", va="center", fontsize=9, color=INK)
@@ -744,13 +739,13 @@ def _verdicts(outcome: Outcome, lines: Lines) -> Figure:
     return page.finish(handles, "pass: upright, and the lifted foot off the ground; all repeats of a case count")
 
 
-def _over_time(outcome: Outcome, sensor: str, title: str, label: str, factor: float) -> Figure | None:
+Lifts = Mapping[tuple[str, bool], Recording]
+
+
+def _over_time(runs: Lifts, profile: str, sensor: str, title: str, label: str, factor: float) -> Figure:
     """One reading over time, with axes per lifted leg, and lines without and with compensation."""
-    runs, profile = _lifts(outcome, sensor)
-    if not runs:
-        return None
     page = Page(title, (9.4, 5.9), 2, 2, sharex=True, sharey="row")
-    handles: list[Artist] = [stroke(_SBC[sbc], SPINE[sbc], lw=1.7) for sbc in (False, True)]
+    handles, note = spine_strokes(_SBC), ""
     for ax, limb in zip(page.axes.ravel(), LIMBS, strict=True):
         for sbc in (False, True):
             if (limb, sbc) in runs:
@@ -767,18 +762,16 @@ def _over_time(outcome: Outcome, sensor: str, title: str, label: str, factor: fl
             ax.set_ylim(bottom=low)
     if sensor == "com_margin":
         handles += [stroke("support diagonal", INK, lw=1.1), swatch("beyond it the robot tips", FAIL, alpha=0.45)]
+    else:
+        note = "positive: nose down; "
     for ax in page.axes[:, 0]:
         ax.set_ylabel(label)
     for ax in page.axes[-1]:
         ax.set_xlabel("time [s]")
-    sign = "positive: nose down; " if sensor == "pitch" else ""
-    return page.finish(handles, f"{profile}, first repeat; {sign}compensation bends the spine in the shift")
+    return page.finish(handles, f"{profile}, first repeat; {note}compensation bends the spine in the shift")
 
 
-def _forces(outcome: Outcome) -> Figure | None:
-    runs, profile = _lifts(outcome, "foot_force")
-    if not runs:
-        return None
+def _forces(runs: Lifts, profile: str) -> Figure:
     page = Page("Forces on the feet over time", (9.4, 9.2), len(LIMBS), 2, sharex=True, sharey=True)
     highest = max(float(np.nanpercentile(run.sensors["foot_force"], 99.5)) for run in runs.values())
     for ax, (limb, sbc) in zip(page.axes.ravel(), itertools.product(LIMBS, (False, True)), strict=True):
@@ -791,9 +784,8 @@ def _forces(outcome: Outcome) -> Figure | None:
                 ax.plot(run.time, force, color=FOOT[foot], lw=2.0 if foot == limb else 1.2, zorder=3)
             shade_phases(ax, run.metadata["phases"])
         ax.set(ylabel="" if sbc else "force [N]", xlabel="time [s]" if limb == LIMBS[-1] else "")
-    handles: list[Artist] = [stroke(f"{plain(foot)} foot", FOOT[foot], lw=1.8) for foot in LIMBS]
     note = f"{profile}, first repeat; thick: the lifted foot; impacts above the axes are cut off"
-    return page.finish(handles, note)
+    return page.finish(foot_entries(stroke, lw=1.8), note)
 
 
 # --- maze
@@ -815,14 +807,12 @@ def _maze(outcome: Outcome, lines: Lines) -> Drawn:
     yield "ways", _ways(outcome, runs) if runs else None
     yield "sway", _sway(outcome, runs) if runs else None
 
-    names = profiles(outcome)
-    panels = []
+    names, panels = profiles(outcome), []
     for column, title in _TITLES.items():
         groups: dict[str, list[Bar]] = {"without": [], "with": []}
         for on, profile in itertools.product((False, True), names):
-            factor = {"time": 1 / clock(profile), "mean_speed": clock(profile)}.get(column, 1.0)
             mark = published(lines, f"{plain(column)} {WITH[on]}") if profile == names[0] else None
-            values = factor * repeats(outcome, column, profile=profile, spine=on)
+            values = repeats(outcome, column, profile=profile, spine=on)
             groups["with" if on else "without"].append(Bar(values, tone(SPINE[on], profile), published=mark))
         panels.append(Panel(groups, xlabel="spine", ylabel=axis_label(outcome, column, title)))
     note = f"{{spread}}; {CLOCK}; the published path is another one of about 5 m"
@@ -839,7 +829,7 @@ def _ways(outcome: Outcome, runs: Mapping[str, Mapping[bool, Recording]]) -> Fig
     course = walks.maze_course()
     drawn = np.stack([course.x, course.y], axis=-1)
     boxes = walks.box_outlines(load_robot(scene="maze"))
-    beside = {"textcoords": "offset points", "va": "center", "fontsize": 9, "fontweight": "bold", "color": INK}
+    name_at = {"textcoords": "offset points", "va": "center", "fontsize": 9, "fontweight": "bold", "color": INK}
     arrived = True
     for ax, (profile, ways) in zip(page.axes[0], runs.items(), strict=True):
         corners = np.stack(seen_from_above(ax, boxes), axis=-1)
@@ -859,7 +849,7 @@ def _ways(outcome: Outcome, runs: Mapping[str, Mapping[bool, Recording]]) -> Fig
         for name, place in (("start", drawn[0]), ("end", drawn[-1])):
             right, ahead = seen_from_above(ax, place)
             ax.scatter(right, ahead, s=60, marker="o", fc="white", ec=INK, lw=1.6, zorder=6)
-            ax.annotate(name, (float(right), float(ahead)), (9, 0), **beside)
+            ax.annotate(name, (float(right), float(ahead)), (9, 0), **name_at)
         ax.autoscale_view()
         ax.margins(0.03)
         ax.xaxis.set_major_locator(MultipleLocator(500))
@@ -899,41 +889,26 @@ def _sway(outcome: Outcome, runs: Mapping[str, Mapping[bool, Recording]]) -> Fig
 # --- test stands
 
 
-def _leg_stand(outcome: Outcome, lines: Lines) -> Drawn:
-    names = ("pull withstood by the foot", "speed of the rising foot", "work of a swing", "knee's bend per hip's swing")
-    measures = dict(zip(("force", "speed", "work", "coupling"), names, strict=True))
-    groups = {
-        f"{pair} leg": [{"pair": pair, "routing": routing, "hinges": 1} for routing in ROUTINGS]
-        for pair in ("front", "rear")
-    }
-    yield "routings", _stand_bars(outcome, "Routings of the knee's tendon", measures, groups, ROUTINGS)
-
-
-def _spine_stand(outcome: Outcome, lines: Lines) -> Drawn:
-    names = ("force withstood by the hip", "speed of the hip", "work of a bend", "range of the hip")
-    measures = dict(zip(("force", "speed", "work", "range"), names, strict=True))
-    groups = {"Nermo 4.1": [{"robot": "nermo_41", "plane": plane} for plane in stands.PLANES]}
-    planes = tuple(stands.PLANES)
-    yield "planes", _stand_bars(outcome, "Lateral, vertical and combined bends", measures, groups, planes)
-
-
-def _stand_bars(
-    outcome: Outcome, title: str, measures: Mapping[str, str], cases: Mapping[str, Any], series: Sequence[str]
-) -> Figure:
-    """A panel for each column, with a bar for each case of each group."""
-    profile, panels = outcome.columns["profile"][0], []
-    for column, name in measures.items():
-        groups = {}
-        for group, chosen in cases.items():
-            values = [repeats(outcome, column, profile=profile, **case) for case in chosen]
-            groups[group] = [Bar(value, colour) for value, colour in zip(values, SERIES, strict=False)]
-        panels.append(Panel(groups, ylabel=axis_label(outcome, column, name)))
-    handles = [swatch(name, SERIES[i]) for i, name in enumerate(series)]
+def _stand(outcome: Outcome, lines: Lines) -> Drawn:
+    """A panel for each column, with a bar for each case of each group, as described in `experiments.yaml`."""
+    about, profile = texts("stand_figures")[outcome.experiment], outcome.columns["profile"][0]
+    panels = []
+    for column, measure in about["columns"].items():
+        groups, shown = {}, in_shown_unit(column, outcome.about[column].unit, outcome.columns[column]).values
+        for group, common in about["groups"].items():
+            chosen = [outcome.where(profile=profile, **common, **{about["over"]: name}) for name in about["names"]]
+            groups[group] = [Bar(shown[rows], colour) for rows, colour in zip(chosen, SERIES, strict=False)]
+        panels.append(Panel(groups, ylabel=axis_label(outcome, column, measure)))
+    handles = [swatch(name, colour) for name, colour in zip(about["names"], SERIES, strict=False)]
     note = "on the test stand, without gravity; no such numbers are published"
-    return bar_page(title, (7.2, 5.2), [panels[:2], panels[2:]], handles, note)
+    yield about["name"], bar_page(about["title"], (7.2, 5.2), [panels[:2], panels[2:]], handles, note)
 
 
 _DRAWERS: Final[dict[str, Callable[[Outcome, Lines], Drawn]]] = {
-    **{"straight-line": _straight_line, "turning": _turning, "balance": _balance, "maze": _maze},
-    **{"leg-stand": _leg_stand, "spine-stand": _spine_stand},
+    "straight-line": _straight_line,
+    "turning": _turning,
+    "balance": _balance,
+    "maze": _maze,
+    "leg-stand": _stand,
+    "spine-stand": _stand,
 }
