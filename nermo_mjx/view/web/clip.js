@@ -1,40 +1,24 @@
-// A recording over time: bodies, tendons and contacts at any time, including between samples.
+// A recording over time: bodies, tendons and contacts at any time, including between samples. It reverses
+// nermo_mjx/view/clip.py, which gives bodies and tendons in the frames of others.
 
+import { Quaternion, Vector3 } from "three";
 import { read } from "viewer/data.js";
-import { carried, joined } from "viewer/frames.js";
 
 export class Clip {
   constructor(header, model, parts) {
-    Object.assign(this, {
-      name: header.name,
-      title: header.title,
-      headline: header.headline,
-      details: header.details,
-      cut: header.cut,
-      root: header.root,
-      radius: header.radius,
-      still: header.still,
-      footprints: header.footprints,
-      model,
-    });
+    Object.assign(this, header, { model });
     const of = (entry) => read(parts, entry);
     this.time = of(header.time);
     this.origin = of(header.origin);
     this.follow = of(header.follow);
-    this.moving = header.moving;
     Object.assign(this, joined(header.parents, of(header.position), of(header.quaternion)));
     this.tendons = header.tendons.map((tendon) => ({
-      name: tendon.name,
-      radius: tendon.radius,
+      ...tendon,
       points: tendon.path.shape[1],
       path: carried(tendon.frames, of(tendon.path), this, this.moving.length),
       tension: of(tendon.tension),
     }));
-    this.contacts = header.contacts.map((contact) => ({
-      limb: contact.limb,
-      point: of(contact.point),
-      force: of(contact.force),
-    }));
+    this.contacts = header.contacts.map(({ limb, point, force }) => ({ limb, point: of(point), force: of(force) }));
     this.plots = header.plots.map((plot) => ({
       ...plot,
       lines: plot.lines.map((line) => ({ ...line, values: of(line.values) })),
@@ -107,8 +91,47 @@ export class Clip {
 
   /** Largest tension of any tendon [N]. */
   get greatestTension() {
-    let most = 0;
-    for (const tendon of this.tendons) for (const value of tendon.tension) most = Math.max(most, value);
-    return most;
+    return this.tendons.reduce((most, { tension }) => tension.reduce((a, b) => Math.max(a, b), most), 0);
   }
+}
+
+/**
+ * Positions and quaternions (w, x, y, z) of bodies (rows of `parents.length` each), given in their parents' frames, in the
+ * world's directions; a parent comes before its children, and -1 is the world.
+ */
+function joined(parents, position, quaternion) {
+  const count = parents.length;
+  const all = { position: position.slice(), quaternion: quaternion.slice() };
+  for (let row = 0; row < quaternion.length / (4 * count); row++) {
+    parents.forEach((parent, i) => {
+      const body = row * count + i;
+      const turn = turnOf(all, body).normalize();
+      if (parent >= 0) {
+        carry(all, row * count + parent, all.position, body);
+        turn.premultiply(turnOf(all, row * count + parent));
+      }
+      all.quaternion.set([turn.w, turn.x, turn.y, turn.z], 4 * body);
+    });
+  }
+  return all;
+}
+
+/** Points (rows of `frames.length`), each given in the frame of a body, or -1 for the world's. */
+function carried(frames, points, bodies, count) {
+  const moved = points.slice();
+  for (let row = 0; row < points.length / (3 * frames.length); row++) {
+    frames.forEach((frame, k) => frame >= 0 && carry(bodies, row * count + frame, moved, row * frames.length + k));
+  }
+  return moved;
+}
+
+function turnOf({ quaternion }, body) {
+  const [w, x, y, z] = quaternion.subarray(4 * body, 4 * body + 4);
+  return new Quaternion(x, y, z, w);
+}
+
+/** Transforms a point out of a body's frame. */
+function carry(bodies, body, points, point) {
+  const place = new Vector3().fromArray(points, 3 * point).applyQuaternion(turnOf(bodies, body));
+  place.add(new Vector3().fromArray(bodies.position, 3 * body)).toArray(points, 3 * point);
 }

@@ -1,29 +1,30 @@
 // Elements, and the panels over a page: opened, closed, and filled with keys.
 
-const find = (id) => document.getElementById(id);
+export const find = (id) => document.getElementById(id);
 
-export function element(tag, text = "", className = "") {
+/** A new element. `content`: a text, an element or several; `about`: its properties and attributes by name. */
+export function element(tag, content = "", className = "", about = {}) {
   const made = document.createElement(tag);
-  if (text) made.textContent = text;
+  made.append(...[content].flat().filter(Boolean));
   if (className) made.className = className;
+  for (const [name, value] of Object.entries(about)) {
+    if (name in made) made[name] = value;
+    else made.setAttribute(name, value);
+  }
   return made;
 }
 
+export function button(content, className, onclick, about = {}) {
+  return element("button", content, className, { type: "button", onclick, ...about });
+}
+
 export function tableRow(cells, tag) {
-  const made = element("tr");
-  for (const cell of cells) made.append(element(tag, cell));
-  return made;
+  return element("tr", cells.map((cell) => element(tag, cell)));
 }
 
 /** The help's table, of `[key, meaning]`. */
 export function fillHelp(rows) {
-  for (const [key, meaning] of rows) {
-    const row = element("tr");
-    const first = element("td");
-    first.append(element("kbd", key));
-    row.append(first, element("td", meaning));
-    find("keys").append(row);
-  }
+  for (const [key, meaning] of rows) find("keys").append(tableRow([element("kbd", key), meaning], "td"));
 }
 
 /** Opens or closes a panel. */
@@ -47,4 +48,11 @@ export function wireFullScreen() {
     if (document.fullscreenElement) document.exitFullscreen();
     else document.documentElement.requestFullscreen?.().catch(() => {});
   });
+}
+
+/** Says in the page why it could not start. */
+export function failed(error) {
+  find("failed").hidden = false;
+  find("failed-why").textContent = error.message;
+  console.error(error);
 }

@@ -1,19 +1,16 @@
 // Assembles the page: data, picture, plots, controls.
 
 import { Clip } from "viewer/clip.js";
+import { VIEWS } from "viewer/camera.js";
 import { onThemeChange, theme } from "viewer/colours.js";
-import { wireComparison, wireToggles, wireTransport, wireViews } from "viewer/controls.js";
 import { unpackAll } from "viewer/data.js";
-import { fillHelp, togglePanel, wireFullScreen, wirePanel } from "viewer/dialogs.js";
+import { failed, fillHelp, find, togglePanel, wireFullScreen, wirePanel } from "viewer/dialogs.js";
 import { Model, prepare } from "viewer/geometry.js";
 import { shortcutRows, wireKeys } from "viewer/keys.js";
 import { fillDetails, fillHead, fillScales } from "viewer/panels.js";
-import { Player } from "viewer/player.js";
+import { Player, wireTransport } from "viewer/player.js";
 import { Plots } from "viewer/plots.js";
 import { Stage } from "viewer/stage.js";
-import { VIEWS } from "viewer/camera.js";
-
-const find = (id) => document.getElementById(id);
 
 async function start() {
   const header = JSON.parse(find("header").textContent);
@@ -74,19 +71,22 @@ function makeStage(clips) {
 
 function wireControls(player, stage, plots, clips, driven) {
   const views = Object.keys(VIEWS).filter((view) => view !== "eyes" || clips[0].model.eyes);
-  const setView = wireViews(views, (view) => look(view));
   const look = (view) => {
     if (!stage || !views.includes(view)) return;
-    setView(view);
+    find("view").value = view;
     stage.turned = false;
     stage.look(view);
   };
+  find("view").append(...views.map((view) => new Option(VIEWS[view].label, view)));
+  find("view").addEventListener("change", () => look(find("view").value));
   const states = {
     follow: true, tendons: true, forces: true, trail: false, shadows: true, collisions: false,
     // The picture of a drive needs a telephone's height.
     "plots-toggle": !driven || innerWidth > 719, window: Boolean(driven),
   };
-  const set = wireToggles(states, (id) => {
+  const toggle = (id) => () => {
+    states[id] = !states[id];
+    find(id).setAttribute("aria-pressed", String(states[id]));
     if (id === "follow") stage?.setFollow(states.follow);
     else if (id === "plots-toggle") {
       document.body.classList.toggle("no-plots", !states[id]);
@@ -95,18 +95,26 @@ function wireControls(player, stage, plots, clips, driven) {
     else stage?.show(states);
     find("tension-scale").classList.toggle("off", !states.tendons);
     find("force-scale").classList.toggle("off", !states.forces);
-  });
-  const nextComparison = wireComparison(clips.length > 1, (way) => {
+  };
+  for (const [id, on] of Object.entries(states)) {
+    find(id).addEventListener("click", toggle(id));
+    find(id).setAttribute("aria-pressed", String(on));
+  }
+  const compare = find("compare");
+  compare.hidden = clips.length < 2;
+  const ways = { ghost: "B as a ghost", same: "B in A's place", beside: "B beside A" };
+  compare.append(...Object.entries(ways).map(([way, label]) => new Option(label, way)));
+  const arrange = () => {
     if (!stage) return;
-    stage.arrange(way);
+    stage.arrange(compare.value);
     stage.setTime(player.time);
     if (!stage.turned) stage.look(stage.man.view);
-  });
+  };
+  compare.addEventListener("change", arrange);
   stage?.show(states);
   stage?.man.controls.addEventListener("start", () => (stage.turned = true));
   for (const id of ["help", "details"]) wirePanel(id);
   wireFullScreen();
-  const toggle = (id) => () => set(id);
   wireKeys({
     play: () => player.toggle(),
     back: (_, event) => player.nudge(event.shiftKey ? -10 : -1),
@@ -118,7 +126,11 @@ function wireControls(player, stage, plots, clips, driven) {
     view: (key) => look(views[Number(key) - 1]),
     loop: () => player.setLoop(!player.loop),
     plots: toggle("plots-toggle"),
-    compare: () => clips.length > 1 && nextComparison(),
+    compare: () => {
+      if (compare.hidden) return;
+      compare.selectedIndex = (compare.selectedIndex + 1) % compare.length;
+      arrange();
+    },
     details: () => togglePanel("details"),
     help: () => togglePanel("help"),
     close: () => togglePanel("help", false),
@@ -144,8 +156,4 @@ function run(player, stage) {
   requestAnimationFrame(frame);
 }
 
-start().catch((error) => {
-  find("failed").hidden = false;
-  find("failed-why").textContent = error.message;
-  console.error(error);
-});
+start().catch(failed);

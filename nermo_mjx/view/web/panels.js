@@ -1,31 +1,17 @@
 // The head of the page, its details, and the scales in the picture's corner.
 
 import { tensionGradient } from "viewer/colours.js";
-import { element, tableRow } from "viewer/dialogs.js";
-import { METRES_PER_NEWTON } from "viewer/forces.js";
-
-const find = (id) => document.getElementById(id);
+import { element, find, tableRow } from "viewer/dialogs.js";
+import { METRES_PER_NEWTON } from "viewer/overlays.js";
 
 /** Title and figures of each clip. */
 export function fillHead(clips) {
-  const head = find("runs");
-  clips.forEach((clip, i) => {
-    const run = element("div", "", "run");
-    const title = element("h1", clip.title);
-    if (clips.length > 1) {
-      const mark = element("b", "AB"[i], `mark mark-${i}`);
-      title.prepend(mark, `${clip.name}: `);
-    }
-    const figures = element("p", "", "figures");
-    for (const [name, value] of clip.headline) {
-      const figure = element("span", `${name} `);
-      figure.append(element("b", value));
-      figures.append(figure);
-    }
-    if (clip.cut) figures.append(element("span", "shown up to where the simulation lost its numbers", "warning"));
-    run.append(title, figures);
-    head.append(run);
-  });
+  find("runs").append(...clips.map((clip, i) => {
+    const mark = clips.length > 1 ? [element("b", "AB"[i], `mark mark-${i}`), `${clip.name}: `] : [];
+    const figures = clip.headline.map(([name, value]) => element("span", [`${name} `, element("b", value)]));
+    if (clip.cut) figures.push(element("span", "shown up to where the simulation lost its numbers", "warning"));
+    return element("div", [element("h1", [...mark, clip.title]), element("p", figures, "figures")], "run");
+  }));
 }
 
 /** Tables of the recordings' metadata; two recordings are shown side by side, with differences marked. */

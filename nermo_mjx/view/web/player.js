@@ -1,6 +1,8 @@
-// The displayed time and its progress.
+// The displayed time and its progress; and the bar below: play, scrub, speed, loop.
 
-export const SPEEDS = [0.05, 0.1, 0.25, 0.5, 1, 2, 4];
+import { find } from "viewer/dialogs.js";
+
+const SPEEDS = [0.05, 0.1, 0.25, 0.5, 1, 2, 4];
 
 export class Player {
   constructor(clips) {
@@ -69,4 +71,31 @@ export class Player {
       this.seek(this.end);
     }
   }
+}
+
+/** Connects the transport's elements and the player, in both directions. */
+export function wireTransport(player) {
+  const scrub = find("scrub");
+  Object.assign(scrub, { min: player.begin, max: player.end, step: "any" });
+  scrub.addEventListener("input", () => player.seek(Number(scrub.value)));
+  find("play").addEventListener("click", () => player.toggle());
+  find("back").addEventListener("click", () => player.nudge(-1));
+  find("forth").addEventListener("click", () => player.nudge(1));
+  find("loop").addEventListener("click", () => player.setLoop(!player.loop));
+  const speed = find("speed");
+  for (const value of SPEEDS) speed.append(new Option(`${value}×`, value, value === 1, value === 1));
+  speed.addEventListener("change", () => player.setSpeed(Number(speed.value)));
+  const clock = find("clock");
+  const update = () => {
+    scrub.value = player.time;
+    scrub.style.setProperty("--share", (player.time - player.begin) / (player.end - player.begin || 1));
+    scrub.setAttribute("aria-valuetext", `${player.time.toFixed(2)} seconds`);
+    clock.textContent = `${player.time.toFixed(2)} / ${player.end.toFixed(2)} s`;
+    find("play").classList.toggle("playing", player.playing);
+    find("play").setAttribute("aria-label", player.playing ? "Pause" : "Play");
+    find("loop").setAttribute("aria-pressed", String(player.loop));
+    speed.value = String(player.speed);
+  };
+  player.onChange(update);
+  update();
 }

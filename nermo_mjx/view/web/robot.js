@@ -1,7 +1,9 @@
-// The bodies of one clip in the scene.
+// The bodies of one clip in the scene, and their flat shadow.
 
-import { Color, Group, Mesh, MeshLambertMaterial, MeshStandardMaterial } from "three";
-import { FlatShadow } from "viewer/shadow.js";
+import {
+  Color, Group, Matrix4, Mesh, MeshBasicMaterial, MeshLambertMaterial, MeshStandardMaterial, NotEqualStencilFunc,
+  ReplaceStencilOp,
+} from "three";
 
 export class RobotView {
   constructor(clip) {
@@ -89,5 +91,40 @@ export class RobotView {
         each?.quaternion.set(quaternion[1], quaternion[2], quaternion[3], quaternion[0]);
       }
     });
+  }
+}
+
+const ABOVE = 0.0002;
+
+/** Direction towards the sun; shadows point the opposite way. */
+export const SUN = { x: 0.24, y: 0.2, z: 1 };
+
+/** The robot's shadow as its shapes laid flat on the ground along the sunlight: no map, no look-ups, crisp edges. */
+class FlatShadow {
+  constructor() {
+    this.group = new Group();
+    this.group.matrixAutoUpdate = false;
+    const [x, y] = [-SUN.x / SUN.z, -SUN.y / SUN.z];
+    this.group.matrix.copy(new Matrix4().set(1, 0, x, 0, 0, 1, y, 0, 0, 0, 0, ABOVE, 0, 0, 0, 1));
+    // The stencil darkens each point once, no matter how many shapes overlap.
+    this.material = new MeshBasicMaterial({
+      color: "#000000", transparent: true, depthWrite: false,
+      stencilWrite: true, stencilRef: 1, stencilFunc: NotEqualStencilFunc, stencilZPass: ReplaceStencilOp,
+    });
+    this.bodies = [];
+  }
+
+  /** Creates it from one geometry (or null) per body. */
+  cast(geometries) {
+    if (!this.bodies.length) this.bodies = geometries.map((geometry) => this.#body(geometry));
+    geometries.forEach((geometry, i) => geometry && (this.bodies[i].geometry = geometry));
+  }
+
+  #body(geometry) {
+    const body = new Mesh(undefined, this.material);
+    body.frustumCulled = false;
+    body.renderOrder = -1;
+    if (geometry) this.group.add(body);
+    return body;
   }
 }

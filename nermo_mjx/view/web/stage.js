@@ -2,13 +2,10 @@
 
 import { Color, DirectionalLight, Fog, HemisphereLight, PCFShadowMap, Scene, Vector3, WebGLRenderer } from "three";
 import { CameraMan } from "viewer/camera.js";
-import { ForceView } from "viewer/forces.js";
 import { Ground } from "viewer/ground.js";
+import { ForceView, TendonView, TrailView } from "viewer/overlays.js";
 import { Quality, isSoftware } from "viewer/quality.js";
-import { RobotView } from "viewer/robot.js";
-import { SUN } from "viewer/shadow.js";
-import { TendonView } from "viewer/tendons.js";
-import { TrailView } from "viewer/trail.js";
+import { RobotView, SUN } from "viewer/robot.js";
 
 /** Distance between robots shown side by side [m]. */
 const APART = 0.16;
@@ -56,11 +53,7 @@ export class Stage {
 
   #actor(clip) {
     const actor = {
-      clip,
-      robot: new RobotView(clip),
-      tendons: new TendonView(clip),
-      forces: new ForceView(clip),
-      trail: new TrailView(clip),
+      clip, robot: new RobotView(clip), tendons: new TendonView(clip), forces: new ForceView(clip), trail: new TrailView(clip),
     };
     actor.group = actor.robot.group;
     actor.group.add(actor.tendons.mesh, actor.forces.group, actor.trail.group);

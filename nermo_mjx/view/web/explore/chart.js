@@ -1,9 +1,9 @@
 // The plot: runs as points or cells on one canvas, and the hovered and selected ones on another above it.
 
-import { Axis } from "viewer/explore/axis.js";
-import { cellsOf } from "viewer/explore/cells.js";
+import { find } from "viewer/dialogs.js";
+import { clipped, line, ring, sheet, sprite } from "viewer/drawing.js";
+import { Axis, cellsOf } from "viewer/explore/axis.js";
 import { Colouring } from "viewer/explore/colouring.js";
-import { clipped, ring, sheet, sprite } from "viewer/explore/drawing.js";
 
 const TOP = 12;
 const RIGHT = 16;
@@ -19,8 +19,8 @@ export class Chart {
   /** `table`, `palette`, and `filters`, which say what passes. */
   constructor(table, palette, filters, recorded) {
     Object.assign(this, { table, palette, filters, recorded });
-    this.points = document.getElementById("points");
-    this.marks = document.getElementById("marks");
+    this.points = find("points");
+    this.marks = find("marks");
     this.items = [];
     this.chosen = -1;
     this.current = null;
@@ -46,11 +46,9 @@ export class Chart {
     this.passing = this.filters.places;
     const fitted = fit && this.passing.length ? this.passing : null;
     this.colouring = new Colouring(this.table.field(colour), this.palette, logs.has(colour), fitted);
-    const axis = (name) =>
-      new Axis(this.table.field(name), {
-        cells, log: logs.has(name), measure: this.table.measures.get(name), places: fitted,
-      });
-    [this.across, this.up] = [axis(x), axis(y)];
+    [this.across, this.up] = [x, y].map((name) => new Axis(this.table.field(name), {
+      cells, log: logs.has(name), measure: this.table.measures.get(name), places: fitted,
+    }));
     const ticks = this.up.ticks(Math.max(2, Math.floor((height - TOP - BOTTOM) / 34)));
     paper.font = "11px system-ui, sans-serif";
     const left = 28 + Math.min(Math.max(...ticks.map(({ label }) => paper.measureText(label).width), 10), width / 4);
@@ -65,38 +63,26 @@ export class Chart {
     paper.restore();
     if (this.current) this.current = this.itemOf(this.current.place) ?? null;
     this.mark();
-    this.colouring.explain(document.getElementById("scale"));
+    this.colouring.explain(find("scale"));
   }
 
   #axes(paper, up, width, height) {
     const { left, top, width: w, height: h } = this.frame;
     const { muted, rule, ink } = this.colours;
-    paper.fillStyle = muted;
-    paper.strokeStyle = rule;
-    paper.lineWidth = 1;
-    paper.textAlign = "right";
-    paper.textBaseline = "middle";
-    const line = (...path) => {
-      paper.beginPath();
-      paper.moveTo(path[0], path[1]);
-      paper.lineTo(path[2], path[3]);
-      paper.stroke();
-    };
+    Object.assign(paper, { fillStyle: muted, strokeStyle: rule, lineWidth: 1, textAlign: "right", textBaseline: "middle" });
     for (const { share, label } of up) {
       const y = Math.round(top + (1 - share) * h) + 0.5;
-      if (!this.up.steps) line(left, y, left + w, y);
+      if (!this.up.steps) line(paper, left, y, left + w, y);
       paper.fillText(clipped(paper, label, left - 24), left - 6, y);
     }
-    paper.textAlign = "center";
-    paper.textBaseline = "alphabetic";
+    Object.assign(paper, { textAlign: "center", textBaseline: "alphabetic" });
     const texts = this.across.field.isText ? 90 : 58;
     for (const { share, label } of this.across.ticks(Math.max(2, Math.floor(w / texts)))) {
       const x = Math.round(left + share * w) + 0.5;
-      if (!this.across.steps) line(x, top, x, top + h);
+      if (!this.across.steps) line(paper, x, top, x, top + h);
       paper.fillText(clipped(paper, label, texts + 20), x, top + h + 15);
     }
-    paper.fillStyle = ink;
-    paper.font = "600 11.5px system-ui, sans-serif";
+    Object.assign(paper, { fillStyle: ink, font: "600 11.5px system-ui, sans-serif" });
     paper.fillText(this.across.field.label, left + w / 2, height - 7);
     paper.save();
     paper.translate(13, top + h / 2);
@@ -136,8 +122,7 @@ export class Chart {
       const { canvas, size } = sprites.get(key);
       paper.drawImage(canvas, item.x - size / 2, item.y - size / 2, size, size);
     }
-    paper.strokeStyle = this.colours.ink;
-    paper.lineWidth = 1.4;
+    Object.assign(paper, { strokeStyle: this.colours.ink, lineWidth: 1.4 });
     for (const item of this.items) if (this.recorded.has(item.place)) ring(paper, item.x, item.y, this.radius + 2.5);
   }
 
@@ -148,9 +133,7 @@ export class Chart {
     this.radius = Math.min(w, h) / 2;
     this.items = cellsOf(this.across, this.up, field, this.passing, this.view.of);
     const gap = Math.min(w, h) > 6 ? 1 : 0;
-    paper.textAlign = "center";
-    paper.textBaseline = "middle";
-    paper.font = "11px system-ui, sans-serif";
+    Object.assign(paper, { textAlign: "center", textBaseline: "middle", font: "11px system-ui, sans-serif" });
     for (const item of this.items) {
       const [x, y] = [left + item.x * w, top + (this.up.bins - 1 - item.y) * h];
       Object.assign(item, { box: [x, y, w, h], x: x + w / 2, y: y + h / 2 });
@@ -160,8 +143,7 @@ export class Chart {
       paper.fillStyle = this.colouring.ink(level);
       if (w > ROOM[0] && h > ROOM[1]) paper.fillText(clipped(paper, field.shown(item.value, false, 3), w - 4), item.x, item.y);
       if (item.places.some((place) => this.recorded.has(place)) && Math.min(w, h) > 7) {
-        paper.strokeStyle = this.colouring.ink(level);
-        paper.lineWidth = 1.2;
+        Object.assign(paper, { strokeStyle: this.colouring.ink(level), lineWidth: 1.2 });
         ring(paper, x + w - 6, y + 6, 2.4);
       }
     }

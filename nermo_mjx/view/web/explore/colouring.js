@@ -46,23 +46,21 @@ export class Colouring {
   /** Fills the element with names and colours, or with a bar and its ends. */
   explain(place) {
     const { field } = this;
+    const mark = (className, background) => {
+      const made = element("i", "", className);
+      made.style.background = background;
+      return made;
+    };
     place.replaceChildren(element("b", field.label));
     if (field.isText) {
-      field.texts.forEach((name, code) => {
-        const chip = element("span");
-        chip.append(element("i"), name);
-        chip.firstChild.style.background = this.css(this.level(code));
-        place.append(chip);
-      });
+      place.append(...field.texts.map((name, code) => element("span", [mark("", this.css(this.level(code))), name])));
       return;
     }
-    const bar = element("i", "", "bar");
-    bar.style.background = `linear-gradient(to right, ${this.levels.join(", ")})`;
-    const [low, high] = [`${this.clips && this.low > field.low ? "≤ " : ""}${field.shown(this.low, false)}`, `${this.clips && this.high < field.high ? "≥ " : ""}${field.shown(this.high, false)}`];
+    const low = `${this.clips && this.low > field.low ? "≤ " : ""}${field.shown(this.low, false)}`;
+    const high = `${this.clips && this.high < field.high ? "≥ " : ""}${field.shown(this.high, false)}`;
+    const bar = mark("bar", `linear-gradient(to right, ${this.levels.join(", ")})`);
     place.append(element("span", low), bar, element("span", high));
-    if (field.better) {
-      const side = { low: "low is better", high: "high is better", zero: "near zero is better" }[field.better];
-      place.append(element("small", side));
-    }
+    const sides = { low: "low is better", high: "high is better", zero: "near zero is better" };
+    if (field.better) place.append(element("small", sides[field.better]));
   }
 }

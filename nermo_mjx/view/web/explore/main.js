@@ -2,7 +2,7 @@
 
 import { onThemeChange, theme } from "viewer/colours.js";
 import { unpack } from "viewer/data.js";
-import { element, fillHelp, togglePanel, wireFullScreen, wirePanel } from "viewer/dialogs.js";
+import { element, failed, fillHelp, find, togglePanel, wireFullScreen, wirePanel } from "viewer/dialogs.js";
 import { Chart } from "viewer/explore/chart.js";
 import { Filters } from "viewer/explore/filters.js";
 import { wirePointing } from "viewer/explore/pointing.js";
@@ -10,8 +10,6 @@ import { RowPanel, csvOf, headOf } from "viewer/explore/row.js";
 import { Table } from "viewer/explore/table.js";
 import { Theatre } from "viewer/explore/theatre.js";
 import { wireKeys } from "viewer/keys.js";
-
-const find = (id) => document.getElementById(id);
 
 /** As in keys.js; those without a name belong to the plot. */
 const SHORTCUTS = [
@@ -80,37 +78,24 @@ class Explorer {
   #wireChoices() {
     const { view, table } = this;
     const fields = table.differing();
+    const on = (id, kind, change) => find(id).addEventListener(kind, () => {
+      change();
+      this.show();
+    });
     for (const id of ["x", "y", "colour"]) {
       const select = find(id);
       const headed = (field) => field.group ?? ROLES[field.role];
       for (const heading of new Set(["Parameters", "Metrics", ...fields.map(headed)])) {
-        const group = Object.assign(element("optgroup"), { label: heading });
-        for (const field of fields) if (headed(field) === heading) group.append(new Option(field.title, field.name));
-        if (group.children.length) select.append(group);
+        const options = fields.filter((field) => headed(field) === heading).map((field) => new Option(field.title, field.name));
+        if (options.length) select.append(element("optgroup", options, "", { label: heading }));
       }
       if (!fields.some((field) => field.name === view[id])) select.append(new Option(table.field(view[id]).title, view[id]));
       select.value = view[id];
-      select.addEventListener("change", () => {
-        view[id] = select.value;
-        this.show();
-      });
+      on(id, "change", () => (view[id] = select.value));
+      on(`${id}-log`, "click", () => view.logs.delete(view[id]) || view.logs.add(view[id]));
     }
-    for (const id of ["cells", "fit"]) {
-      find(id).addEventListener("click", () => {
-        view[id] = !view[id];
-        this.show();
-      });
-    }
-    for (const id of ["x", "y", "colour"]) {
-      find(`${id}-log`).addEventListener("click", () => {
-        if (!view.logs.delete(view[id])) view.logs.add(view[id]);
-        this.show();
-      });
-    }
-    find("of").addEventListener("change", () => {
-      view.of = find("of").value;
-      this.show();
-    });
+    on("of", "change", () => (view.of = find("of").value));
+    for (const id of ["cells", "fit"]) on(id, "click", () => (view[id] = !view[id]));
   }
 
   /** Redraws everything after a change of the choices or filters. */
@@ -193,13 +178,9 @@ class Explorer {
 }
 
 function save(name, text) {
-  const link = Object.assign(document.createElement("a"), { download: name, href: URL.createObjectURL(new Blob([text], { type: "text/csv" })) });
+  const link = element("a", "", "", { download: name, href: URL.createObjectURL(new Blob([text], { type: "text/csv" })) });
   link.click();
   setTimeout(() => URL.revokeObjectURL(link.href), 1000);
 }
 
-start().catch((error) => {
-  find("failed").hidden = false;
-  find("failed-why").textContent = error.message;
-  console.error(error);
-});
+start().catch(failed);

@@ -1,6 +1,6 @@
 // The selected run: its numbers, commands and recording; without a selection, the best runs and the recorded ones.
 
-import { element } from "viewer/dialogs.js";
+import { button, element } from "viewer/dialogs.js";
 
 const BEST = 10;
 const GROUPS = [["varied", "Parameters"], ["metric", "Metrics"], ["randomized", "Drawn at random"], ["index", "Place in the table"]];
@@ -13,91 +13,67 @@ export class RowPanel {
 
   /** Shows a run, with steps to others of its cell; with -1, lists of `places`, the passing runs. */
   show(place, cell, places, colour) {
-    this.panel.replaceChildren();
+    this.panel.replaceChildren(...(place < 0 ? this.#lists(places, colour) : this.#run(place, cell)));
     this.panel.scrollTop = 0;
-    if (place < 0) this.#lists(places, colour);
-    else this.#run(place, cell);
   }
 
   #lists(places, colour) {
-    const head = element("div", "", "side-head");
-    head.append(element("h2", "No run chosen"));
-    this.panel.append(head, element("p", "Click a run, or go to the plot with Tab and walk with the arrow keys.", "hint"));
     const ranked = Array.from(places);
     if (!colour.isText) ranked.sort((a, b) => colour.cost(colour.values[a]) - colour.cost(colour.values[b]) || a - b);
     const kept = ranked.filter((place) => this.recorded.has(place));
-    this.#list(colour.isText ? "Runs" : `${colour.best[0].toUpperCase()}${colour.best.slice(1)} by ${colour.title}`, ranked.slice(0, BEST), colour);
-    if (kept.length) this.#list("With a recording", kept, colour);
+    const best = colour.isText ? "Runs" : `${colour.best[0].toUpperCase()}${colour.best.slice(1)} by ${colour.title}`;
+    return [
+      element("div", element("h2", "No run chosen"), "side-head"),
+      element("p", "Click a run, or go to the plot with Tab and walk with the arrow keys.", "hint"),
+      ...this.#list(best, ranked.slice(0, BEST), colour),
+      ...(kept.length ? this.#list("With a recording", kept, colour) : []),
+    ];
   }
 
   #list(title, places, colour) {
-    const list = element("ol", "", "runs");
-    for (const place of places) {
-      const button = element("button");
-      button.type = "button";
-      button.append(element("span", `row ${this.table.rows[place]}`), element("span", colour.shownAt(place)));
-      if (this.recorded.has(place)) button.append(element("small", "▶", "kept"));
-      button.addEventListener("click", () => this.choose(place, true));
-      const item = element("li");
-      item.append(button);
-      list.append(item);
-    }
-    this.panel.append(element("h3", title), list);
+    const items = places.map((place) => {
+      const parts = [element("span", `row ${this.table.rows[place]}`), element("span", colour.shownAt(place))];
+      if (this.recorded.has(place)) parts.push(element("small", "▶", "kept"));
+      return element("li", button(parts, "", () => this.choose(place, true)));
+    });
+    return [element("h3", title), element("ol", items, "runs")];
   }
 
   #run(place, cell) {
-    const status = this.table.field("status");
-    const head = element("div", "", "side-head");
-    const title = element("h2", `Row ${this.table.rows[place]}`);
-    if (status && status.shownAt(place) !== "ok") title.append(element("span", status.shownAt(place), "warning"));
-    const close = Object.assign(element("button", "✕"), { type: "button", title: "Let go of the run (Esc)" });
-    close.setAttribute("aria-label", "Let go of the run");
-    close.addEventListener("click", () => this.choose(-1));
-    head.append(title, close);
-    this.panel.append(head);
-    if (cell?.length > 1) this.panel.append(this.#stepper(place, cell));
+    const status = this.table.field("status")?.shownAt(place) ?? "ok";
+    const title = element("h2", [`Row ${this.table.rows[place]}`, status !== "ok" && element("span", status, "warning")]);
+    const close = { title: "Let go of the run (Esc)", "aria-label": "Let go of the run" };
+    const made = [element("div", [title, button("✕", "", () => this.choose(-1), close)], "side-head")];
+    if (cell?.length > 1) made.push(this.#stepper(place, cell));
     if (this.recorded.has(place)) {
-      const play = Object.assign(element("button", "▶ Play in 3D", "play"), { type: "button", id: "play-run", title: "Play in 3D (P)" });
-      play.addEventListener("click", () => this.play(place));
-      this.panel.append(play);
+      made.push(button("▶ Play in 3D", "play", () => this.play(place), { id: "play-run", title: "Play in 3D (P)" }));
     }
-    for (const [what, text] of commandsOf(this.commands, this.table, place)) this.panel.append(command(what, text));
-    for (const [role, heading] of GROUPS) this.#numbers(role, heading, place);
+    for (const [what, text] of commandsOf(this.commands, this.table, place)) made.push(command(what, text));
+    return [...made, ...GROUPS.flatMap(([role, heading]) => this.#numbers(role, heading, place))];
   }
 
   #stepper(place, cell) {
     const at = cell.indexOf(place);
-    const bar = element("p", "", "stepper");
-    const step = (by, sign, label) => {
-      const button = Object.assign(element("button", sign), { type: "button", disabled: !(cell[at + by] >= 0) });
-      button.setAttribute("aria-label", label);
-      button.addEventListener("click", () => this.choose(cell[at + by]));
-      return button;
-    };
-    bar.append(step(-1, "‹", "The better run of the cell"), element("span", `${at + 1} of ${cell.length} runs in the cell`), step(1, "›", "The next run of the cell"));
-    return bar;
+    const step = (by, sign, label) =>
+      button(sign, "", () => this.choose(cell[at + by]), { disabled: !(cell[at + by] >= 0), "aria-label": label });
+    const text = element("span", `${at + 1} of ${cell.length} runs in the cell`);
+    return element("p", [step(-1, "‹", "The better run of the cell"), text, step(1, "›", "The next run of the cell")], "stepper");
   }
 
   #numbers(role, heading, place) {
     const fields = [...this.table.fields.values()].filter((field) => field.role === role);
-    if (!fields.length) return;
-    const table = element("table");
-    for (const field of fields) {
-      const row = element("tr");
-      row.title = field.about;
-      const name = element("th", field.title);
-      name.scope = "row";
+    if (!fields.length) return [];
+    const rows = fields.map((field) => {
       const bar = element("td");
       if (!field.isText && field.differs && Number.isFinite(field.values[place]) && role !== "index") {
-        const mark = element("i", "", "among");
+        const mark = element("i", "", "among", { title: `from ${field.shown(field.low)} to ${field.shown(field.high)}` });
         mark.style.setProperty("--share", (field.values[place] - field.low) / (field.high - field.low));
-        mark.title = `from ${field.shown(field.low)} to ${field.shown(field.high)}`;
         bar.append(mark);
       }
-      row.append(name, element("td", field.shownAt(place)), bar);
-      table.append(row);
-    }
-    this.panel.append(element("h3", heading), table);
+      const name = element("th", field.title, "", { scope: "row" });
+      return element("tr", [name, element("td", field.shownAt(place)), bar], "", { title: field.about });
+    });
+    return [element("h3", heading), element("table", rows)];
   }
 }
 
@@ -117,18 +93,12 @@ export function commandsOf({ replay, walk }, table, place) {
 }
 
 function command(what, text) {
-  const block = element("div", "", "command");
   const code = element("code", text);
-  const copy = Object.assign(element("button", "Copy"), { type: "button" });
-  copy.setAttribute("aria-label", `Copy the command: ${what}`);
-  copy.addEventListener("click", async () => {
+  const copy = button("Copy", "", async () => {
     copy.textContent = (await copied(text, code)) ? "Copied" : "Ctrl+C";
     setTimeout(() => (copy.textContent = "Copy"), 2000);
-  });
-  const head = element("div", "", "command-head");
-  head.append(element("h3", what), copy);
-  block.append(head, code);
-  return block;
+  }, { "aria-label": `Copy the command: ${what}` });
+  return element("div", [element("div", [element("h3", what), copy], "command-head"), code], "command");
 }
 
 /** Copies a text, or selects it if the browser does not allow copying. */

@@ -1,9 +1,7 @@
 // A recording in 3D: the viewer's page in a frame, assembled from the parts in this page.
 
 import { read, unpack } from "viewer/data.js";
-import { togglePanel } from "viewer/dialogs.js";
-
-const find = (id) => document.getElementById(id);
+import { element, find, togglePanel } from "viewer/dialogs.js";
 
 export class Theatre {
   /** `recordings` by row; `order` gives the rows to step through, `show(row)` is called with each. */
@@ -29,11 +27,9 @@ export class Theatre {
     const text = document.querySelector(`[data-part="${part}"]`).textContent;
     const packed = read({ [part]: await unpack(text) }, clip);
     if (this.row !== row) return; // another one was asked for meanwhile
-    const frame = document.createElement("iframe");
-    frame.title = `Recording of row ${row}`;
-    frame.allow = "fullscreen";
-    frame.srcdoc = this.#document({ models: [this.header.models[model]], clips: [packed] }, part);
-    frame.addEventListener("load", () => this.#loaded(frame));
+    const srcdoc = this.#document({ models: [this.header.models[model]], clips: [packed] }, part);
+    const onload = () => this.#loaded(frame);
+    const frame = element("iframe", "", "", { title: `Recording of row ${row}`, allow: "fullscreen", srcdoc, onload });
     find("theatre-stage").replaceChildren(frame);
     this.show(row);
   }

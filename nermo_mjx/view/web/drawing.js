@@ -1,4 +1,4 @@
-// Drawing primitives: canvases at the screen's resolution, points, rings, shortened names.
+// Drawing on canvases: at the screen's resolution, round ticks, lines, points, rings, shortened names.
 
 /**
  * A canvas of so many of the page's pixels, ready to draw on. The processor draws: copying ten thousand points on emulated
@@ -12,6 +12,13 @@ export function sheet(canvas, width, height) {
   return paper;
 }
 
+export function line(paper, x1, y1, x2, y2) {
+  paper.beginPath();
+  paper.moveTo(x1, y1);
+  paper.lineTo(x2, y2);
+  paper.stroke();
+}
+
 /** The picture of a point and its size: a disc with an edge, or a cross where a run did not go well. */
 export function sprite(colour, ink, radius, bad) {
   const size = Math.ceil(2 * radius + 4);
@@ -23,12 +30,7 @@ export function sprite(colour, ink, radius, bad) {
     paper.lineCap = "round";
     for (const [stroke, width] of [[ink, 3.2], [colour, 1.8]]) {
       Object.assign(paper, { strokeStyle: stroke, lineWidth: width });
-      paper.beginPath();
-      paper.moveTo(middle - r, middle - r);
-      paper.lineTo(middle + r, middle + r);
-      paper.moveTo(middle + r, middle - r);
-      paper.lineTo(middle - r, middle + r);
-      paper.stroke();
+      paper.stroke(new Path2D(`M${middle - r} ${middle - r}l${2 * r} ${2 * r}m0 ${-2 * r}l${-2 * r} ${2 * r}`));
     }
     return { canvas, size };
   }
@@ -55,4 +57,26 @@ export function clipped(paper, text, width) {
   let length = text.length;
   while (length > 1 && paper.measureText(`${text.slice(0, length)}…`).width > width) length--;
   return `${text.slice(0, length)}…`;
+}
+
+/** About `count` round values between two, spaced by a multiple of one of `steps`, and their number of digits. */
+export function round(low, high, count, steps = [1, 2, 5]) {
+  const rough = (high - low) / Math.max(count, 1) || 1;
+  const power = 10 ** Math.floor(Math.log10(rough));
+  const step = [...steps, 10 * steps[0]].find((factor) => factor * power >= rough * (1 - 1e-9)) * power;
+  const values = [];
+  for (let i = Math.ceil(low / step - 1e-9); i * step <= high + 1e-9 * step; i++) values.push(i * step);
+  return { values, digits: Math.max(0, Math.ceil(-Math.log10(step) - 1e-9)) };
+}
+
+/** The same on a logarithmic axis: 1, 2 and 5 of each power of ten, or as few as fit. */
+export function roundLog(low, high, count) {
+  const [first, last] = [Math.floor(Math.log10(low)), Math.ceil(Math.log10(high))];
+  const steps = (last - first) * 3 <= count ? [1, 2, 5] : [1];
+  const apart = Math.max(1, Math.ceil((last - first) / Math.max(count, 1)));
+  const values = [];
+  for (let power = first; power <= last; power += apart) {
+    for (const step of steps) values.push(step * 10 ** power);
+  }
+  return { values: values.filter((value) => value >= low * (1 - 1e-9) && value <= high * (1 + 1e-9)) };
 }
