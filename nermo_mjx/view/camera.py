@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from typing import Any, Final
 
 import mujoco
@@ -13,22 +12,14 @@ from scipy.spatial import ConvexHull, QhullError
 from nermo_mjx.recording import Recording
 from nermo_mjx.view.recorded import STANDING
 
-
-@dataclasses.dataclass(frozen=True)
-class Angle:
-    """Direction of a view [degrees]; azimuth 0 looks along +x, so that the robot, heading -y, walks to the right."""
-
-    azimuth: float
-    elevation: float
-
-
-CAMERAS: Final[dict[str, Angle]] = {
-    "three_quarter": Angle(38.0, -22.0),
-    "high": Angle(30.0, -38.0),
-    "side": Angle(0.0, -6.0),
-    "top": Angle(0.0, -89.9),
-    "front": Angle(90.0, -12.0),
-    "rear": Angle(-90.0, -18.0),
+#: Azimuth and elevation of views [degrees]; azimuth 0 looks along +x: the robot, heading -y, walks to the right.
+CAMERAS: Final = {
+    "three_quarter": (38.0, -22.0),
+    "high": (30.0, -38.0),
+    "side": (0.0, -6.0),
+    "top": (0.0, -89.9),
+    "front": (90.0, -12.0),
+    "rear": (-90.0, -18.0),
 }
 #: Both of the robot's eyes, side by side.
 STEREO: Final = "stereo"
@@ -45,6 +36,13 @@ def root_body(model: mujoco.MjModel) -> int:
         return int(body)
     free = np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE)
     return int(model.jnt_bodyid[free[0]]) if len(free) else min(1, model.nbody - 1)
+
+
+def put_pose(model: mujoco.MjModel, data: mujoco.MjData, qpos: Float[np.ndarray, " nq"]) -> None:
+    """Put bodies and centres of mass where they are in a pose."""
+    data.qpos[:] = qpos
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
 
 
 def smooth_path(points: Float[np.ndarray, "F 3"], interval: float) -> Float[np.ndarray, "F 3"]:
@@ -83,7 +81,7 @@ def following_camera(name: str, radius: float, fovy: float, aspect: float) -> mu
     camera = mujoco.MjvCamera()
     mujoco.mjv_defaultCamera(camera)
     camera.type = mujoco.mjtCamera.mjCAMERA_FREE
-    camera.azimuth, camera.elevation = CAMERAS[name].azimuth, CAMERAS[name].elevation
+    camera.azimuth, camera.elevation = CAMERAS[name]
     narrow = np.tan(np.deg2rad(fovy) / 2) * (np.sqrt(aspect) if aspect > 1 else aspect)
     camera.distance = radius / (FILLING * narrow)
     return camera
@@ -175,27 +173,21 @@ def draw_support(
 
 
 def _ball(scene: mujoco.MjvScene, centre: np.ndarray, radius: float, colour: tuple[float, ...]) -> None:
-    geom = _new(scene)
-    if geom is not None:
-        size = np.full(3, radius)
-        mujoco.mjv_initGeom(
-            geom, mujoco.mjtGeom.mjGEOM_SPHERE, size, centre, np.eye(3).ravel(), np.asarray(colour, np.float32)
-        )
-        geom.emission = 0.5
+    if (geom := _new(scene, mujoco.mjtGeom.mjGEOM_SPHERE, colour)) is not None:
+        geom.size[:], geom.pos[:] = radius, centre
 
 
 def _connect(scene: mujoco.MjvScene, begin: np.ndarray, end: np.ndarray, colour: tuple[float, ...]) -> None:
-    geom = _new(scene)
-    if geom is not None:
-        blank = np.zeros(3), np.zeros(3), np.zeros(9)
-        mujoco.mjv_initGeom(geom, mujoco.mjtGeom.mjGEOM_CAPSULE, *blank, np.asarray(colour, np.float32))
+    if (geom := _new(scene, mujoco.mjtGeom.mjGEOM_CAPSULE, colour)) is not None:
         mujoco.mjv_connector(geom, mujoco.mjtGeom.mjGEOM_CAPSULE, _LINE, begin, end)
-        geom.emission = 0.5
 
 
-def _new(scene: mujoco.MjvScene) -> Any:
+def _new(scene: mujoco.MjvScene, kind: mujoco.mjtGeom, colour: tuple[float, ...]) -> Any:
     """The next geom of the scene, or None if the scene is full."""
     if scene.ngeom >= scene.maxgeom:
         return None
     scene.ngeom += 1
-    return scene.geoms[scene.ngeom - 1]
+    geom = scene.geoms[scene.ngeom - 1]
+    mujoco.mjv_initGeom(geom, kind, np.zeros(3), np.zeros(3), np.eye(3).ravel(), np.asarray(colour, np.float32))
+    geom.emission = 0.5
+    return geom

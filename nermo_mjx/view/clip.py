@@ -15,7 +15,7 @@ from jaxtyping import Float, Int
 from nermo_mjx.recording import Recording
 from nermo_mjx.robot import Robot, RobotConfig
 from nermo_mjx.robot.quantity import values_of
-from nermo_mjx.view.camera import body_radius, root_body, smooth_path
+from nermo_mjx.view.camera import body_radius, put_pose, root_body, smooth_path
 from nermo_mjx.view.recorded import (
     Motion,
     Plot,
@@ -231,13 +231,10 @@ def _colour(model: mujoco.MjModel, geom: int) -> np.ndarray:
     if material < 0 or not np.allclose(own, 0.5 * np.array([1, 1, 1, 2])):
         return own
     colour = np.array(model.mat_rgba[material], float)
-    textures = model.mat_texid[material]
-    texture = next((int(t) for t in textures if t >= 0), -1)
-    if texture >= 0:
-        size = int(model.tex_height[texture] * model.tex_width[texture] * model.tex_nchannel[texture])
-        start = int(model.tex_adr[texture])
-        pixels = model.tex_data[start : start + size].reshape(-1, int(model.tex_nchannel[texture]))
-        colour[:3] *= pixels[:, :3].mean(axis=0) / 255.0
+    for texture in [t for t in model.mat_texid[material] if t >= 0][:1]:
+        channels, start = model.tex_nchannel[texture], model.tex_adr[texture]
+        size = model.tex_height[texture] * model.tex_width[texture] * channels
+        colour[:3] *= model.tex_data[start : start + size].reshape(-1, channels)[:, :3].mean(axis=0) / 255.0
     return colour
 
 
@@ -321,7 +318,9 @@ def _clip(recording: Recording, model: mujoco.MjModel, packer: Packer, detail: D
     # Static bodies get far from a robot that walks away: their positions are sent once, and the robot's keep their
     # digits.
     frames = Frames(model, motion, origin)
-    centre, radius = _extent(recording, model)
+    data = mujoco.MjData(model)
+    put_pose(model, data, recording.qpos[0])
+    centre, radius = body_radius(model, data, root)
     interval = float(np.median(np.diff(motion.time))) if len(motion.time) > 1 else 0.01
     return {
         "title": title_of(recording),
@@ -332,7 +331,7 @@ def _clip(recording: Recording, model: mujoco.MjModel, packer: Packer, detail: D
         "root": root,
         "radius": radius,
         "origin": packer.plain(origin),
-        "follow": packer.plain(smooth_path(origin.copy(), interval) + centre),
+        "follow": packer.plain(smooth_path(origin.copy(), interval) + (centre - data.xpos[root])),
         "moving": frames.bodies.tolist(),
         "parents": frames.parents,
         "still": {"position": motion.position[0].tolist(), "quaternion": motion.quaternion[0].tolist()},
@@ -355,17 +354,6 @@ def _tendon(tendon: Tendon, frames: Frames, origin: np.ndarray, packer: Packer, 
         "name": tendon.name, "radius": tendon.radius, "frames": within, "path": packer.steps(path, detail.length),
         "tension": packer.steps(tendon.tension, detail.force),
     }  # fmt: skip
-
-
-def _extent(recording: Recording, model: mujoco.MjModel) -> tuple[np.ndarray, float]:
-    """Centre of the body relative to its root, and its size [m]."""
-    data = mujoco.MjData(model)
-    data.qpos[:] = recording.qpos[0]
-    mujoco.mj_kinematics(model, data)
-    mujoco.mj_comPos(model, data)
-    root = root_body(model)
-    centre, radius = body_radius(model, data, root)
-    return centre - data.xpos[root], radius
 
 
 def _footprints(recording: Recording, motion: Motion) -> list[list[float]]:

@@ -6,7 +6,7 @@ import dataclasses
 import os
 import re
 import shlex
-from collections.abc import Callable, Collection, Mapping, Sequence, Set
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
@@ -118,23 +118,27 @@ def runs_of(path: Path, kept: Collection[int] = (), most: int = MOST_ROWS) -> Ru
     Raises:
         DirectoryError: it has no runs yet, or they cannot be read.
     """
-    table, about = _table(path)
-    fields = {field.name: meta(field) for field in table.schema}
+    schema, column = _table(path)
+    about = schema.metadata or {}
+    fields = {field.name: meta(field) for field in schema}
     shown = [name for role in ROLES for name, each in fields.items() if each.get("role") == role and name != "seed"]
     metrics = [name for name in shown if fields[name]["role"] == "metric"]
     atlas = json_of(about[b"atlas"], _Atlas, path / "atlas.parquet") if b"atlas" in about else None
-    sides = sides_in(table.schema)
-    leading = _leading(metrics, sides, atlas)
-    number = table.column("row")
-    price = _column(leading, fields[leading], sides, table.column(leading)).cost()
+    sides = sides_in(schema)
+    if atlas is None and not metrics:
+        raise DirectoryError("The table has no metric: no column's role is 'metric'.")
+    usual = LEADING if LEADING in metrics else next(iter([*(name for name in metrics if name in sides), *metrics]), "")
+    leading = usual if atlas is None else str(atlas["objective"]["metric"])
+    number = column("row")
+    price = _column(leading, fields[leading], sides, column(leading)).cost()
     places = np.arange(len(number))
     if len(number) > most:
         best = np.argsort(price, kind="stable")[: min(_BEST_KEPT, most // 2)]
         places = np.union1d(thinned(places, most - len(best)), best)
         places = np.union1d(places, np.flatnonzero(np.isin(number, list(kept))))
-    columns = {name: _column(name, fields[name], sides, table.column(name)[places]) for name in shown if name != "row"}
-    for objective in [] if atlas is None else [atlas["objective"]]:
-        side = "low" if objective["direction"] == "minimize" else "high"
+    columns = {name: _column(name, fields[name], sides, column(name)[places]) for name in shown if name != "row"}
+    if atlas is not None:
+        side = "low" if atlas["objective"]["direction"] == "minimize" else "high"
         columns[leading] = dataclasses.replace(columns[leading], better=side)
     kind = "atlas" if atlas is not None else kind_of(path) or "sweep"
     grid = about.get(b"sampler") == b"grid"
@@ -156,18 +160,8 @@ class _Atlas(BaseModel, extra="allow"):
     measures: Annotated[list[_Aim], Field(min_length=1, max_length=2)]
 
 
-class _Read:
-    """A table in memory with columns as NumPy arrays; `Results` offers the same for chunks."""
-
-    def __init__(self, table: pa.Table) -> None:
-        self.schema, self._table = table.schema, table
-
-    def column(self, name: str) -> np.ndarray:
-        return np.asarray(self._table.column(name).to_numpy())
-
-
-def _table(path: Path) -> tuple[Results | _Read, Mapping[bytes, bytes]]:
-    """The table of a directory, and its schema's metadata."""
+def _table(path: Path) -> tuple[pa.Schema, Callable[[str], np.ndarray]]:
+    """The schema of a directory's table, and what reads a column of it."""
     atlas = path / "atlas.parquet"
     if atlas.exists():
         table = parquet_table(atlas)
@@ -175,21 +169,12 @@ def _table(path: Path) -> tuple[Results | _Read, Mapping[bytes, bytes]]:
             raise DirectoryError(f"{atlas} cannot be read: run the same search again.")
         if not len(table):
             raise DirectoryError(f"{atlas} has no filled cell yet.")
-        return _Read(table), table.schema.metadata or {}
+        return table.schema, lambda name: np.asarray(table.column(name).to_numpy())
     files = sorted((path / "results").glob("*.parquet"))
     if not files:
         raise DirectoryError(f"{path} holds no results yet: nermo-mjx status {path} says how to resume.")
     results = Results(files)
-    return results, results.schema.metadata or {}
-
-
-def _leading(metrics: Sequence[str], sides: Mapping[str, str], atlas: Mapping[str, Any] | None) -> str:
-    if atlas is not None:
-        return str(atlas["objective"]["metric"])
-    if not metrics:
-        raise DirectoryError("The table has no metric: no column's role is 'metric'.")
-    directed = [name for name in metrics if name in sides]
-    return LEADING if LEADING in metrics else (directed or list(metrics))[0]
+    return results.schema, results.column
 
 
 def _column(name: str, about: Mapping[str, str], sides: Mapping[str, str], values: np.ndarray) -> Column:
@@ -230,12 +215,24 @@ def commands_of(path: Path, runs: Runs) -> dict[str, Any]:
 
 
 def _walk(spec: Mapping[str, Any], runs: Runs) -> dict[str, Any] | None:
-    """The `nermo-mjx walk` command for a row of a resolved file; None if there is none."""
+    """The `nermo-mjx walk` command for a row of a resolved file; None if it has no option for one of its choices."""
     varied = [each for each in runs.columns.values() if each.role in ("varied", "randomized")]
     names = {each.name: set(each.values) for each in varied if each.is_text}
-    if not _walkable(spec, names):
+    given = spec.get("pilot", Setup.pilot)
+    pilot, options = next(iter(given.items())) if isinstance(given, dict) else (str(given), None)
+    chosen: Mapping[str, Any] = options or {}
+    step, preset = spec.get("timestep"), PRESETS.get(str(spec.get("physics", Setup.physics)))
+    if (
+        spec.get("controller") is not None
+        or not set(names) <= {*_OPTIONS, "pilot"}
+        or any(spec.get(name, default) != default for name, default in _NO_OPTIONS.items())
+        # A custom scene is stored as MJCF, which cannot be an option's value.
+        or any("<" in scene for scene in names.get("scene", {str(spec.get("scene", Setup.scene))}))
+        or ("physics" not in names and step is not None and (preset is None or float(step) != preset.timestep))
+        or not names.get("pilot", {pilot}) <= set(_PILOTS)
+        or ("pilot" not in names and not set(chosen) <= set(_PILOTS[pilot]))
+    ):
         return None
-    pilot, chosen = _pilot(spec)
     fixed = dict(spec.get("set") or {})
     words = ["nermo-mjx", "walk"]
     for name in _OPTIONS:
@@ -259,34 +256,6 @@ def _walk(spec: Mapping[str, Any], runs: Runs) -> dict[str, Any] | None:
 
 def _option(name: str) -> str:
     return f"--{name.replace('_', '-')}"
-
-
-def _walkable(spec: Mapping[str, Any], names: Mapping[str, Set[str]]) -> bool:
-    """Whether `walk` has an option for every choice of a file, and for those that its rows vary (`names`)."""
-    if spec.get("controller") is not None or not set(names) <= {*_OPTIONS, "pilot"}:
-        return False
-    if any(spec.get(name, default) != default for name, default in _NO_OPTIONS.items()):
-        return False
-    chosen = {name: names.get(name, {str(spec.get(name, getattr(Setup, name)))}) for name in ("scene",)}
-    # A custom scene is stored as MJCF, which cannot be an option's value.
-    if any("<" in value for value in chosen["scene"]):
-        return False
-    step, preset = spec.get("timestep"), PRESETS.get(str(spec.get("physics", Setup.physics)))
-    if "physics" not in names and step is not None and (preset is None or float(step) != preset.timestep):
-        return False
-    pilot, options = _pilot(spec)
-    return (
-        names["pilot"] <= set(_PILOTS) if "pilot" in names else pilot in _PILOTS and set(options) <= set(_PILOTS[pilot])
-    )
-
-
-def _pilot(spec: Mapping[str, Any]) -> tuple[str, Mapping[str, Any]]:
-    """The pilot of a file, and its options."""
-    given = spec.get("pilot", Setup.pilot)
-    if not isinstance(given, dict):
-        return str(given), {}
-    name, options = next(iter(given.items()))
-    return str(name), options or {}
 
 
 #: Kinds of directories that have such a page.
@@ -332,7 +301,9 @@ def explore(
     runs = runs_of(path, there)
     notes = [f"{len(runs.rows):,} of {runs.total:,} runs: the best, and the others evenly."]
     notes = notes if len(runs.rows) < runs.total else []
-    chosen = _chosen(runs, there, recordings)
+    known = np.flatnonzero(np.isin(runs.rows, list(there)))
+    ranked = runs.rows[known[np.argsort(runs.columns[runs.leading].cost()[known], kind="stable")]]
+    chosen = ranked[thinned(np.arange(len(ranked)), recordings)].tolist() if recordings > 0 else []
     if len(chosen) < len(there):
         notes.append(f"{len(chosen)} of {len(there)} recordings, evenly from the best to the worst.")
     runs = with_gain(path, runs)
@@ -432,23 +403,12 @@ def _start(runs: Runs) -> dict[str, Any]:
         steps, names = ([each.name for each in gridded if each.is_text == is_text] for is_text in (False, True))
         x, y = (steps[:1] + names[:1] + steps[1:] + names[1:])[:2]
         return {"x": x, "y": y, "colour": runs.leading, "cells": True}
-    usual = [*OBJECTIVES]  # in the requested order
-    directed = sorted(
-        (each.name for each in metrics if each.better and each.name != runs.leading),
-        key=lambda name: usual.index(name) if name in usual else len(usual),
-    )
-    others = [*[each.name for each in [*numbers, *varied]], *[each.name for each in metrics], runs.leading]
+    directed = [each.name for each in metrics if each.better and each.name != runs.leading]
+    order = [name for name in OBJECTIVES if name in directed]
+    directed = [*order, *(name for name in directed if name not in order)]
+    others = [*[each.name for each in [*numbers, *varied, *metrics]], runs.leading]
     across = next(name for name in others if name != runs.leading or name == others[-1])
     return {"x": across, "y": runs.leading, "colour": (directed or [runs.leading])[0], "cells": False}
-
-
-def _chosen(runs: Runs, there: Collection[int], most: int) -> list[int]:
-    """Rows whose recordings are included in the page, best first."""
-    known = np.flatnonzero(np.isin(runs.rows, list(there)))
-    ranked = known[np.argsort(runs.columns[runs.leading].cost()[known], kind="stable")]
-    if most < 1:
-        return []
-    return [int(runs.rows[ranked[i]]) for i in thinned(np.arange(len(ranked)), most)]
 
 
 def _clips(files: dict[int, Path], shapes: Packer, notes: list[str]) -> tuple[dict[str, Any], list[Any], list[Packer]]:

@@ -26,11 +26,10 @@ from nermo_mjx.robot import GAITS, LIMBS, ParameterError, Robot
 from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.parameters import servos_by_count
 from nermo_mjx.robot.quantity import quantities, replace_quantities
-from nermo_mjx.view.recorded import STANDING, recorded_geometry, recorded_model, robot_of, spans
+from nermo_mjx.view.recorded import GAIT_TITLES, STANDING, recorded_geometry, recorded_model, robot_of, spans
 
 #: Gait cycles shown in figures of single steps: the last whole ones.
 SHOWN_CYCLES: Final = 4
-NAMES: Final = {"trt": "trot", "trt1": "walking trot", "lat": "lateral sequence walk"}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -56,7 +55,7 @@ class Walk:
     def title(self) -> str:
         """The gait in words, after a colon; empty if unknown."""
         setup, labels = self.recording.metadata.get("setup", {}), self.recording.metadata.get("labels", {})
-        gait = NAMES.get(setup.get("gait", labels.get("gait")), "")
+        gait = GAIT_TITLES.get(setup.get("gait", labels.get("gait")), "")
         if self.cycle is None:
             return f": {gait}" if gait else ""
         return f": {gait} at {self.values['frequency']:.3g} Hz" if gait else f" at {self.values['frequency']:.3g} Hz"
@@ -367,22 +366,20 @@ def figures_of(
         notify: called with a message about each figure that cannot be drawn.
         robot: that was recorded; by default assembled from the recording's setup.
     """
-    for name, figure in _figures(Walk(recording), robot):
-        if isinstance(figure, str):
-            notify(f"There is no {name}: {figure}")
+    walk = Walk(recording)
+    for name, draw in (
+        ("gait-diagram", gait_diagram),
+        ("orientation", orientation),
+        ("foot-paths", lambda walk: leg_paths(walk, robot or robot_of(recording))),
+        ("foot-paths-over-ground", over_ground),
+        ("servo-angles", servo_angles),
+        ("ground-path", ground_path),
+    ):
+        try:
+            figure, reason = draw(walk), "the recording lacks its sensors."
+        except (RecordingError, ParameterError) as error:
+            figure, reason = None, str(error)
+        if figure is None:
+            notify(f"There is no {name}: {reason}")
         else:
             yield name, figure
-
-
-def _figures(walk: Walk, robot: Robot | None) -> Iterator[tuple[str, Figure | str]]:
-    """(name, figure) of each, or the reason for its absence."""
-    lacks = "the recording lacks its sensors."
-    yield "gait-diagram", gait_diagram(walk) or lacks
-    yield "orientation", orientation(walk) or lacks
-    try:
-        yield "foot-paths", leg_paths(walk, robot or robot_of(walk.recording)) or lacks
-    except (RecordingError, ParameterError) as error:
-        yield "foot-paths", str(error)
-    yield "foot-paths-over-ground", over_ground(walk) or lacks
-    yield "servo-angles", servo_angles(walk) or lacks
-    yield "ground-path", ground_path(walk) or lacks

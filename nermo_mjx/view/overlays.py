@@ -194,24 +194,12 @@ def _curves(
     return Panel(46, middle - 1.15 * half, middle + 1.15 * half, draw, notes)
 
 
-@dataclasses.dataclass(frozen=True)
-class Overlay:
-    """One kind of overlay.
-
-    Attributes:
-        needs: sensors of the recording that it shows.
-        panels: rows of the strip below the image; None if it is drawn into the scene.
-    """
-
-    needs: tuple[str, ...]
-    panels: Callable[[Recording], list[Panel]] | None
-
-
+#: Sensors that an overlay needs, and what makes its rows of the strip below the image; None: drawn into the scene.
 #: `gait`: a bar for each standing foot; `servos`: their angles; `support`: polygon and centre of mass on the ground.
-OVERLAYS: Final[dict[str, Overlay]] = {
-    "gait": Overlay(("foot_force",), gait_panels),
-    "servos": Overlay(("servo_angle",), servo_panels),
-    "support": Overlay(("foot_force", "foot_position"), None),
+OVERLAYS: Final[dict[str, tuple[tuple[str, ...], Callable[[Recording], list[Panel]] | None]]] = {
+    "gait": (("foot_force",), gait_panels),
+    "servos": (("servo_angle",), servo_panels),
+    "support": (("foot_force", "foot_position"), None),
 }
 
 
@@ -225,7 +213,7 @@ def check_overlays(names: Sequence[str], recording: Recording | None = None) -> 
     for name in names:
         if name not in OVERLAYS:
             raise ParameterError(f"overlay is {name!r}: allowed is one of {', '.join(OVERLAYS)}.")
-        missing = [sensor for sensor in OVERLAYS[name].needs if recording and sensor not in recording.sensors]
+        missing = [sensor for sensor in OVERLAYS[name][0] if recording and sensor not in recording.sensors]
         if missing:
             raise RecordingError(f"The overlay {name!r} needs the sensor {missing[0]!r}, which the recording lacks.")
     if len(set(names)) < len(names):
@@ -234,7 +222,7 @@ def check_overlays(names: Sequence[str], recording: Recording | None = None) -> 
 
 def strips_of(recording: Recording, names: Sequence[str], width: int) -> list[Strip]:
     """The strips below the image, from top to bottom."""
-    kinds = [OVERLAYS[name].panels for name in names]
+    kinds = [OVERLAYS[name][1] for name in names]
     return [Strip(recording, panels(recording), width) for panels in kinds if panels is not None]
 
 
@@ -257,8 +245,3 @@ def scenery_of(
         draw_support(scene, recording, sample, np.array(data.subtree_com[root]), tail)
 
     return draw
-
-
-def beside(strips: Sequence[Strip], picture: Any, seconds: float) -> Any:
-    """The picture with its strips below, at a time since the recording began [s]."""
-    return np.concatenate([picture, *(strip.at(seconds) for strip in strips)]) if strips else picture

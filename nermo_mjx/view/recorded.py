@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import mujoco
 import numpy as np
@@ -148,11 +148,11 @@ def motion_of(
         position[i], quaternion[i] = data.xpos, data.xquat
         limits = data.efc_type == mujoco.mjtConstraint.mjCNSTR_LIMIT_TENDON
         np.add.at(tension[i], data.efc_id[limits], data.efc_force[limits])
-        wraps.append(_Wraps.of(data))
+        wraps.append(_wraps_of(data))
         for key, point, force in _contacts(model, data):
             found.setdefault(key, {})[i] = (point, force)
     tendons = tuple(
-        Tendon(model.tendon(k).name, float(model.tendon_width[k]), _paths(model, wraps, k), tension[:, k])
+        Tendon(model.tendon(k).name, float(model.tendon_width[k]), _paths(wraps, k), tension[:, k])
         for k in range(model.ntendon)
     )
     contacts = tuple(_contact(model, key, found[key], len(samples)) for key in sorted(found))
@@ -161,15 +161,19 @@ def motion_of(
 
 def finite_samples(recording: Recording, most: int | None = None) -> np.ndarray:
     """Indices of the shown samples: those before the first that is not finite, at most `most` of them."""
-    finite = np.isfinite(recording.qpos).all(axis=1) & np.isfinite(recording.qvel).all(axis=1)
-    count = len(finite) if finite.all() else int(np.argmin(finite))
-    if count == 0:
-        raise RecordingError("The recording has no finite state to show.")
+    count = finite_count(np.isfinite(np.concatenate([recording.qpos, recording.qvel], axis=1)))
     return np.arange(0, count, 1 if most is None else -(-count // most))
 
 
-@dataclasses.dataclass(frozen=True)
-class _Wraps:
+def finite_count(finite: Bool[np.ndarray, "T n"]) -> int:
+    """Number of samples before the first with a value that is not finite; raises `RecordingError` if there is none."""
+    count = int(finite.all(axis=1).argmin()) if not finite.all() else len(finite)
+    if count == 0:
+        raise RecordingError("The recording has no finite state to show.")
+    return count
+
+
+class _Wraps(NamedTuple):
     """Paths of the tendons at one sample, from MuJoCo's data; geoms are those that any tendon may wrap."""
 
     first: np.ndarray
@@ -179,32 +183,29 @@ class _Wraps:
     centre: np.ndarray
     axis: np.ndarray
 
-    @classmethod
-    def of(cls, data: mujoco.MjData) -> _Wraps:
-        axis = data.geom_xmat.reshape(-1, 3, 3)[:, :, 2]
-        return cls(
-            data.ten_wrapadr.copy(), data.ten_wrapnum.copy(), data.wrap_obj.reshape(-1).copy(),
-            data.wrap_xpos.reshape(-1, 3).copy(), data.geom_xpos.copy(), axis.copy(),
-        )  # fmt: skip
+
+def _wraps_of(data: mujoco.MjData) -> _Wraps:
+    """A copy of what MuJoCo's data say at this sample."""
+    axis = data.geom_xmat.reshape(-1, 3, 3)[:, :, 2]
+    point = data.wrap_xpos.reshape(-1, 3)
+    parts = data.ten_wrapadr, data.ten_wrapnum, data.wrap_obj.reshape(-1), point, data.geom_xpos, axis
+    return _Wraps(*(each.copy() for each in parts))
 
 
-def _paths(model: mujoco.MjModel, wraps: list[_Wraps], tendon: int) -> Float[np.ndarray, "T K 3"]:
+def _paths(wraps: list[_Wraps], tendon: int) -> Float[np.ndarray, "T K 3"]:
     """The polygon of one tendon at each sample, with an arc around each pulley."""
-    paths = [_path(each, tendon) for each in wraps]
+    paths = []
+    for each in wraps:
+        along = slice(each.first[tendon], each.first[tendon] + each.count[tendon])
+        points, geoms = each.point[along], each.geom[along]
+        parts = [points[:1]]
+        for begin, end, geom, following in zip(points[:-1], points[1:], geoms[:-1], geoms[1:], strict=True):
+            if geom >= 0 and geom == following:
+                parts.append(_arc(begin, end, each.centre[geom], each.axis[geom]))
+            parts.append(end[None])
+        paths.append(np.concatenate(parts))
     longest = max(map(len, paths))
     return np.stack([np.pad(path, ((0, longest - len(path)), (0, 0)), mode="edge") for path in paths])
-
-
-def _path(wraps: _Wraps, tendon: int) -> Float[np.ndarray, "K 3"]:
-    first, count = int(wraps.first[tendon]), int(wraps.count[tendon])
-    points, geoms = wraps.point[first : first + count], wraps.geom[first : first + count]
-    parts: list[np.ndarray] = []
-    for i in range(count):
-        parts.append(points[i : i + 1])
-        if i + 1 < count and geoms[i] >= 0 and geoms[i] == geoms[i + 1]:
-            geom = int(geoms[i])
-            parts.append(_arc(points[i], points[i + 1], wraps.centre[geom], wraps.axis[geom]))
-    return np.concatenate(parts)
 
 
 def _arc(begin: np.ndarray, end: np.ndarray, centre: np.ndarray, axis: np.ndarray) -> Float[np.ndarray, "ARC 3"]:
@@ -413,7 +414,7 @@ def _servos(angle: np.ndarray, command: np.ndarray) -> list[Plot]:
     return plots
 
 
-_GAITS: Final = {"trt": "Trot", "trt1": "Walking trot", "lat": "Lateral sequence walk"}
+GAIT_TITLES: Final = {"trt": "trot", "trt1": "walking trot", "lat": "lateral sequence walk"}
 _DEGREES: Final = math.degrees(1.0)
 _SHOWN: Final = {"rad": ("°", _DEGREES), "rad/s": ("°/s", _DEGREES), "m": ("mm", 1e3), "m/s": ("mm/s", 1e3)}
 #: Metrics in the page's head, and their labels.
@@ -430,7 +431,8 @@ def title_of(recording: Recording) -> str:
     setup, parameters = _part(recording, "setup"), _part(recording, "parameters")
     gait, controller = setup.get("gait"), str(setup.get("controller") or "Recording").rpartition(":")[2]
     controller = controller.rpartition("/")[2]  # of a policy's file, its name
-    parts = [_GAITS.get(str(gait), str(gait)) if gait else controller]
+    known = GAIT_TITLES.get(str(gait), "").capitalize()
+    parts = [(known or str(gait)) if gait else controller]
     if (frequency := _number(parameters.get("frequency"))) is not None:
         parts.append(f"{frequency:.3g} Hz")
     spine = str(setup.get("spine", "none")).replace("_", " ")
@@ -472,7 +474,6 @@ def _part(recording: Recording, key: str) -> dict[str, Any]:
 
 def _units(recording: Recording) -> dict[str, str]:
     """Units of metrics and parameters by name, including the recording's custom metrics."""
-    from nermo_mjx.robot.quantity import quantities
     from nermo_mjx.rollout import METRICS  # starts JAX
     from nermo_mjx.rollout.setup import WorldParameters
     from nermo_mjx.rollout.transitions import TRANSITION

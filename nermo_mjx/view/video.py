@@ -18,7 +18,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Float, Int, UInt8
 
-from nermo_mjx.recording import Recording, RecordingError
+from nermo_mjx.recording import Recording
 from nermo_mjx.robot.assembly import EYES
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.view import offscreen
@@ -28,6 +28,7 @@ from nermo_mjx.view.camera import (
     body_radius,
     following_camera,
     move_sun_above,
+    put_pose,
     put_sun_overhead,
     root_body,
     smooth_path,
@@ -35,7 +36,6 @@ from nermo_mjx.view.camera import (
 from nermo_mjx.view.overlays import (
     CHARACTER,
     PAPER,
-    beside,
     blank_strip,
     check_overlays,
     pixels,
@@ -43,6 +43,7 @@ from nermo_mjx.view.overlays import (
     strips_of,
     write_text,
 )
+from nermo_mjx.view.recorded import finite_count
 
 #: Called with (frames done, frames in all).
 CountDone = Callable[[int, int], None]
@@ -236,10 +237,7 @@ def check_video(
 
 def frame_samples(recording: Recording, fps: float, speed: float) -> Int[np.ndarray, " F"]:
     """The sample of the recording in each frame: the nearest in time."""
-    finite = np.isfinite(recording.qpos).all(axis=1)
-    count = len(finite) if finite.all() else int(np.argmin(finite))
-    if count == 0:
-        raise RecordingError("The recording has no finite state to show.")
+    count = finite_count(np.isfinite(recording.qpos))
     time = recording.time[:count] - recording.time[0]
     wanted = np.arange(0.0, time[-1] + 1e-9, speed / fps)
     after = np.clip(np.searchsorted(time, wanted), 0, count - 1)
@@ -261,7 +259,9 @@ def draw(
     strips = strips_of(recording, overlays, width)
     scenery = scenery_of(recording, overlays, root_body(model))
     pictures = _robot(recording, model, samples, width, height, camera, interval, scenery)
-    frames = (beside(strips, picture, i * interval) for i, picture in enumerate(pictures))
+    frames = (
+        np.concatenate([picture, *(strip.at(i * interval) for strip in strips)]) for i, picture in enumerate(pictures)
+    )
     return frames, height + sum(strip.height for strip in strips)
 
 
@@ -275,34 +275,31 @@ def _robot(
     interval: float,
     scenery: Callable[[mujoco.MjvScene, mujoco.MjData, int], None] | None,
 ) -> Iterator[UInt8[np.ndarray, "height width 3"]]:
-    """Yield the robot's picture of each sample."""
+    """Yield the robot's picture of each sample; a following camera looks at the middle of the body."""
     model = _dressed(model, width, height)
-    data = mujoco.MjData(model)
-    following, path = _track(recording, model, data, samples, width / height, camera, interval)
+    data, root = mujoco.MjData(model), root_body(model)
+    put_pose(model, data, recording.qpos[samples[0]])
+    centre, radius = body_radius(model, data, root)
+    middle = centre - data.xpos[root]
+    path = smooth_path(root_path(recording, model, data, samples), interval) + middle
+    fovy = float(model.vis.global_.fovy)
+    following = following_camera(camera, radius, fovy, width / height) if camera in CAMERAS else None
     views: list[Any] = [following] if following else [*EYES] if camera == STEREO else [camera]
     with _renderer(model, width // len(views), height) as renderer:
         for sample, point in zip(samples, path, strict=True):
-            _pose(model, data, recording.qpos[sample])
+            put_pose(model, data, recording.qpos[sample])
             mujoco.mj_camlight(model, data)
             mujoco.mj_tendon(model, data)
             if following is not None:
                 following.lookat[:] = point
             move_sun_above(model, data, point)
-            yield np.concatenate([_seen(renderer, data, view, scenery, int(sample)) for view in views], axis=1)
-
-
-def _seen(
-    renderer: mujoco.Renderer,
-    data: mujoco.MjData,
-    view: Any,
-    scenery: Callable[[mujoco.MjvScene, mujoco.MjData, int], None] | None,
-    sample: int,
-) -> UInt8[np.ndarray, "height width 3"]:
-    """The picture of one camera."""
-    renderer.update_scene(data, view)
-    if scenery is not None:
-        scenery(renderer.scene, data, sample)
-    return renderer.render()
+            pictures = []
+            for view in views:
+                renderer.update_scene(data, view)
+                if scenery is not None:
+                    scenery(renderer.scene, data, int(sample))
+                pictures.append(renderer.render())
+            yield np.concatenate(pictures, axis=1)
 
 
 def _dressed(model: mujoco.MjModel, width: int, height: int) -> mujoco.MjModel:
@@ -318,26 +315,6 @@ def _dressed(model: mujoco.MjModel, width: int, height: int) -> mujoco.MjModel:
     return model
 
 
-def _track(
-    recording: Recording,
-    model: mujoco.MjModel,
-    data: mujoco.MjData,
-    samples: Int[np.ndarray, " F"],
-    aspect: float,
-    camera: str,
-    interval: float,
-) -> tuple[mujoco.MjvCamera | None, Float[np.ndarray, "F 3"]]:
-    """The camera, or None for one of the model, and the middle of the body in each frame, as the torso carries it."""
-    root = root_body(model)
-    _pose(model, data, recording.qpos[samples[0]])
-    centre, radius = body_radius(model, data, root)
-    offset = centre - data.xpos[root]
-    positions = root_path(recording, model, data, samples)
-    fovy = float(model.vis.global_.fovy)
-    view = following_camera(camera, radius, fovy, aspect) if camera in CAMERAS else None
-    return view, smooth_path(positions, interval) + offset
-
-
 def root_path(
     recording: Recording, model: mujoco.MjModel, data: mujoco.MjData, samples: Int[np.ndarray, " F"]
 ) -> Float[np.ndarray, "F 3"]:
@@ -345,15 +322,9 @@ def root_path(
     root = root_body(model)
     positions = np.empty((len(samples), 3))
     for i, sample in enumerate(samples):
-        _pose(model, data, recording.qpos[sample])
+        put_pose(model, data, recording.qpos[sample])
         positions[i] = data.xpos[root]
     return positions
-
-
-def _pose(model: mujoco.MjModel, data: mujoco.MjData, qpos: Float[np.ndarray, " nq"]) -> None:
-    data.qpos[:] = qpos
-    mujoco.mj_kinematics(model, data)
-    mujoco.mj_comPos(model, data)
 
 
 @contextlib.contextmanager
@@ -434,7 +405,11 @@ def render_side_by_side(
     count = min(map(len, samples))
     samples = [each[:count] for each in samples]
     header = _header(panes, width)
-    ways = _ways(panes, model, samples, speed / fps)
+    # Each robot's distance from its start, without the sway of the steps [m].
+    data, ways = mujoco.MjData(model), np.empty((len(panes), count))
+    for i, (pane, each) in enumerate(zip(panes, samples, strict=True)):
+        positions = smooth_path(root_path(pane.recording, model, data, each), speed / fps)[:, :2]
+        ways[i] = np.linalg.norm(positions - positions[0], axis=1)
     drawn = [
         draw(pane.recording, pane.model or model, each, width, height, camera, speed / fps, overlays)
         for pane, each in zip(panes, samples, strict=True)
@@ -447,17 +422,6 @@ def render_side_by_side(
 
     size = (header.shape[1], header.shape[0] + drawn[0][1] + _FOOTER)
     return write_video(path, frames(), count, fps=fps, width=size[0], height=size[1], progress=progress)
-
-
-def _ways(
-    panes: Sequence[Pane], model: mujoco.MjModel, samples: Sequence[np.ndarray], interval: float
-) -> Float[np.ndarray, "panes F"]:
-    """Distance of each robot from its start, without the sway of the steps [m]."""
-    data, ways = mujoco.MjData(model), []
-    for pane, each in zip(panes, samples, strict=True):
-        positions = smooth_path(root_path(pane.recording, model, data, each), interval)[:, :2]
-        ways.append(np.linalg.norm(positions - positions[0], axis=1))
-    return np.array(ways)
 
 
 def _header(panes: Sequence[Pane], width: int) -> UInt8[np.ndarray, "height width 3"]:
