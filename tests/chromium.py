@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import abc
 import base64
 import contextlib
 import itertools
@@ -13,7 +12,7 @@ import shutil
 import subprocess
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -36,20 +35,12 @@ def find() -> str | None:
     return given or next((path for name in NAMES if (path := shutil.which(name))), None)
 
 
-class Page(abc.ABC):
-    """The interface of a page for tests, in any browser."""
+class Page:
+    """What pages for tests have in common, in any browser; each has `evaluate`, `mouse` and `complaints`."""
 
-    @abc.abstractmethod
-    def evaluate(self, script: str) -> Any:
-        """The JSON value of an expression; promises are awaited."""
-
-    @abc.abstractmethod
-    def mouse(self, kind: str, x: float, y: float) -> None:
-        """Move the pointer, and press or release its button, as DevTools names it."""
-
-    @abc.abstractmethod
-    def complaints(self) -> list[str]:
-        """Errors and warnings of the page."""
+    evaluate: Callable[[str], Any]
+    mouse: Callable[[str, float, float], None]
+    complaints: Callable[[], list[str]]
 
     def wait(self, condition: str, seconds: float = PATIENCE) -> None:
         """Until an expression is true."""

@@ -46,6 +46,16 @@ def falling(seconds: float = 0.5) -> Recording:
     return Recording(time, qpos, qvel, ctrl, model_hash=model_hash(model), metadata={"case": "dropped"})
 
 
+def posed(recording: Recording, sample: int) -> mujoco.MjData:
+    """MuJoCo's data of the robot in a sample of a recording."""
+    data = mujoco.MjData(load_robot().model)
+    data.qpos[:], data.qvel[:], data.ctrl[:] = (
+        each[sample] for each in (recording.qpos, recording.qvel, recording.ctrl)
+    )
+    mujoco.mj_forward(data.model, data)
+    return data
+
+
 def table(columns: dict[str, tuple[object, dict[str, str]]], **about: str) -> pa.Table:
     """A table of columns with metadata; name -> (values, metadata)."""
     arrays = {name: pa.array(values) for name, (values, _) in columns.items()}

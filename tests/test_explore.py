@@ -252,17 +252,6 @@ def test_structures_of_a_row_are_options_of_its_command(tmp_path: Path) -> None:
     assert f"'{path}'" in commands["replay"]
 
 
-def test_an_atlas_row_is_replayed_and_walked(tmp_path: Path) -> None:
-    path, _ = atlas(tmp_path / "atlas")
-    commands = commands_of(path, runs_of(path))
-    assert commands["replay"] == f"nermo-mjx replay {path} --row"
-    assert commands["walk"] == {
-        "words": "nermo-mjx walk --gait lat --cycles 8 --warmup 2",
-        "options": [],
-        "set": ["frequency"],
-    }
-
-
 # --- Python, and the command
 
 

@@ -12,13 +12,12 @@ from typing import Any
 
 import chromium
 import firefox
-import mujoco
 import numpy as np
 import pytest
-from explore_data import MEASURES, NAMES, atlas, falling, many, sweep
+from explore_data import MEASURES, NAMES, atlas, falling, many, posed, sweep
 from PIL import Image
 
-from nermo_mjx import load_robot, read_table
+from nermo_mjx import read_table
 from nermo_mjx.view.explore import explore
 
 pytestmark = pytest.mark.browser
@@ -121,20 +120,19 @@ def test_a_gain_is_white_at_none_and_red_where_it_is_a_loss(tab: Any, page: Path
     assert text.startswith("speed gain [%]")
     low, high = tab.evaluate("[explorer.chart.colouring.low, explorer.chart.colouring.high]")
     assert low == -high < 0
-    colour = "explorer.chart.colouring.css(explorer.chart.colouring.level({}))"
-    none, loss, gain = (
-        [int(tab.evaluate(colour.format(value))[i : i + 2], 16) for i in (1, 3, 5)] for value in (0, low, high)
-    )
+
+    def rgb(value: float) -> list[int]:
+        script = f"explorer.chart.colouring.css(explorer.chart.colouring.level({value}))"
+        return [int(tab.evaluate(script)[i : i + 2], 16) for i in (1, 3, 5)]
+
+    none, loss, gain = map(rgb, (0, low, high))
     assert min(none) > 235
     assert loss[0] > loss[2]
     assert gain[2] > gain[0]
     groups = tab.evaluate("[...document.querySelectorAll('#colour optgroup')].map((each) => each.label)")
     assert {"Parameters", "Walk"} <= set(groups)
     choose(tab, colour="spine.phase")
-    first, last = (
-        [int(tab.evaluate(colour.format(value))[i : i + 2], 16) for i in (1, 3, 5)] for value in ("-3.14", "3.14")
-    )
-    assert sum(abs(a - b) for a, b in zip(first, last, strict=True)) < 30, "both ends of a turn"
+    assert sum(abs(a - b) for a, b in zip(rgb(-3.14), rgb(3.14), strict=True)) < 30, "both ends of a turn"
 
 
 def test_points_are_where_their_numbers_say_in_colours_of_viridis(tab: Any, page: Path, rows: dict[str, Any]) -> None:
@@ -363,16 +361,13 @@ def test_a_recording_plays_in_3d_and_closes(tab: Any, page: Path) -> None:
     tab.wait(f"{inside}?.player.time > 0.15")
     tab.evaluate(f"{inside}.player.toggle(false)")
     walk = falling()
-    model = load_robot().model
-    data = mujoco.MjData(model)
     for sample in (9, 30):
-        data.qpos[:] = walk.qpos[sample]
-        mujoco.mj_kinematics(model, data)
+        data = posed(walk, sample)
         tab.evaluate(f"{inside}.player.seek({walk.time[sample]})")
         for body in ("torso", "head", "rear_left_foot", "front_right_pulley"):
             place = tab.evaluate(f"""(() => {{ const [clip] = {inside}.clips; let found;
                 clip.pose(clip.at({walk.time[sample]}), (body, position) => {{
-                    if (body === {model.body(body).id}) found = Array.from(position); }}); return found; }})()""")
+                    if (body === {data.body(body).id}) found = Array.from(position); }}); return found; }})()""")
             np.testing.assert_allclose(place, data.body(body).xpos, atol=4e-4, err_msg=f"{body} at {sample}")
     assert tab.evaluate("document.getElementById('theatre-title').textContent") == f"Row {RECORDED[0]}"
     tab.click("#theatre-after")

@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 import pytest
 from command import call
+from explore_data import posed
 
 from nermo_mjx import Recording, load_robot, show
 from nermo_mjx.plotting.style import FOOT
@@ -62,13 +63,10 @@ def test_the_ground_carries_the_robot(walk: Recording, motion: Motion) -> None:
 
     Within a tenth: the samples lie at the ends of ticks, where the servos' targets have just taken a step.
     """
-    model = load_robot().model
-    total, data = sum(contact.force for contact in motion.contacts), mujoco.MjData(model)
+    total = sum(contact.force for contact in motion.contacts)
     for sample in range(50, 300, 10):
-        data.qpos[:], data.qvel[:], data.ctrl[:] = walk.qpos[sample], walk.qvel[sample], walk.ctrl[sample]
-        mujoco.mj_forward(model, data)
-        np.testing.assert_allclose(total[sample], data.qfrc_constraint[:3], atol=1e-3)
-    assert total[50:300, 2].mean() == pytest.approx(9.81 * model.body_mass.sum(), rel=0.1)
+        np.testing.assert_allclose(total[sample], posed(walk, sample).qfrc_constraint[:3], atol=1e-3)
+    assert total[50:300, 2].mean() == pytest.approx(9.81 * load_robot().model.body_mass.sum(), rel=0.1)
 
 
 def test_contact_forces_are_those_that_the_feet_felt(walk: Recording) -> None:
@@ -105,14 +103,11 @@ def test_contact_points_are_at_the_feet_on_the_ground(walk: Recording, motion: M
 
 def test_tensions_are_those_that_turn_the_pulleys(walk: Recording, motion: Motion) -> None:
     """Nothing else constrains a knee's pulley, so that its constraint torque is the tension times the radius."""
-    model = load_robot().model
-    data = mujoco.MjData(model)
     tendons = {tendon.name: tendon for tendon in motion.tendons}
     for sample in range(20, 300, 35):
-        data.qpos[:], data.qvel[:], data.ctrl[:] = walk.qpos[sample], walk.qvel[sample], walk.ctrl[sample]
-        mujoco.mj_forward(model, data)
+        data = posed(walk, sample)
         for limb in LIMBS:
-            dof = model.joint(f"{limb}_pulley").dofadr[0]
+            dof = data.model.joint(f"{limb}_pulley").dofadr[0]
             # From a cold start the solver ends elsewhere within its tolerance. MuJoCo's wrap is that of the rim.
             torque = abs(data.qfrc_constraint[dof]) / 0.008
             assert tendons[f"{limb}_tendon"].tension[sample] == pytest.approx(torque, abs=0.02)
@@ -120,13 +115,8 @@ def test_tensions_are_those_that_turn_the_pulleys(walk: Recording, motion: Motio
 
 
 def test_drawn_tendons_are_as_long_as_mujocos(walk: Recording, motion: Motion) -> None:
-    model = load_robot().model
-    data = mujoco.MjData(model)
     for sample in (10, 120, 290):
-        data.qpos[:] = walk.qpos[sample]
-        mujoco.mj_kinematics(model, data)
-        mujoco.mj_comPos(model, data)
-        mujoco.mj_tendon(model, data)
+        data = posed(walk, sample)
         for i, tendon in enumerate(motion.tendons):
             drawn = np.linalg.norm(np.diff(tendon.path[sample], axis=0), axis=1).sum()
             # The arcs are polygons of six chords.

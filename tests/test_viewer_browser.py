@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import io
-import json
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -12,9 +11,10 @@ import chromium
 import mujoco
 import numpy as np
 import pytest
+from explore_data import posed
 from PIL import Image
 
-from nermo_mjx import Recording, load_robot, show
+from nermo_mjx import Recording, show
 from nermo_mjx.rollout import Run
 from nermo_mjx.view import recording_of, robot_of
 from nermo_mjx.view.recorded import motion_of
@@ -94,33 +94,21 @@ def test_the_page_has_all_it_needs_and_complains_of_nothing(tab: chromium.Tab, o
 
 
 def test_bodies_are_where_mujoco_puts_them(tab: chromium.Tab, one: Path, walks: tuple[Recording, Recording]) -> None:
+    """Between samples they are between."""
     opened(tab, one)
-    walk, model = walks[0], load_robot().model
-    data = mujoco.MjData(model)
+    walk, shown = walks[0], "viewer.stage.bodyPosition(0, {!r})"
     for sample in (0, 77, 150, 199):
-        data.qpos[:] = walk.qpos[sample]
-        mujoco.mj_kinematics(model, data)
+        data = posed(walk, sample)
         tab.evaluate(f"viewer.player.seek({walk.time[sample]})")
         for body in ("torso", "head", "spine_hip", "front_left_foot", "rear_right_foot", "rear_left_pulley"):
-            place = tab.evaluate(f"viewer.stage.bodyPosition(0, {json.dumps(body)})")
+            place = tab.evaluate(shown.format(body))
             np.testing.assert_allclose(place, data.body(body).xpos, atol=1e-4, err_msg=f"{body} at sample {sample}")
-            turn = f"viewer.stage.actors[0].robot.bodies[{model.body(body).id}].quaternion"
+            turn = f"viewer.stage.actors[0].robot.bodies[{data.body(body).id}].quaternion"
             x, y, z, w = tab.evaluate(f"{turn}.toArray()")
             assert abs(np.dot([w, x, y, z], data.body(body).xquat)) == pytest.approx(1, abs=1e-7), body
-
-
-def test_between_samples_bodies_are_between(tab: chromium.Tab, one: Path, walks: tuple[Recording, Recording]) -> None:
-    opened(tab, one)
-    walk, model = walks[0], load_robot().model
-    data = mujoco.MjData(model)
-    places = []
-    for sample in (100, 101):
-        data.qpos[:] = walk.qpos[sample]
-        mujoco.mj_kinematics(model, data)
-        places.append(data.body("front_right_foot").xpos.copy())
     tab.evaluate(f"viewer.player.seek({walk.time[100:102].mean()})")
-    shown = tab.evaluate("viewer.stage.bodyPosition(0, 'front_right_foot')")
-    np.testing.assert_allclose(shown, np.mean(places, axis=0), atol=1e-4)
+    places = [posed(walk, sample).body("front_right_foot").xpos for sample in (100, 101)]
+    np.testing.assert_allclose(tab.evaluate(shown.format("front_right_foot")), np.mean(places, axis=0), atol=1e-4)
 
 
 def test_tensions_and_forces_arrive_as_they_were(
@@ -257,15 +245,11 @@ def test_a_dark_page_is_dark(tab: chromium.Tab, one: Path) -> None:
 
 def test_two_recordings_are_shown_in_step(tab: chromium.Tab, two: Path, walks: tuple[Recording, Recording]) -> None:
     opened(tab, two, 1000, 600)
-    model = load_robot().model
-    data = mujoco.MjData(model)
     tab.evaluate(f"viewer.player.seek({walks[0].time[150]})")
     places = []
     for clip, walk in enumerate(walks):
-        data.qpos[:] = walk.qpos[150]
-        mujoco.mj_kinematics(model, data)
         place = tab.evaluate(f"viewer.stage.bodyPosition({clip}, 'torso')")
-        np.testing.assert_allclose(place, data.body("torso").xpos, atol=1e-4)
+        np.testing.assert_allclose(place, posed(walk, 150).body("torso").xpos, atol=1e-4)
         places.append(place)
     assert tab.evaluate("document.querySelectorAll('#runs .mark').length") == 2
     over = stage_picture(tab)
