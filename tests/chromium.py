@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import contextlib
+import io
 import itertools
 import json
 import os
@@ -12,9 +13,12 @@ import shutil
 import subprocess
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+from PIL import Image
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
 #: No sandbox, because tests run as root in containers; no look-ups, because there may be no network; WebGL in software.
@@ -27,6 +31,8 @@ SOFTWARE = ("--use-angle=swiftshader", "--enable-unsafe-swiftshader")
 WITHOUT_WEBGL = ("--disable-gpu", "--disable-3d-apis")
 #: Longest wait for an answer [s]; a picture in software on a busy machine takes seconds.
 PATIENCE = 60.0
+#: A page of this package has been assembled.
+READY = "document.documentElement?.dataset.ready === 'yes'"
 
 
 def find() -> str | None:
@@ -41,6 +47,26 @@ class Page:
     evaluate: Callable[[str], Any]
     mouse: Callable[[str, float, float], None]
     complaints: Callable[[], list[str]]
+    picture: Callable[[], bytes]
+
+    def pixels(self, box: Sequence[float] | None = None) -> np.ndarray:
+        """The window, or a part of it (left, top, right, bottom), as (rows, columns, 3) int."""
+        return np.asarray(Image.open(io.BytesIO(self.picture())).convert("RGB").crop(box)).astype(int)
+
+    def nameless(self) -> list[str]:
+        """Controls that a screen reader has no name for."""
+        return self.evaluate("""[...document.querySelectorAll(
+            "button, select, input, [role=dialog], canvas:not([aria-hidden])")].filter((each) =>
+            !(each.getAttribute("aria-label") || each.getAttribute("aria-labelledby") || each.textContent.trim()
+                || each.closest("label"))).map((each) => each.outerHTML)""")
+
+    def outside(self, ids: list[str], width: int, height: int, least: int = 8) -> list[str]:
+        """Elements that do not lie in the window, or are smaller than that [pixels]."""
+        return self.evaluate(f"""{ids}.filter((id) => {{
+            const box = document.getElementById(id).getBoundingClientRect();
+            return !(box.width > {least} && box.height > {least} && box.left >= -1 && box.top >= -1
+                && box.right <= {width} + 1 && box.bottom <= {height} + 1);
+        }})""")
 
     def wait(self, condition: str, seconds: float = PATIENCE) -> None:
         """Until an expression is true."""

@@ -14,14 +14,13 @@ import chromium
 import firefox
 import numpy as np
 import pytest
+from chromium import READY
 from explore_data import MEASURES, NAMES, atlas, falling, many, posed, sweep
-from PIL import Image
 
 from nermo_mjx import read_table
 from nermo_mjx.view.explore import explore
 
 pytestmark = pytest.mark.browser
-READY = "document.documentElement?.dataset.ready === 'yes'"
 RECORDED = (3, 20)
 SELECTED = "(explorer.chart.chosen < 0 ? null : explorer.table.rows[explorer.chart.chosen])"
 COUNT = "explorer.filters.places.length"
@@ -106,10 +105,6 @@ def drag(tab: Any, begin: tuple[float, float], end: tuple[float, float]) -> None
     tab.mouse("mouseReleased", *end)
 
 
-def picture(tab: Any) -> np.ndarray:
-    return np.asarray(Image.open(io.BytesIO(tab.picture())).convert("RGB")).astype(int)
-
-
 # --- what is drawn
 
 
@@ -145,7 +140,7 @@ def test_points_are_where_their_numbers_say_in_colours_of_viridis(tab: Any, page
         line = np.polyfit(values[good], places[:, column], 1)
         np.testing.assert_allclose(np.polyval(line, values[good]), places[:, column], atol=0.6)
         assert (line[0] > 0) == (column == 0), "to the right, and up"
-    seen = picture(tab)
+    seen = tab.pixels()
     for row, colour in ((int(np.argmin(rows["speed"])), (68, 1, 84)), (int(np.argmax(rows["speed"])), (253, 231, 37))):
         x, y = np.round(place_of(tab, row)).astype(int)
         near = seen[y - 6 : y + 7, x - 6 : x + 7].reshape(-1, 3)
@@ -397,12 +392,7 @@ def test_everything_fits_its_window(tab: Any, page: Path, width: int, height: in
     opened(tab, page, width, height)
     width, height = tab.evaluate("[innerWidth, innerHeight]")  # Firefox has no window as narrow as a phone
     assert tab.evaluate("document.documentElement.scrollWidth") <= width
-    for name in ("marks", "x", "save", "help-toggle"):
-        box = tab.evaluate(f"document.getElementById('{name}').getBoundingClientRect().toJSON()")
-        assert box["width"] > 20, name
-        assert box["left"] >= 0, name
-        assert box["right"] <= width + 1, name
-        assert box["bottom"] <= height + 1, name
+    assert tab.outside(["marks", "x", "save", "help-toggle"], width, height, 20) == []
     plane = tab.evaluate("document.getElementById('marks').getBoundingClientRect().toJSON()")
     assert plane["width"] * plane["height"] > 0.3 * width * height
     reached = "(() => { document.querySelector('[data-field=\"spine.phase\"] input').scrollIntoView(); return 1; })()"
@@ -414,19 +404,15 @@ def test_everything_fits_its_window(tab: Any, page: Path, width: int, height: in
 def test_every_control_has_a_name(tab: Any, page: Path) -> None:
     opened(tab, page)
     tab.evaluate("explorer.choose(3)")
-    nameless = tab.evaluate("""[...document.querySelectorAll(
-        "button, select, input, [role=dialog], canvas[tabindex]")].filter(
-        (each) => !(each.getAttribute("aria-label") || each.getAttribute("aria-labelledby") || each.textContent.trim()
-            || each.closest("label"))).map((each) => each.outerHTML)""")
-    assert nameless == []
+    assert tab.nameless() == []
 
 
 def test_a_dark_page_is_dark_and_its_points_can_be_seen(tab: Any, page: Path, rows: dict[str, Any]) -> None:
-    light = picture(opened(tab, page)).mean()
+    light = opened(tab, page).pixels().mean()
     opened(tab, page, dark=True)
-    assert picture(tab).mean() < light / 2
+    assert tab.pixels().mean() < light / 2
     tab.key("c")
-    seen = picture(tab)
+    seen = tab.pixels()
     x, y = np.round(place_of(tab, int(np.argmin(rows["speed"])))).astype(int)
     disc = seen[y - 8 : y + 9, x - 8 : x + 9].reshape(-1, 3).sum(axis=1)
     assert disc.max() - disc.min() > 120, "the darkest colour has an edge"

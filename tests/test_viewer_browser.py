@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import io
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -11,8 +10,8 @@ import chromium
 import mujoco
 import numpy as np
 import pytest
+from chromium import READY
 from explore_data import posed
-from PIL import Image
 
 from nermo_mjx import Recording, show
 from nermo_mjx.rollout import Run
@@ -21,7 +20,6 @@ from nermo_mjx.view.recorded import motion_of
 
 #: What must be within reach in any window.
 CONTROLS = ["play", "scrub", "speed", "loop", "plots-toggle", "help-toggle", "canvas", "plot-list", "view"]
-READY = "document.documentElement?.dataset.ready === 'yes'"
 #: The last change has been drawn as well as stills are.
 RESTING = "!viewer.stage.stale && !viewer.stage.quality.unsettled"
 
@@ -75,7 +73,7 @@ def stage_picture(tab: chromium.Tab) -> np.ndarray:
     tab.wait(RESTING)
     box = tab.evaluate("(() => { const r = document.getElementById('stage').getBoundingClientRect();"
                        "return [r.left, r.top + 34, r.right, r.bottom - 30]; })()")  # fmt: skip
-    return np.asarray(Image.open(io.BytesIO(tab.picture())).convert("RGB").crop(box)).astype(int)
+    return tab.pixels(box)
 
 
 def share_changed(a: np.ndarray, b: np.ndarray) -> float:
@@ -272,25 +270,14 @@ def test_two_recordings_are_shown_in_step(tab: chromium.Tab, two: Path, walks: t
 def test_everything_fits_its_window(tab: chromium.Tab, two: Path, width: int, height: int) -> None:
     opened(tab, two, width, height)
     assert tab.evaluate("document.documentElement.scrollWidth") <= width
-    outside = tab.evaluate(
-        f"""{CONTROLS}.filter((id) => {{
-            const box = document.getElementById(id).getBoundingClientRect();
-            return !(box.width > 8 && box.height > 8 && box.left >= -1 && box.top >= -1 && box.right <= {width} + 1
-                && box.bottom <= {height} + 1);
-        }})"""
-    )
-    assert outside == []
+    assert tab.outside(CONTROLS, width, height) == []
     area = tab.evaluate("document.getElementById('stage').clientWidth * document.getElementById('stage').clientHeight")
     assert area > 0.3 * width * height
 
 
 def test_every_control_has_a_name_and_shows_its_focus(tab: chromium.Tab, two: Path) -> None:
     opened(tab, two, 1000, 600)
-    nameless = tab.evaluate(
-        """[...document.querySelectorAll("button, select, input, [role=dialog], canvas")].filter(
-            (each) => !(each.getAttribute("aria-label") || each.textContent.trim())).map((each) => each.outerHTML)"""
-    )
-    assert nameless == []
+    assert tab.nameless() == []
     tab.key("Tab")
     tab.key("Tab")
     assert tab.evaluate("getComputedStyle(document.activeElement).outlineStyle") == "solid"

@@ -307,11 +307,7 @@ def clip_of(recording: Recording, name: str, models: Models, packer: Packer, det
         RecordingError, ParameterError: it cannot be shown.
     """
     robot = robot_of(recording)
-    clip = _clip(recording, recorded_model(recording, robot), packer, detail)
-    return {"name": name, "model": models.index(recording, robot)} | clip
-
-
-def _clip(recording: Recording, model: mujoco.MjModel, packer: Packer, detail: Detail) -> dict[str, Any]:
+    model = recorded_model(recording, robot)
     motion = motion_of(recording, model, detail.samples(recording))
     root = root_body(model)
     origin = motion.position[:, root]
@@ -323,6 +319,7 @@ def _clip(recording: Recording, model: mujoco.MjModel, packer: Packer, detail: D
     centre, radius = body_radius(model, data, root)
     interval = float(np.median(np.diff(motion.time))) if len(motion.time) > 1 else 0.01
     return {
+        "name": name,
         "title": title_of(recording),
         "headline": headline_of(recording),
         "details": details_of(recording),
@@ -345,6 +342,7 @@ def _clip(recording: Recording, model: mujoco.MjModel, packer: Packer, detail: D
         ],
         "footprints": _footprints(recording, motion),
         "plots": [_plot(plot, packer, detail) for plot in plots_of(recording, motion)],
+        "model": models.index(recording, robot),
     }  # fmt: skip
 
 
@@ -354,6 +352,15 @@ def _tendon(tendon: Tendon, frames: Frames, origin: np.ndarray, packer: Packer, 
         "name": tendon.name, "radius": tendon.radius, "frames": within, "path": packer.steps(path, detail.length),
         "tension": packer.steps(tendon.tension, detail.force),
     }  # fmt: skip
+
+
+def _plot(plot: Plot, packer: Packer, detail: Detail) -> dict[str, Any]:
+    lines = []
+    for line in plot.lines:
+        known = line.values[np.isfinite(line.values)]
+        values = packer.steps(line.values, detail.curve * float(np.ptp(known)) if len(known) else 0.0)
+        lines.append({"name": line.name, "colour": line.colour, "faint": line.faint, "values": values})
+    return {"key": plot.key, "title": plot.title, "unit": plot.unit, "bars": plot.bars, "lines": lines}
 
 
 def _footprints(recording: Recording, motion: Motion) -> list[list[float]]:
@@ -371,19 +378,3 @@ def _footprints(recording: Recording, motion: Motion) -> list[list[float]]:
                 x, y = place[(begin + end - 1) // 2, limb, :2]
                 prints.append([round(float(motion.time[begin]), 4), limb, round(float(x), 5), round(float(y), 5)])
     return sorted(prints)
-
-
-def _plot(plot: Plot, packer: Packer, detail: Detail) -> dict[str, Any]:
-    return {
-        "key": plot.key, "title": plot.title, "unit": plot.unit, "bars": plot.bars,
-        "lines": [
-            {"name": line.name, "colour": line.colour, "faint": line.faint,
-             "values": packer.steps(line.values, detail.curve * _span(line.values))}
-            for line in plot.lines
-        ],
-    }  # fmt: skip
-
-
-def _span(values: np.ndarray) -> float:
-    known = values[np.isfinite(values)]
-    return float(np.ptp(known)) if len(known) else 0.0

@@ -79,15 +79,13 @@ def document(
         "style": "\n".join(map(text, styles)),
         "imports": as_json({"imports": _modules(folders)}),
         "header": as_json(header),
-        "data": "\n".join(map(_part, parts)),
+        "data": "\n".join(
+            f'<script type="text/plain" data-part="{part.part}">{part.text()}</script>' for part in parts
+        ),
     }
     if (own := _WEB / template.replace(".html", ".css")).is_file():
         content["own_style"] = own.read_text(encoding="utf-8")
     return _PLACE.sub(lambda place: content[place[1]], text(template))
-
-
-def _part(packer: Packer) -> str:
-    return f'<script type="text/plain" data-part="{packer.part}">{packer.text()}</script>'
 
 
 def text(name: str) -> str:
@@ -107,11 +105,8 @@ def _modules(folders: Sequence[str]) -> dict[str, str]:
         for each in sorted(each.name for each in (_WEB / folder).iterdir() if each.name.endswith(".js")):
             name = f"{folder}/{each}".lstrip("/")
             sources[f"viewer/{name}"] = f"{text(name)}\n//# sourceURL=viewer/{name}\n"
-    return {name: _data_url(source) for name, source in sources.items()}
-
-
-def _data_url(source: str) -> str:
-    return "data:text/javascript;base64," + base64.b64encode(source.encode()).decode("ascii")
+    encoded = {name: base64.b64encode(source.encode()).decode("ascii") for name, source in sources.items()}
+    return {name: f"data:text/javascript;base64,{content}" for name, content in encoded.items()}
 
 
 def show(

@@ -62,17 +62,13 @@ def play(
     except (RuntimeError, mujoco.FatalError) as error:
         raise RecordingError(f"MuJoCo's viewer cannot open a window here ({error}).") from None
     with window:
-        _aim(window.cam, model, data)
+        # The camera follows the robot in a three-quarter view; the mouse rotates it as usual.
+        root, camera = root_body(model), window.cam
+        _, radius = body_radius(model, data, root)
+        view = following_camera("three_quarter", radius, float(model.vis.global_.fovy), aspect=1.5)
+        camera.type, camera.trackbodyid = mujoco.mjtCamera.mjCAMERA_TRACKING, root
+        camera.distance, camera.azimuth, camera.elevation = view.distance, view.azimuth, view.elevation
         follow(window, recording, model, data, speed, loop)
-
-
-def _aim(camera: mujoco.MjvCamera, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-    """Let the viewer's camera follow the robot in a three-quarter view; the mouse rotates it as usual."""
-    root = root_body(model)
-    _, radius = body_radius(model, data, root)
-    view = following_camera("three_quarter", radius, float(model.vis.global_.fovy), aspect=1.5)
-    camera.type, camera.trackbodyid = mujoco.mjtCamera.mjCAMERA_TRACKING, root
-    camera.distance, camera.azimuth, camera.elevation = view.distance, view.azimuth, view.elevation
 
 
 def _viewer() -> Any:

@@ -76,10 +76,4 @@ export class CameraMan {
     this.camera.aspect = aspect;
     this.camera.updateProjectionMatrix();
   }
-
-  /** Zooms in (factor below 1) or out. */
-  zoom(factor) {
-    this.camera.position.sub(this.controls.target).multiplyScalar(factor).add(this.controls.target);
-    this.controls.update();
-  }
 }

@@ -4,13 +4,7 @@
  * `share` of the screen's pixels in each direction; `plain`: without gloss, and with shadows on the ground alone; `coarse`:
  * with fewer triangles.
  */
-const LEVELS = [
-  { share: 1, plain: false, coarse: false },
-  { share: 0.8, plain: true, coarse: true },
-  { share: 0.65, plain: true, coarse: true },
-  { share: 0.5, plain: true, coarse: true },
-  { share: 0.4, plain: true, coarse: true },
-];
+const LEVELS = [1, 0.8, 0.65, 0.5, 0.4].map((share, i) => ({ share, plain: i > 0, coarse: i > 0 }));
 /** On a processor gloss and shadows take seconds to compile; twice the pixels smooth edges that its WebGL leaves jagged. */
 const STILL_IN_SOFTWARE = { share: 2, plain: true, coarse: false };
 /** Pixels for each of the page's in one direction, at most. */
