@@ -177,7 +177,7 @@ class _Wraps(NamedTuple):
     """Paths of the tendons at one sample, from MuJoCo's data; geoms are those that any tendon may wrap."""
 
     first: np.ndarray
-    count: np.ndarray
+    number: np.ndarray
     geom: np.ndarray
     point: np.ndarray
     centre: np.ndarray
@@ -196,7 +196,7 @@ def _paths(wraps: list[_Wraps], tendon: int) -> Float[np.ndarray, "T K 3"]:
     """The polygon of one tendon at each sample, with an arc around each pulley."""
     paths = []
     for each in wraps:
-        along = slice(each.first[tendon], each.first[tendon] + each.count[tendon])
+        along = slice(each.first[tendon], each.first[tendon] + each.number[tendon])
         points, geoms = each.point[along], each.geom[along]
         parts = [points[:1]]
         for begin, end, geom, following in zip(points[:-1], points[1:], geoms[:-1], geoms[1:], strict=True):
