@@ -196,7 +196,7 @@ def test_a_recording_without_sensors_has_fewer_plots(walk: Recording) -> None:
     bare = dataclasses.replace(walk, sensors={}, metadata={})
     keys = [plot.key for plot in plots_of(bare, motion_of(bare, load_robot().model))]
     assert keys == ["knee_tension", "spine_tension"]
-    assert "<h1" in show(bare).html or "Recording" in show(bare).html
+    assert show(bare).samples == len(bare.time)
 
 
 # --- packing

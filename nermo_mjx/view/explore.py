@@ -90,7 +90,7 @@ class Runs:
         leading: the first requested metric.
         grid: whether the varied parameters form a grid.
         atlas: an atlas' objective and measures; None for other directories.
-        asked: over what a gain is asked for.
+        gain_over: parameters over which a gain is shown first.
     """
 
     kind: str
@@ -100,7 +100,7 @@ class Runs:
     leading: str
     grid: bool = False
     atlas: Mapping[str, Any] | None = None
-    asked: tuple[str, ...] = ()
+    gain_over: tuple[str, ...] = ()
 
     def of(self, *roles: str) -> list[Column]:
         """Columns of these roles that differ between the runs."""
@@ -342,14 +342,14 @@ def with_gain(path: Path, runs: Runs) -> Runs:
     the base have none.
     """
     sweep = SweepRecord.of_directory(path) if runs.kind == "sweep" else None
-    asked: dict[str, Any] = dict(sweep.comparison or {}) if sweep is not None else {}
+    comparison: dict[str, Any] = dict(sweep.comparison or {}) if sweep is not None else {}
     names = {each.name for each in runs.of("varied")}
-    if not asked and {"spine.amplitude", "spine.phase"} <= names and runs.grid:
-        asked = {"by": "spine.amplitude", "base": 0.0, "for": ["spine.amplitude", "spine.phase"]}
-    if asked.get("by") not in names:
+    if not comparison and {"spine.amplitude", "spine.phase"} <= names and runs.grid:
+        comparison = {"by": "spine.amplitude", "base": 0.0, "for": ["spine.amplitude", "spine.phase"]}
+    if comparison.get("by") not in names:
         return runs
-    by, leading, status = runs.columns[asked["by"]], runs.columns[runs.leading], runs.columns.get("status")
-    if (base := asked.get("base")) is None:
+    by, leading, status = runs.columns[comparison["by"]], runs.columns[runs.leading], runs.columns.get("status")
+    if (base := comparison.get("base")) is None:
         base = "none" if by.is_text and "none" in by.distinct else by.values[0]
     well = np.isfinite(leading.values) & (True if status is None else status.values == "ok")
     of_base = by.values == base if by.is_text else np.isclose(by.values, float(base), rtol=0.0, atol=1e-12)
@@ -370,20 +370,22 @@ def with_gain(path: Path, runs: Runs) -> Runs:
     text = by.values[of_base][0] if by.is_text else f"{by.name} {float(base):g}"
     about = f"{runs.leading.replace('_', ' ')} relative to the mean of {text}, all else equal"
     found = Column(f"{runs.leading}_gain", "%", about, "metric", leading.better, False, values)
-    return dataclasses.replace(runs, columns={found.name: found, **runs.columns}, asked=tuple(asked.get("for") or ()))
+    return dataclasses.replace(
+        runs, columns={found.name: found, **runs.columns}, gain_over=tuple(comparison.get("for") or ())
+    )
 
 
 def start_of(runs: Runs) -> dict[str, Any]:
     """Initial view of the page: columns for both axes and the colour, cells or points, and which run a cell shows.
 
-    Where a gain is asked for, it is the colour, over what it is asked for.
+    A gain is the colour, over the parameters that it is compared for.
     """
     repeat = runs.columns.get("repeat")
     runs_of_cell = "mean" if repeat is not None and len(repeat.distinct) > 1 else "best"
     gain = f"{runs.leading}_gain"
     if gain in runs.columns and runs.grid:
         differ = [each for each in runs.of("varied") if len(each.distinct) <= MOST_CELLS]
-        wanted = [each for each in differ if each.name in runs.asked]
+        wanted = [each for each in differ if each.name in runs.gain_over]
         ordered = sorted([*wanted, *(each for each in differ if each not in wanted)][:2], key=lambda each: each.is_text)
         if len(ordered) == 2:
             return {"x": ordered[0].name, "y": ordered[1].name, "colour": gain, "cells": True, "of": "mean"}
