@@ -87,8 +87,8 @@ def task(make: Callable[[], Task]) -> None:
 #: Function -> what it is given, and a part of the sentence: a text, or a pattern.
 REFUSED: dict[Callable[[Any], Any], list[tuple[Any, str]]] = {
     named(RobotConfig): [
-        ({"timestep": 0.1}, "timestep is 0.1: allowed is [1e-05, 0.004] s."),
-        ({"timestep": float("nan")}, "timestep is nan: allowed is [1e-05, 0.004] s."),
+        ({"timestep": 0.1}, "timestep is 0.1: allowed is [1e-05, 0.005] s."),
+        ({"timestep": float("nan")}, "timestep is nan: allowed is [1e-05, 0.005] s."),
         *(
             ({"hinges": each}, f"hinges is {each!r}: allowed is a whole number from 1 to 6.")
             for each in (0, 7, 2.0, True, "3")

@@ -83,8 +83,8 @@ class RobotConfig:
                 )
         if isinstance(self.timestep, PresetTimestep):
             object.__setattr__(self, "timestep", PresetTimestep(self.preset.timestep))
-        if not 1e-5 <= self.timestep <= 0.004:
-            raise ParameterError(f"timestep is {self.timestep!r}: allowed is [1e-05, 0.004] s.")
+        if not 1e-5 <= self.timestep <= 0.005:
+            raise ParameterError(f"timestep is {self.timestep!r}: allowed is [1e-05, 0.005] s.")
         if type(self.hinges) is not int or not 1 <= self.hinges <= MOST_HINGES:
             raise ParameterError(f"hinges is {self.hinges!r}: allowed is a whole number from 1 to {MOST_HINGES}.")
 
