@@ -6,6 +6,7 @@ Each seed is one `nermo-mjx train` in a process of its own, start and compiling 
 that policy is set aside with its time; when the process has ended, each walks on the bodies and starts of the
 training's evaluation, beside the controller alone. A walk counts if it succeeds and is `--faster` times as fast as the
 controller alone on the same body from the same start. Programs are compiled before, by a short training without times.
+A policy's time is when it was written: of a training that `until` did not end (`reached` is false), the best one's.
 """
 
 from __future__ import annotations
@@ -95,7 +96,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, required=True)
     given = parser.parse_args()
     trained(given.spec, given.first, given.out / "warm", "--steps", "1")
-    rows = []
+    rows, reached = [], []
     for seed in range(given.first, given.first + given.seeds):
         policies = trained(given.spec, seed, given.out / f"seed-{seed}")
         evaluator = Evaluator(changed(Training.from_file(given.spec), seed=seed))
@@ -104,6 +105,9 @@ def main() -> None:
             about = judged(evaluator, path, alone, given.faster)
             rows.append({"seed": seed, "wall_seconds": wall, "cpu_seconds": cpu, **about})
             print({name: float(np.round(value, 4)) for name, value in rows[-1].items()}, flush=True)
+        tried = pd.read_parquet(given.out / f"seed-{seed}" / "run" / "validation.parquet").drop(columns="steps")
+        until = evaluator.training.until
+        reached.append(until is not None and bool(tried.min(axis=1).max() >= until.success))
         # What there is so far stays if a later seed is stopped.
         pd.DataFrame(rows).to_csv(given.out / "policies.csv", index=False, float_format="%.5g")
     table = pd.DataFrame(rows)
@@ -112,6 +116,7 @@ def main() -> None:
         "spec": given.spec.name, "faster": given.faster, "seeds": given.seeds,
         "wall_seconds": ends.wall_seconds.tolist(), "median_wall_seconds": ends.wall_seconds.median(),
         "share": ends.share.tolist(), "least_share": ends.share.min(), "gain": ends.gain.tolist(),
+        "reached": reached,
     }  # fmt: skip
     (given.out / "summary.json").write_text(json.dumps(summary, indent=1) + "\n")
     drawn(table, given.out / "policies.png")

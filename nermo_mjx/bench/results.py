@@ -81,11 +81,12 @@ COLUMNS: Final[dict[str, tuple[Column, ...]]] = {
         _ENGINE,
         _WORLDS,
         Column("cache", "cache"),
-        Column("in all [s]", "total_s", _SECONDS),
+        Column("to the first tick [s]", "total_s", _SECONDS),
         *(
             Column(f"{stage.replace('_', ' ')} [s]", f"{stage}_s", _SECONDS)
             for stage in ("import", "model", "parameters", "open", "first_tick")
         ),
+        Column("then a training [s]", "training_s", _SECONDS),
     ),
 }
 
