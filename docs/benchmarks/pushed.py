@@ -26,13 +26,13 @@ def walked(driving: Driving, force: float, phase: float) -> tuple[bool, float]:
     pushed = 1.5 + phase / driving.values["frequency"]
     while driving.time < pushed:
         driving.tick()
-    model = driving.running.simulator.robot.model
+    model = driving.simulator.robot.model
     driving.push(model.body("torso").id, (force, 0.0, 0.0), 0.1)
     while driving.time < pushed + 2.0:
         driving.tick()
     qpos = driving.recording().qpos
     upright = 1.0 - 2.0 * (qpos[:, 4] ** 2 + qpos[:, 5] ** 2)  # the z component of the torso's vertical axis
-    return bool((upright < 0.5).any()), float(qpos[-1, 0] - qpos[round(pushed / driving.running.dt) - 1, 0])
+    return bool((upright < 0.5).any()), float(qpos[-1, 0] - qpos[round(pushed / driving.dt) - 1, 0])
 
 
 def main() -> None:
