@@ -77,7 +77,7 @@ def test_the_page_shows_the_newest_of_each_kind_by_machine(tmp_path) -> None:
 
     walk = walk_of
     start = {"case": "startup", "engine": "c", "worlds": 64, "cold_s": 5.5, "warm_s": 3.5,
-             "cold": {"import_s": 1.25}, "warm": {"import_s": 1.0}}  # fmt: skip
+             "cold": {"import_s": 1.25, "training_s": 30.5}, "warm": {"import_s": 1.0, "training_s": 2.5}}  # fmt: skip
     add_run(tmp_path, run("1 x cpu", "2026-01-01", walk(11111.0), walk(22222.0, worlds=128)))
     add_run(tmp_path, run("1 x cpu", "2026-02-02", walk(33333.0), start))
     add_run(tmp_path, run("1 x gpu", "2026-03-03", {"case": "gradient", "mode": "reverse", "worlds": 16, "cycles": 1.0,
@@ -86,7 +86,7 @@ def test_the_page_shows_the_newest_of_each_kind_by_machine(tmp_path) -> None:
     assert len((tmp_path / "results.jsonl").read_text().splitlines()) == 3
     assert "11,111" not in page
     assert page.index("33,333") < page.index("22,222") < page.index("1 x gpu") < page.index("failed: no memory")
-    assert "| c | 64 | cold | 5.5 | 1.2 |" in page
+    assert "| c | 64 | cold | 5.5 | 1.2 | 30.5 |" in page
     assert "2026-02-02" in page
     assert sorted(path.name for path in (tmp_path / "plots").glob("*.png")) == ["compile_1.png", "throughput_1.png"]
 

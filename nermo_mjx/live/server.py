@@ -156,8 +156,9 @@ class Drive:
 
     def _send(self, message: bytes | dict[str, Any]) -> None:
         """To the page that drives, if there is one."""
-        with contextlib.suppress(ConnectionClosed, AttributeError):
-            self._page.send(message if isinstance(message, bytes) else json.dumps(message))
+        if self._page is not None:
+            with contextlib.suppress(ConnectionClosed):
+                self._page.send(message if isinstance(message, bytes) else json.dumps(message))
 
     @property
     def away(self) -> float:
@@ -293,6 +294,5 @@ class Drive:
         modes = {field: sorted(name for name in names if any(map(driving.value, GAINS[name])))
                  for field, names in driving.simulator.setup.modes.items()}  # fmt: skip
         ours = "offset.front_left" in driving.parameters
-        gaits = [GAIT_NAMES.get(name, name) for name in GAIT_PATTERNS]
-        choices = {"gait": gaits, "steering": [*STEERING]} if ours else {}
+        choices = {"gait": [GAIT_NAMES.get(key, key) for key in GAIT_PATTERNS], "steering": [*STEERING]} if ours else {}
         return self._shown.document({"sliders": sliders, "choices": choices | modes})
