@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import collections
 import dataclasses
 import itertools
 import math
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final, TypeAlias
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias
 
 import numpy as np
 import pyarrow as pa
@@ -33,6 +34,9 @@ from nermo_mjx.sweep.spec import OBJECTIVES, SIDES
 from nermo_mjx.sweep.structures import label_of
 from nermo_mjx.sweep.table import LEADING, Columns, columns_of, meta, report_table
 
+if TYPE_CHECKING:
+    import pandas as pd  # imported where it is used: it takes half a second
+
 #: A directory of a sweep, or its table.
 Source: TypeAlias = "str | os.PathLike[str] | pa.Table | Results"
 Value: TypeAlias = "float | str"
@@ -45,28 +49,18 @@ class Arm:
     Attributes:
         name: as messages and tables call it.
         results: the table that holds them.
-        rows: their places in it, (n,).
-        keys: what may distinguish their variants, name -> (n,): the varied columns, and values fixed instead.
-        variant: where they are paired, the common variant of each, (n,), from 0; else empty.
-        seed: where they are paired, those of their random draws, (n,); else empty.
+        runs: a line per run, whose index is its place in the table. Its columns distinguish variants: those that are
+            varied, and values fixed instead; NaN or an empty text where a run has none. Where runs are paired, also
+            `variant`, the common variant from 0, and `seed` of their random draws.
     """
 
     name: str
     results: Results
-    rows: np.ndarray
-    keys: Mapping[str, np.ndarray]
-    variant: np.ndarray = dataclasses.field(default_factory=lambda: np.empty(0, int))
-    seed: np.ndarray = dataclasses.field(default_factory=lambda: np.empty(0, int))
+    runs: pd.DataFrame
 
-    def take(self, chosen: np.ndarray) -> Arm:
-        """The runs at these places, or where a mask holds."""
-        keys = {name: values[chosen] for name, values in self.keys.items()}
-        variant, seed = (each[chosen] if len(each) else each for each in (self.variant, self.seed))
-        return dataclasses.replace(self, rows=self.rows[chosen], keys=keys, variant=variant, seed=seed)
-
-    def column(self, name: str) -> np.ndarray:
-        """A column of these runs, (n,)."""
-        return self.results.column(name)[self.rows]
+    def where(self, chosen: Any) -> Arm:
+        """The runs where a mask (n,) holds."""
+        return dataclasses.replace(self, runs=self.runs[np.asarray(chosen)])
 
 
 def opened(source: Source) -> tuple[str, Results, SweepRecord | None, list[str]]:
@@ -93,21 +87,19 @@ def two_tables(base: Source, other: Source) -> tuple[list[Arm], list[str]]:
     """All runs of two tables, and notes on how their sweeps differ."""
     arms, notes, sweeps = [], [], []
     for source in (base, other):
-        name, results, sweep, said = opened(source)
-        arms.append(Arm(name, results, np.arange(results.rows), keys_of(results)))
+        name, results, sweep, incomplete = opened(source)
+        arms.append(Arm(name, results, _runs_of(results)))
         sweeps.append(sweep)
-        notes += said
+        notes += incomplete
     if arms[0].name == arms[1].name:
         arms = [dataclasses.replace(arm, name=f"{arm.name} ({word})") for arm, word in zip(arms, "AB", strict=True)]
-    names = list({name: None for arm in arms for name in arm.keys})
-    for i, (arm, sweep) in enumerate(zip(arms, sweeps, strict=True)):
-        fixed: dict[str, np.ndarray] = {}
-        for name in (name for name in names if name not in arm.keys):  # what this sweep has fixed, if it has an effect
+    names = list(dict.fromkeys(name for arm in arms for name in arm.runs))
+    for arm, sweep in zip(arms, sweeps, strict=True):
+        for name in [name for name in names if name not in arm.runs]:  # fixed by this sweep, if it has an effect
             value: Any = None
             if sweep is not None and name not in columns_of(arm.results, "randomized"):
                 value = sweep.parameters[name] if name in sweep.parameters else label_of(sweep.fields.get(name))
-            fixed[name] = np.full(len(arm.rows), math.nan if value is None else value)
-        arms[i] = dataclasses.replace(arm, keys={**arm.keys, **fixed})
+            arm.runs[name] = math.nan if value is None else value
     if all(sweeps):
         first, second = ({**each.fields, **each.fields["set"]} for each in sweeps if each is not None)
         varied = {"set", *names, *(name for each in sweeps if each is not None for name in each.labelled)}
@@ -125,33 +117,37 @@ def values_of(source: Source, by: str, base: Value | None) -> tuple[list[Arm], l
         ParameterError: there is no such column, or it has no such value, or one value only.
     """
     _, results, _, notes = opened(source)
-    keys = keys_of(results)
-    check_name(by, [*keys], "by")
-    column = keys.pop(by)
-    values = _in_order(column)
+    runs = _runs_of(results)
+    check_name(by, [*runs], "by")
+    values = _values(runs[by])
     if len(values) < 2:
         raise ParameterError(f"by is {by!r}, which has the one value {value_text(values[0])}: nothing can be compared.")
     first = ("none" if "none" in values else values[0]) if base is None else value_among(base, values, "base")
-    everyone = Arm("", results, np.arange(results.rows), keys)
-    arms = [
-        dataclasses.replace(everyone.take(column == value), name=value_text(value))
-        for value in (first, *(value for value in values if value != first))
-    ]
-    return arms, notes
+    values = [first, *(value for value in values if value != first)]
+    return [Arm(value_text(value), results, runs[runs[by] == value].drop(columns=by)) for value in values], notes
 
 
-def keys_of(results: Results) -> dict[str, np.ndarray]:
-    """The varied columns, (rows,) each; what a run does not have is NaN, or an empty text."""
-    found = {}
+def _runs_of(results: Results) -> pd.DataFrame:
+    """All runs of a table with their varied columns."""
+    import pandas as pd
+
+    found: dict[str, Any] = {}
     for name, values in results.columns(columns_of(results, "varied")):
         text = values.dtype == object
-        found[name] = np.array(["" if each is None else str(each) for each in values]) if text else values.astype(float)
-    return found
+        texts = ["" if each is None else str(each) for each in values] if text else []
+        found[name] = np.array(texts, object) if text else values.astype(float)
+    return pd.DataFrame(found, index=range(results.rows))
 
 
-def absent(values: np.ndarray) -> np.ndarray:
-    """Where a key has no value, (n,) bool."""
-    return values == "" if values.dtype.kind == "U" else np.isnan(values)
+def _absent(values: Any) -> Any:
+    """Where a column, or each of several, has no value."""
+    return values.isna() | (values == "")
+
+
+def _values(column: pd.Series) -> list[Value]:
+    """The different values of a column, in the order in which they come."""
+    values: list[Value] = column[~_absent(column)].unique().tolist()
+    return values
 
 
 def check_name(name: str, known: Sequence[str], option: str) -> None:
@@ -183,12 +179,6 @@ def value_text(value: Value) -> str:
     return value if isinstance(value, str) else f"{value:.10g}"
 
 
-def _in_order(values: np.ndarray) -> list[Value]:
-    """The different values of a column, in the order in which they come."""
-    distinct, first = np.unique(values[~absent(values)], return_index=True)
-    return distinct[np.argsort(first)].tolist()
-
-
 # ---
 # Confidence intervals of a mean over variants whose runs are repeated: a two-stage bootstrap.
 #
@@ -210,8 +200,7 @@ _LEVEL: Final = 0.95
 _HELD: Final = 4_000_000
 
 
-@dataclasses.dataclass(frozen=True)
-class Interval:
+class Interval(NamedTuple):
     """Estimates of m metrics, (m,) each.
 
     Attributes:
@@ -308,51 +297,36 @@ class Pairing:
     runs are averaged, or in groups by this key those of one value.
 
     Attributes:
-        base, other: their runs, with variants and seeds.
-        variants: how many there are in common.
-        values: the keys of the common variants, name -> (variants,).
-        alone: keys that one side has alone.
+        sides: the base's runs and the other's, with variants and seeds.
+        values: the keys of the common variants, a line for each.
+        alone: keys that one side has alone, and which one does, 0 or 1.
         notes: what is averaged or left out, in sentences.
     """
 
-    base: Arm
-    other: Arm
-    variants: int
-    values: Mapping[str, np.ndarray]
-    alone: tuple[str, ...]
+    sides: tuple[Arm, Arm]
+    values: pd.DataFrame
+    alone: Mapping[str, int]
     notes: tuple[str, ...]
 
-    def groups(self, names: Sequence[str]) -> Iterator[tuple[dict[str, Value], Pairing]]:
-        """One pairing for each combination of values of some keys."""
-        label = np.zeros(self.variants, int)
+    def groups(self, names: Sequence[str]) -> Iterator[tuple[dict[str, Value], Sequence[Arm]]]:
+        """The two sides of each combination of values of some keys."""
         for name in names:
             check_name(name, [*self.values, *self.alone], "for")
-            if name in self.alone:
-                continue
-            code = _codes(self.values[name])
-            label = np.unique(label * (code.max(initial=0) + 1) + code, return_inverse=True)[1]
+        shared, alone = ([name for name in names if (name in self.alone) == one] for one in (False, True))
+        label = _numbered(self.values[shared])
         for each in np.unique(label):
             here = label == each
-            first = int(here.argmax())
-            sides = (side.take(here[side.variant]) for side in (self.base, self.other))
-            whole = dataclasses.replace(self, base=next(sides), other=next(sides))
-            known = {name: self.values[name][first].item() for name in names if name in self.values}
-            for values, part in whole._by_value([name for name in names if name in self.alone]):
-                yield {name: (known | values)[name] for name in names}, part
-
-    def _by_value(self, names: Sequence[str]) -> Iterator[tuple[dict[str, Value], Pairing]]:
-        """One pairing for each combination of values of keys that one side has alone."""
-        if not names:
-            yield {}, self
-            return
-        side = "other" if absent(self.base.keys[names[0]]).all() else "base"
-        runs: Arm = getattr(self, side)
-        column = runs.keys[names[0]]
-        for value in np.unique(column[~absent(column)]):
-            one: dict[str, Any] = {side: runs.take(column == value)}
-            part = dataclasses.replace(self, **one)
-            for more, smallest in part._by_value(names[1:]):
-                yield {names[0]: value.item(), **more}, smallest
+            sides = [side.where(here[side.runs["variant"]]) for side in self.sides]
+            known = {name: self.values[name].iloc[[here.argmax()]].item() for name in shared}
+            columns = [sides[self.alone[name]].runs[name] for name in alone]
+            for values in itertools.product(*(sorted(_values(column)) for column in columns)):
+                part = list(sides)
+                for name, value in zip(alone, values, strict=True):
+                    at = self.alone[name]
+                    part[at] = part[at].where(part[at].runs[name] == value)
+                if all(len(side.runs) for side in part):
+                    known |= dict(zip(alone, values, strict=True))
+                    yield {name: known[name] for name in names}, part
 
 
 def pair(base: Arm, other: Arm) -> Pairing:
@@ -361,66 +335,61 @@ def pair(base: Arm, other: Arm) -> Pairing:
     Raises:
         ParameterError: they have no variant in common.
     """
-    names = list(dict.fromkeys((*base.keys, *other.keys)))
-    base, other = (  # a key that a side lacks is absent in all of its runs
-        dataclasses.replace(arm, keys={name: np.full(len(arm.rows), np.nan) for name in names} | dict(arm.keys))
-        for arm in (base, other)
-    )
-    codes, notes = (np.zeros(len(base.rows), int), np.zeros(len(other.rows), int)), list[str]()
-    values: dict[str, np.ndarray] = {}
-    alone: list[str] = []
-    split = len(base.rows)
-    for name in names:
-        sides = [arm.keys[name] for arm in (base, other)]
-        lacking = [bool(absent(side).all()) for side in sides]
+    import pandas as pd
+
+    sides, notes, alone = (base, other), list[str](), dict[str, int]()
+    keys = pd.concat([base.runs, other.runs], ignore_index=True)  # NaN in a column that a side lacks
+    split, absent = len(base.runs), _absent(keys)
+    for name in list(keys):
+        lacking = [bool(absent[name][:split].all()), bool(absent[name][split:].all())]
         if any(lacking):
+            del keys[name]
             if not all(lacking):
-                one = base if lacking[1] else other
-                alone.append(name)
-                notes.append(f"{name} varies in {one.name} alone, and is averaged there, but for groups by it.")
-            continue
-        joined = np.concatenate(sides)
-        values[name] = joined
-        code = _codes(joined)
-        both = np.unique(np.concatenate(codes) * (code.max(initial=0) + 1) + code, return_inverse=True)[1]
-        codes = both[:split], both[split:]
-    common = np.intersect1d(*codes)
+                alone[name] = lacking.index(False)
+                one = sides[alone[name]].name
+                notes.append(f"{name} varies in {one} alone, and is averaged there, but for groups by it.")
+    code = _numbered(keys)
+    common = np.intersect1d(code[:split], code[split:])
     if not len(common):
-        raise ParameterError(f"{base.name} and {other.name} have no variant in common: {_apart(base, other)}")
-    everything = np.concatenate(codes)
-    place = np.full(int(everything.max()) + 1, -1)
-    place[common] = np.arange(len(common))
-    variants = [place[code] for code in codes]
-    for arm, variant, code in zip((base, other), variants, codes, strict=True):
-        if len(left := np.setdiff1d(code, common)):
-            notes.append(
-                f"{len(left):,} variants are in {arm.name} alone, and left out ({int((variant < 0).sum()):,} runs)."
-            )
-    _, first = np.unique(everything, return_index=True)
-    first = first[np.isin(everything[first], common)]
-    known = all("seed" in arm.results.schema.names for arm in (base, other))
-    seeds = (arm.column("seed") if known else np.full(len(arm.rows), i) for i, arm in enumerate((base, other)))
-    base, other = (
-        dataclasses.replace(arm, variant=at, seed=seed).take(at >= 0)
-        for arm, at, seed in zip((base, other), variants, seeds, strict=True)
-    )
-    kept = {name: column[first] for name, column in values.items()}
-    return Pairing(base, other, len(common), kept, tuple(alone), tuple(notes))
+        raise ParameterError(f"{base.name} and {other.name} have no variant in common: {_first_apart(base, other)}")
+    known = all("seed" in arm.results.schema.names for arm in sides)
+    paired = []
+    for i, (arm, own) in enumerate(zip(sides, (code[:split], code[split:]), strict=True)):
+        there = np.isin(own, common)
+        if not there.all():
+            left = len(np.unique(own[~there]))
+            notes.append(f"{left:,} variants are in {arm.name} alone, and left out ({int((~there).sum()):,} runs).")
+        seed = arm.results.column("seed")[arm.runs.index] if known else i
+        runs = arm.runs.assign(variant=np.searchsorted(common, own), seed=seed)
+        paired.append(dataclasses.replace(arm, runs=runs).where(there))
+    first = np.unique(code, return_index=True)[1][np.isin(np.unique(code), common)]
+    return Pairing((paired[0], paired[1]), keys.iloc[first], alone, tuple(notes))
+
+
+def _numbered(keys: pd.DataFrame) -> np.ndarray:
+    """A number for each combination of keys, (n,): numbers by their order, names in the order in which they come."""
+    import pandas as pd
+
+    label = np.zeros(len(keys), int)
+    for name in keys:
+        text = not pd.api.types.is_numeric_dtype(keys[name])
+        code = pd.factorize(keys[name], sort=not text, use_na_sentinel=False)[0]
+        label = np.unique(label * (code.max(initial=0) + 1) + code, return_inverse=True)[1]
+    return label
 
 
 #: Metrics that say what became of a run; all runs have them.
 OF_ALL_RUNS: Final = ("fell", "diverged")
 
 
-def differences(pairing: Pairing, metrics: Sequence[str]) -> Iterator[dict[str, Any]]:
+def differences(sides: Sequence[Arm], metrics: Sequence[str]) -> Iterator[dict[str, Any]]:
     """The numbers of each metric's row in the table. Failed runs count in `fell` and `diverged` alone."""
-    sides = (pairing.base, pairing.other)
-    well = [side.results.well[side.rows] for side in sides]
-    schema, found = pairing.base.results.schema, dict[str, dict[str, Any]]()
-    at_once = max(1, HELD // max(len(pairing.base.seed) + len(pairing.other.seed), 1))
+    well = [side.results.well[side.runs.index] for side in sides]
+    schema, found = sides[0].results.schema, dict[str, dict[str, Any]]()
+    at_once = max(1, HELD // max(sum(len(side.runs) for side in sides), 1))
     for start in range(0, len(metrics), at_once):
         names = metrics[start : start + at_once]
-        columns = [{name: column[side.rows] for name, column in side.results.columns(names)} for side in sides]
+        columns = [{name: column[side.runs.index] for name, column in side.results.columns(names)} for side in sides]
         alike: dict[bytes, tuple[list[np.ndarray], list[str]]] = {}  # metrics of which the same runs have a number
         for name in names:
             masks = [
@@ -430,7 +399,7 @@ def differences(pairing: Pairing, metrics: Sequence[str]) -> Iterator[dict[str, 
             alike.setdefault(b"".join(each.tobytes() for each in masks), (masks, []))[1].append(name)
         for masks, few in alike.values():
             numbers = [np.stack([column[name] for name in few], axis=1) for column in columns]
-            base, other, known, interval, counts = _compare(sides, numbers, masks)
+            base, other, known, interval, counts = _difference(sides, numbers, masks)
             for i, name in enumerate(few):
                 difference, low, high = (float(each[i]) for each in (interval.estimate, interval.low, interval.high))
                 scale = abs(float(base[i])) if known[i] else math.nan
@@ -447,23 +416,22 @@ def differences(pairing: Pairing, metrics: Sequence[str]) -> Iterator[dict[str, 
     yield from (found[name] for name in metrics)
 
 
-def _compare(
+def _difference(
     sides: Sequence[Arm], numbers: Sequence[np.ndarray], masks: Sequence[np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, Interval, tuple[int, int, int]]:
     """The sides' means over common variants (m,), where the base's is beyond its noise (m,), the interval of their
     difference, and how many variants and runs there are, of numbers (runs, m) where the masks (runs,) hold."""
-    kept = [side.take(mask) for side, mask in zip(sides, masks, strict=True)]
-    numbers = [each[mask] for each, mask in zip(numbers, masks, strict=True)]
-    both = np.intersect1d(kept[0].variant, kept[1].variant)
-    inside = [np.isin(side.variant, both) for side in kept]
-    kept = [side.take(mask) for side, mask in zip(kept, inside, strict=True)]
-    numbers = [each[mask] for each, mask in zip(numbers, inside, strict=True)]
-    variant = [np.searchsorted(both, side.variant) for side in kept]
+    at = [side.runs["variant"].to_numpy() for side in sides]
+    both = np.intersect1d(*(each[mask] for each, mask in zip(at, masks, strict=True)))
     if not len(both):
         nothing = np.full(numbers[0].shape[1], np.nan)
         return nothing, nothing, nothing > 0, Interval(nothing, nothing, nothing, nothing), (0, 0, 0)
-    order = [np.lexsort((side.seed, at)) for side, at in zip(kept, variant, strict=True)]
-    keys = [np.stack([at[index], side.seed[index]]) for side, at, index in zip(kept, variant, order, strict=True)]
+    masks = [mask & np.isin(each, both) for each, mask in zip(at, masks, strict=True)]
+    numbers = [each[mask] for each, mask in zip(numbers, masks, strict=True)]
+    variant = [np.searchsorted(both, each[mask]) for each, mask in zip(at, masks, strict=True)]
+    seed = [side.runs["seed"].to_numpy()[mask] for side, mask in zip(sides, masks, strict=True)]
+    order = [np.lexsort(each) for each in zip(seed, variant, strict=True)]
+    keys = [np.stack([v[by], s[by]]) for v, s, by in zip(variant, seed, order, strict=True)]
     once = keys[0].shape[1] == np.unique(keys[0], axis=1).shape[1]
     if not (once and np.array_equal(keys[0], keys[1])):  # a seed is on one side alone: each side has its own cells
         cell, values = np.concatenate([variant[0], variant[1] + len(both)]), np.concatenate([-numbers[0], numbers[1]])
@@ -478,22 +446,12 @@ def _compare(
     return base, other, known, two_stage(values, cell, owner), (len(both), len(variant[0]), len(variant[1]))
 
 
-def _codes(values: np.ndarray) -> np.ndarray:
-    """A whole number for each different value: numbers by their order, names in the order in which they come."""
-    _, first, code = np.unique(values, return_index=True, return_inverse=True)
-    codes: np.ndarray = np.argsort(np.argsort(first))[code] if values.dtype.kind == "U" else code
-    return codes
-
-
-def _apart(base: Arm, other: Arm) -> str:
+def _first_apart(base: Arm, other: Arm) -> str:
     """The first key of which they share no value, in words."""
-    for name, column in base.keys.items():
-        here, there = (np.unique(each[~absent(each)]) for each in (column, other.keys.get(name, column)))
-        if len(here) and len(there) and not len(np.intersect1d(here, there)):
-            first, second = (
-                ", ".join(map(value_text, each[:4].tolist())) + (", ..." if len(each) > 4 else "")
-                for each in (here, there)
-            )
+    for name in base.runs:
+        values = [sorted(_values(arm.runs[name])) for arm in (base, other) if name in arm.runs]
+        if len(values) == 2 and all(values) and not set(values[0]) & set(values[1]):
+            first, second = (", ".join(map(value_text, each[:4])) + ", ..." * (len(each) > 4) for each in values)
             return f"{name} is {first} in the one and {second} in the other."
     return "each combination of values is in one of them alone."
 
@@ -625,10 +583,9 @@ def compare(
     arms, notes = values_of(a, str(by), base) if b is None else two_tables(a, b)
     for i, arm in enumerate(arms):
         for name, wanted in (where or {}).items():
-            check_name(name, [*arm.keys], "where")
-            value = value_among(wanted, _in_order(arm.keys[name]), f"where {name}")
-            arm = arm.take(arm.keys[name] == value)
-        if not len(arm.rows):
+            check_name(name, [*arm.runs], "where")
+            arm = arm.where(arm.runs[name] == value_among(wanted, _values(arm.runs[name]), f"where {name}"))
+        if not len(arm.runs):
             values = ", ".join(f"{name} = {value}" for name, value in (where or {}).items())
             raise ParameterError(f"no run of {arm.name} is left with {values}.")
         arms[i] = arm
@@ -643,14 +600,14 @@ def compare(
     for other in arms[1:]:
         pairing = pair(arms[0], other)
         notes += pairing.notes
-        if 1 < pairing.variants <= FEW_VARIANTS and not groups:
+        if 1 < len(pairing.values) <= FEW_VARIANTS and not groups:
             notes.append(
-                f"The means are over {pairing.variants} variants only: their intervals are meant for variants "
+                f"The means are over {len(pairing.values)} variants only: their intervals are meant for variants "
                 "in general, and wide; groups have an interval for each variant."
             )
-        for side in (pairing.base, pairing.other):
-            words, counts = np.unique(side.results.column("status")[side.rows].astype(str), return_counts=True)
-            status.setdefault(side.name, dict(zip(words.tolist(), counts.tolist(), strict=True)))
+        for side in pairing.sides:
+            counts = collections.Counter(side.results.column("status")[side.runs.index].tolist())
+            status.setdefault(side.name, dict(sorted(counts.items())))
         lines += _lines(pairing, shared, ())
         lines += _lines(pairing, shared, groups) if groups else []
     if not any(math.isfinite(line["low"]) for line in lines):
@@ -676,9 +633,9 @@ def better(field: pa.Field) -> str:
 def _lines(pairing: Pairing, metrics: Sequence[str], groups: Sequence[str]) -> list[dict[str, Any]]:
     """Rows of the table about all variants, whose metrics form one family of tests, or about each group, where
     the tests of one metric form a family."""
-    parts = list(pairing.groups(groups)) if groups else [({}, pairing)]
+    parts = list(pairing.groups(groups)) if groups else [({}, pairing.sides)]
     lines = [
-        {"other": pairing.other.name, "group": place if groups else -1, **label, **line}
+        {"other": pairing.sides[1].name, "group": place if groups else -1, **label, **line}
         for place, (label, part) in enumerate(parts)
         for line in differences(part, metrics)
     ]
