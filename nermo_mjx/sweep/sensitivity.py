@@ -7,7 +7,7 @@ import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -25,9 +25,8 @@ from nermo_mjx.sweep.comparing import Source, opened
 from nermo_mjx.sweep.results import Results
 from nermo_mjx.sweep.table import LEADING, Columns, columns_of, labelled, report_table
 
-#: Resamples of SALib's bootstrap, the same ones in each call.
-RESAMPLES: Final = 1000
-_SEED: Final = 1  # SALib takes 0 for none
+#: Resamples of SALib's bootstrap, the same ones in each call; SALib takes a seed of 0 for none.
+_BOOTSTRAP: Final[dict[str, Any]] = {"num_resamples": 1000, "seed": 1}
 #: Variants that the method for given data needs at least: it sorts them, and takes a spectrum.
 _FEWEST: Final = 65
 _HARMONICS: Final = 10
@@ -105,27 +104,26 @@ def sensitivity(source: Source, metric: str = LEADING) -> Sensitivity:
         raise ParameterError(
             f"sample is {sampler}, whose variants are not drawn at random: run a sweep with sample: {{saltelli: 256}}."
         )
-    method, columns, noises = "sobol" if sampler == "saltelli" else "rbd_fast", Columns(), list[float]()
-    lines: list[dict[str, Any]] = []
+    method, noises, lines = "sobol" if sampler == "saltelli" else "rbd_fast", list[float](), list[dict[str, Any]]()
     structures = {name: results.column(name) for name in labelled(results)}
     keys = list(zip(*structures.values(), strict=True)) if structures else [()] * results.rows
     for key in dict.fromkeys(keys):
-        labels = dict(zip(structures, key, strict=True))
-        data = _Data.of(results, metric, np.flatnonzero([each == key for each in keys]))
-        found = _sobol(data, pairs) if method == "sobol" else _given(data)
-        lines += [labels | line for line in found]
-        notes += data.notes
+        data = _data_of(results, metric, np.flatnonzero([each == key for each in keys]), notes)
+        found = _sobol(data, pairs, notes) if method == "sobol" else _given(data)
+        lines += [dict(zip(structures, key, strict=True)) | line for line in found]
         noises.append(data.noise)
+    noise = float(np.mean(noises))
     if method == "rbd_fast":
         notes.append("Interactions are not known from this sample: sample: {saltelli: N} gives total indices, too.")
     if columns_of(results, "randomized") and columns_of(results, "varied"):
-        noise, about_noise = float(np.mean(noises)), "; one repeat does not tell how much it is: give repeats"
+        about_noise = "; one repeat does not tell how much it is: give repeats"
         if math.isfinite(noise):
             rest = "a total index of a parameter without effect is about as large"
             rest = rest if method == "sobol" else "which no parameter explains"
             about_noise = f", {noise:.1%} of the variance: {rest}".replace("%", " %")
         notes.append(f"What is randomized counts as noise{about_noise}.")
-    for name in labelled(results):
+    notes, columns = list(dict.fromkeys(notes)), Columns()
+    for name in structures:
         columns.add(name, np.array([line[name] for line in lines]), "varied", "1", name, scale="structure")
     for name, role, text in (
         ("parameter", "index", "varied parameter"),
@@ -135,22 +133,13 @@ def sensitivity(source: Source, metric: str = LEADING) -> Sensitivity:
         ("low", "metric", "lower end of its 95 % interval"),
         ("high", "metric", "upper end of it"),
     ):
-        columns.add(
-            name, np.array([line[name] for line in lines], float if role == "metric" else None), role, "1", text
-        )
-    table = columns.table(
-        {
-            "sensitivity": metric,
-            "method": method,
-            "noise": float(np.mean(noises)),
-            "notes": "\n".join(dict.fromkeys(notes)),
-        }
-    )
-    return Sensitivity(table, metric, method, float(np.mean(noises)), tuple(dict.fromkeys(notes)))
+        values = np.array([line[name] for line in lines], float if role == "metric" else None)
+        columns.add(name, values, role, "1", text)
+    table = columns.table({"sensitivity": metric, "method": method, "noise": noise, "notes": "\n".join(notes)})
+    return Sensitivity(table, metric, method, noise, tuple(notes))
 
 
-@dataclasses.dataclass
-class _Data:
+class _Data(NamedTuple):
     """A metric over the variants of one structure.
 
     Attributes:
@@ -158,50 +147,46 @@ class _Data:
         inputs: their values, (variants, p).
         means: the metric's mean over the successful runs, (variants,); NaN where there is none.
         noise: share of the variance of the means that the repeats make.
-        notes: sentences.
     """
 
     names: list[str]
     inputs: np.ndarray
     means: np.ndarray
     noise: float
-    notes: list[str]
 
-    @classmethod
-    def of(cls, results: Results, metric: str, rows: np.ndarray) -> _Data:
-        numbers = [name for name in columns_of(results, "varied") if name not in labelled(results)]
-        names = numbers or columns_of(results, "randomized")
-        variant = results.column("variant")[rows] if numbers else rows
-        number, place = np.unique(variant, return_inverse=True)
-        _, first = np.unique(place, return_index=True)
-        values = results.column(metric)[rows]
-        good = results.well[rows] & np.isfinite(values)
-        count = np.bincount(place[good], minlength=len(number))
-        with np.errstate(invalid="ignore"):
-            means = np.bincount(place[good], values[good], len(number)) / count
-        spread = np.bincount(place[good], (values[good] - means[place[good]]) ** 2, len(number))
-        several = count > 1
-        within = np.mean(spread[several] / (count[several] - 1) / count[several]) if several.any() else math.nan
-        whole = np.nanvar(means) if count.any() else math.nan
-        inputs = np.column_stack([column[rows][first] for _, column in results.columns(names)])
-        read = ~np.isnan(inputs).all(axis=0)  # in this structure
-        lost = int((count == 0).sum())
-        notes = (
-            [f"{int((~good).sum()):,} of {len(good):,} runs fell or were lost, {lost:,} variants with all of theirs."]
-            if lost or not good.all()
-            else []
+
+def _data_of(results: Results, metric: str, rows: np.ndarray, notes: list[str]) -> _Data:
+    """The data of the structure of some rows (n,); notes about lost runs are added."""
+    numbers = [name for name in columns_of(results, "varied") if name not in labelled(results)]
+    names = numbers or columns_of(results, "randomized")
+    variant = results.column("variant")[rows] if numbers else rows
+    number, first, place = np.unique(variant, return_index=True, return_inverse=True)
+    values = results.column(metric)[rows]
+    good = results.well[rows] & np.isfinite(values)
+    count = np.bincount(place[good], minlength=len(number))
+    with np.errstate(invalid="ignore"):
+        means = np.bincount(place[good], values[good], len(number)) / count
+    spread = np.bincount(place[good], (values[good] - means[place[good]]) ** 2, len(number))
+    several = count > 1
+    within = np.mean(spread[several] / (count[several] - 1) / count[several]) if several.any() else math.nan
+    whole = np.nanvar(means) if count.any() else math.nan
+    inputs = np.column_stack([column[rows][first] for _, column in results.columns(names)])
+    read = ~np.isnan(inputs).all(axis=0)  # in this structure
+    if not good.all():
+        notes.append(
+            f"{int((~good).sum()):,} of {len(good):,} runs fell or were lost, {int((count == 0).sum()):,} variants "
+            "with all of theirs."
         )
-        if count.any() and whole <= (1e-12 * np.nanmax(np.abs(means))) ** 2:
-            raise ParameterError(f"metric is {metric!r}, which is the same in all variants: it depends on nothing.")
-        noise = float(min(within / whole, 1.0)) if whole > 0 else math.nan
-        kept = [name for name, there in zip(names, read, strict=True) if there]
-        return cls(kept, inputs[:, read], means, noise, notes)
+    if count.any() and whole <= (1e-12 * np.nanmax(np.abs(means))) ** 2:
+        raise ParameterError(f"metric is {metric!r}, which is the same in all variants: it depends on nothing.")
+    noise = float(min(within / whole, 1.0)) if whole > 0 else math.nan
+    return _Data([name for name, there in zip(names, read, strict=True) if there], inputs[:, read], means, noise)
 
 
-def _sobol(data: _Data, pairs: bool) -> Iterator[dict[str, Any]]:
+def _sobol(data: _Data, pairs: bool, notes: list[str]) -> Iterator[dict[str, Any]]:
     from SALib.analyze import sobol
 
-    block = saltelli_size(len(data.names), pairs)
+    names, block = data.names, saltelli_size(len(data.names), pairs)
     if len(data.means) % block:
         raise ParameterError(
             f"the table has {len(data.means):,} variants, not whole blocks of {block}: finish the sweep first."
@@ -209,24 +194,18 @@ def _sobol(data: _Data, pairs: bool) -> Iterator[dict[str, Any]]:
     blocks = data.means.reshape(-1, block)
     whole = np.isfinite(blocks).all(axis=1)
     if lost := int((~whole).sum()):
-        data.notes.append(
+        notes.append(
             f"{lost:,} of {len(blocks):,} points are left out, of which a variant has no run that went "
             "well: the indices are of where the robot walks."
         )
     if whole.sum() < 4:
         raise ParameterError(f"only {int(whole.sum())} points have all of their variants: too few for indices.")
-    found = sobol.analyze(
-        unit_problem(len(data.names)),
-        blocks[whole].ravel(),
-        calc_second_order=pairs,
-        num_resamples=RESAMPLES,
-        seed=_SEED,
-    )
-    for i, name in enumerate(data.names):
+    found = sobol.analyze(unit_problem(len(names)), blocks[whole].ravel(), calc_second_order=pairs, **_BOOTSTRAP)
+    for i, name in enumerate(names):
         yield _line(name, "first", found["S1"][i], found["S1_conf"][i])
         yield _line(name, "total", found["ST"][i], found["ST_conf"][i])
-    for i, j in itertools.combinations(range(len(data.names)), 2) if pairs else ():
-        yield _line(data.names[i], "second", found["S2"][i, j], found["S2_conf"][i, j], data.names[j])
+    for i, j in itertools.combinations(range(len(names)), 2) if pairs else ():
+        yield _line(names[i], "second", found["S2"][i, j], found["S2_conf"][i, j], names[j])
 
 
 def _given(data: _Data) -> Iterator[dict[str, Any]]:
@@ -235,27 +214,15 @@ def _given(data: _Data) -> Iterator[dict[str, Any]]:
     good = np.isfinite(data.means)
     if good.sum() < _FEWEST:
         raise ParameterError(f"{int(good.sum())} variants went well: RBD-FAST needs {_FEWEST} or more.")
-    found = rbd_fast.analyze(
-        unit_problem(len(data.names)),
-        data.inputs[good],
-        data.means[good],
-        M=_HARMONICS,
-        num_resamples=RESAMPLES,
-        seed=_SEED,
-    )
+    problem = unit_problem(len(data.names))
+    found = rbd_fast.analyze(problem, data.inputs[good], data.means[good], M=_HARMONICS, **_BOOTSTRAP)
     for i, name in enumerate(data.names):
         yield _line(name, "first", found["S1"][i], found["S1_conf"][i])
 
 
 def _line(parameter: str, order: str, index: float, half: float, second: str = "") -> dict[str, Any]:
-    return {
-        "parameter": parameter,
-        "second": second,
-        "order": order,
-        "index": float(index),
-        "low": float(index - half),
-        "high": float(index + half),
-    }
+    ends = {"index": float(index), "low": float(index - half), "high": float(index + half)}
+    return {"parameter": parameter, "second": second, "order": order, **ends}
 
 
 def strongest(table: pa.Table) -> list[str]:
@@ -294,46 +261,39 @@ def figures(out: Path) -> Figures:
 def figures_of(table: pa.Table) -> Iterator[tuple[str, Figure]]:
     """(file name, figure) of a table of indices; a panel for each structure, and one for its pairs."""
     about = {key.decode(): value.decode() for key, value in (table.schema.metadata or {}).items()}
-    lines, metric = table.to_pylist(), about["sensitivity"]
-    structures = labelled(table)
+    lines, metric, structures = table.to_pylist(), about["sensitivity"], labelled(table)
     parts = list(dict.fromkeys(tuple(line[name] for name in structures) for line in lines))[:_MOST_PANELS]
     names = strongest(table)[:_MOST_PARAMETERS]
-    pairs = any(line["order"] == "second" for line in lines)
+    orders = list(dict.fromkeys(line["order"] for line in lines))
+    pairs, single = "second" in orders, "total" not in orders
     columns = 2 if pairs else min(len(parts), 2)
     rows = len(parts) if pairs else -(-len(parts) // columns)
     size = (5.6 if columns == 1 else 9.6, rows * (0.34 * len(names) + 0.9) + 1.2)
     page = Page(f"What {spoken(metric)} depends on", size, rows, columns)
-    axes = page.axes.ravel()
-    places = iter(axes)
+    places = iter(page.axes.ravel())
     for part in parts:
         own = [line for line in lines if tuple(line[name] for name in structures) == part]
         title = ", ".join(f"{name} {value}" for name, value in zip(structures, part, strict=True))
-        _bars(next(places), own, names, title)
+        ax = next(places)
+        for order, shift in (("total", 0.19), ("first", 0.0 if single else -0.19)):
+            of_order = {line["parameter"]: line for line in own if line["order"] == order}
+            there = [place for place, name in enumerate(names) if name in of_order]
+            _bars(ax, np.array(there) + shift, [of_order[names[place]] for place in there], 0.38 if shift else 0.6)
+        _finish(ax, names, title)
         if pairs:
-            both = sorted((line for line in own if line["order"] == "second"), key=lambda line: -line["index"])
-            ax, both = next(places), both[:_MOST_PAIRS]
-            _draw(ax, np.arange(len(both), dtype=float), both, 0.6)
+            ax, both = next(places), [line for line in own if line["order"] == "second"]
+            both = sorted(both, key=lambda line: -line["index"])[:_MOST_PAIRS]
+            _bars(ax, np.arange(len(both), dtype=float), both, 0.6)
             _finish(ax, [f"{line['parameter']}\n{line['second']}" for line in both], title)
     for ax in places:
         ax.remove()
-    orders = dict.fromkeys(line["order"] for line in lines)
     handles = [Patch(fc=_COLOURS[order], label=_WORDS[order]) for order in orders]
     more = len(strongest(table)) - len(names)
     note = "share of the variance; lines: 95 % intervals" + f"; {more} weaker ones are in the table" * (more > 0)
     yield f"{metric}-sensitivity", page.finish(handles, f"{note}\n{about['notes']}".strip())
 
 
-def _bars(ax: Axes, lines: Sequence[Line], names: Sequence[str], title: str) -> None:
-    orders = [order for order in ("total", "first") if any(line["order"] == order for line in lines)]
-    for order in orders:
-        own = {line["parameter"]: line for line in lines if line["order"] == order}
-        shift = 0.0 if len(orders) == 1 else -0.19 if order == "first" else 0.19
-        there = [(place, own[name]) for place, name in enumerate(names) if name in own]
-        _draw(ax, np.array([place + shift for place, _ in there]), [line for _, line in there], 0.38 if shift else 0.6)
-    _finish(ax, names, title)
-
-
-def _draw(ax: Axes, places: np.ndarray, lines: Sequence[Line], height: float) -> None:
+def _bars(ax: Axes, places: np.ndarray, lines: Sequence[Line], height: float) -> None:
     if lines:
         values = np.array([[line["index"], line["low"], line["high"]] for line in lines])
         ax.barh(places, values[:, 0], height, color=_COLOURS[lines[0]["order"]])
