@@ -265,9 +265,14 @@ def _plain(value: Any) -> Any:
 
 def changes(there: Mapping[str, Any], here: Mapping[str, Any]) -> list[str]:
     """Where two mappings of fields differ, as "seed (3 there, 4 here)"."""
+    return [f"{name} ({before} there, {now} here)" for name, (before, now) in differing(there, here).items()]
+
+
+def differing(there: Mapping[str, Any], here: Mapping[str, Any]) -> dict[str, tuple[Any, Any]]:
+    """Both values of each field in which two mappings differ, by its dotted name; or the word absent."""
     before, now = dict(_leaves(there)), dict(_leaves(here))
-    return [f"{name} ({before.get(name, 'absent')} there, {now.get(name, 'absent')} here)"
-            for name in {**before, **now} if before.get(name) != now.get(name)]  # fmt: skip
+    both = {name: (before.get(name, "absent"), now.get(name, "absent")) for name in {**before, **now}}
+    return {name: (a, b) for name, (a, b) in both.items() if a != b}
 
 
 def _leaves(data: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:

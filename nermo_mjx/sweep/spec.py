@@ -54,7 +54,7 @@ def _listed(given: Any) -> Any:
 def _names(given: Any) -> Any:
     if not isinstance(given := _listed(given), list) or not all(isinstance(name, str) for name in given):
         raise Refused(f"is {describe(given)}: expected a list of varied parameters.")
-    return given
+    return list(dict.fromkeys(given))
 
 
 class AskedComparison(Fields):
@@ -73,34 +73,26 @@ class AskedComparison(Fields):
         return self.model_dump(by_alias=True, exclude_none=True)
 
 
-def read_comparison(
-    doc: Document, fields: AskedComparison | None, varied: Mapping[str, Sequence[Value] | None]
-) -> AskedComparison | None:
-    """Check the section `compare`.
+def check_comparison(doc: Document, fields: AskedComparison, varied: Mapping[str, Sequence[Value] | None]) -> None:
+    """Fail where the section `compare` names what cannot be compared.
 
     Args:
         varied: the values of each varied column; None where they are drawn between bounds.
     """
-    if fields is None:
-        return None
-    for path, name in ((("compare", "by"), fields.by), *((("compare", "for"), name) for name in fields.groups)):
+    for field, name in (("by", fields.by), *(("for", name) for name in fields.groups)):
         if name not in varied:
-            doc.fail(
-                path,
-                f"names {name!r}, which is not varied{did_you_mean(name, varied)} Varied: "
-                f"{', '.join(varied) or 'nothing'}.",
-            )
-        if varied[name] is None:
-            doc.fail(
-                path,
-                f"names {name!r}, which is drawn between bounds, so that no two variants share a value: "
-                "list its values.",
-            )
+            there = ", ".join(varied) or "nothing"
+            why = f"which is not varied{did_you_mean(name, varied)} Varied: {there}."
+        elif varied[name] is None:
+            why = "which is drawn between bounds, so that no two variants share a value: list its values."
+        elif field == "by" and len(varied[name] or ()) < 2:
+            why = "which has one value: there is nothing to compare."
+        elif field == "for" and name == fields.by:
+            why = "whose values are compared: name other columns."
+        else:
+            continue
+        doc.fail(("compare", field), f"names {name!r}, {why}")
     values = list(varied[fields.by] or ())
-    if len(values) < 2:
-        doc.fail(("compare", "by"), f"names {fields.by!r}, which has one value: there is nothing to compare.")
-    if fields.by in fields.groups:
-        doc.fail(("compare", "for"), f"names {fields.by!r}, whose values are compared: name other columns.")
     if fields.base is not None and fields.base not in values:
         listed = [value if isinstance(value, str) else f"{value:g}" for value in values]
         doc.fail(
@@ -108,7 +100,6 @@ def read_comparison(
             f"is {describe(fields.base)}, no value of {fields.by}; allowed are "
             f"{', '.join(listed)}{did_you_mean(str(fields.base), listed)}",
         )
-    return fields.model_copy(update={"groups": list(dict.fromkeys(fields.groups))})
 
 
 # ---
@@ -188,10 +179,8 @@ class Keep(Fields):
     unsolved: Annotated[int, Whole(0, MOST_KEPT)] = Field(0, description="number for which the solver did not converge")
 
 
-def read_saving(doc: Document, given: SaveFields | None, setup: Setup) -> Saving | None:
+def read_saving(doc: Document, given: SaveFields, setup: Setup) -> Saving:
     """What is saved, of signals that the robot has, at a rate that its controller has."""
-    if given is None:
-        return None
     if not given.sensors:
         doc.fail(("save", "sensors"), "is an empty list: name sensors, such as [gyro, foot_force].")
     saving = Saving(tuple(given.sensors), float(given.rate))
@@ -271,17 +260,6 @@ def narrowest(structures: Sequence[Structure]) -> dict[str, Quantity]:
     }
 
 
-def values_of(sweep: Sweep) -> dict[str, list[Value] | None]:
-    """The values of each varied column; None where they are drawn between bounds."""
-    values: dict[str, list[Value] | None] = {
-        name: list(dict.fromkeys(each.labels[name] for each in sweep.structures)) for name in sweep.labelled
-    }
-    for axis in sweep.axes:
-        values[axis.name] = axis.values().tolist() if sweep.sampler == "grid" or axis.form == "values" else None
-    rows = {} if sweep.rows is None else sweep.rows.values
-    return values | {name: np.unique(column[~np.isnan(column)]).tolist() for name, column in rows.items()}
-
-
 def check_together(doc: Document, sweep: Sweep) -> None:
     """What no field shows alone: a parameter with two sources, or with no effect, and a sweep too large or empty."""
     section = "vary" if sweep.rows is None else "rows"
@@ -312,6 +290,15 @@ def check_together(doc: Document, sweep: Sweep) -> None:
         tried["vary"] = {axis.name: axis.tried(grid=sweep.sampler == "grid") for axis in sweep.axes}
     for setup in {(each.gait, each.routing): each for each in setups}.values():
         check_workspace(doc, setup, sweep.fixed, tried)
+    if sweep.comparison is not None:
+        values: dict[str, list[Value] | None] = {
+            name: list(dict.fromkeys(each.labels[name] for each in sweep.structures)) for name in sweep.labelled
+        }
+        for axis in sweep.axes:
+            values[axis.name] = axis.values().tolist() if sweep.sampler == "grid" or axis.form == "values" else None
+        for name, column in ({} if sweep.rows is None else sweep.rows.values).items():
+            values[name] = np.unique(column[~np.isnan(column)]).tolist()
+        check_comparison(doc, sweep.comparison, values)
     if (rows := sweep.rows) is None:
         return
     for at, walk in enumerate(sweep.structures):
@@ -331,21 +318,17 @@ _NOT_DECISIVE = ("chunk", "plots", "compare", "keep")
 class Sweep(WalkSpec, Described):
     """A checked sweep. Build it with `from_file`, `from_text` or `from_dict`.
 
+    The fields from `seed` on are those of `SweepFile`, which documents them; `comparison` is its section `compare`.
+
     Attributes:
         setup, run, fixed, pilot: see `WalkSpec`; where structures vary, those of the first one.
         axes: varied parameters in the order of the file.
         sampler, samples: "grid" or "rows", or a sampler and its number of points.
-        second_order: whether a design of Saltelli's has the variants for indices of pairs.
         draws, repeats: randomized parameters; each variant is drawn and run `repeats` times.
         structures: each combination of the varied structures, at least one; see `Structure`.
         rows: the variants, where they are given one by one.
         bodies: "identified", if each run has a body of that ensemble; else None.
-        seed: makes samples and draws repeatable.
-        chunk: rows run and stored together; None lets the runner choose.
-        plots: whether figures are drawn when the table is complete.
-        comparison: what is compared when it is; None if nothing is.
-        save: which time series are kept beside the table, if any.
-        keep: which rows are recorded when the table is complete, if any.
+        second_order: whether a design of Saltelli's has the variants for indices of pairs.
     """
 
     kind: ClassVar = "sweep"
@@ -357,9 +340,9 @@ class Sweep(WalkSpec, Described):
     structures: tuple[Structure, ...]
     rows: RowList | None = None
     bodies: str | None = None
+    second_order: bool = False
     seed: int = 0
     chunk: int | None = None
-    second_order: bool = False
     plots: bool = True
     comparison: AskedComparison | None = None
     save: Saving | None = None
@@ -448,17 +431,12 @@ class Sweep(WalkSpec, Described):
         bodies = {"from": self.bodies} if self.bodies else {}
         named = [draw for draw in self.draws if not draw.implied]
         data["randomize"] = {"repeats": self.repeats} | bodies | {draw.name: draw.written() for draw in named}
-        data["seed"] = self.seed
-        if self.chunk is not None:
-            data["chunk"] = self.chunk
-        data["plots"] = self.plots
+        data |= {name: getattr(self, name) for name in ("seed", "chunk", "plots") if getattr(self, name) is not None}
         if self.comparison is not None:
             data["compare"] = self.comparison.written()
         if self.save is not None:
             data["save"] = {"sensors": list(self.save.sensors), "rate": float(self.save.rate)}
-        if self.keep is not None:
-            data["keep"] = self.keep.model_dump()
-        return data
+        return data | ({} if self.keep is None else {"keep": self.keep.model_dump()})
 
     def kept_rows(self) -> tuple[str, bytes]:
         """Name and content of the file that a directory has of the rows; only where they are given one by one."""
@@ -508,15 +486,12 @@ def _read(doc: Document) -> Sweep:
         rows = listed_rows(table, structures, at, parameters)
     sampler, samples = file.sample.chosen if rows is None else ("rows", len(rows))
     design = samples if isinstance(samples, Saltelli) else None
-    varied = file.vary.model_extra or {}
+    varied, drawn = file.vary.model_extra or {}, file.randomize.model_extra or {}
     axes = [read_axis(doc, name, form, parameters[name], grid=sampler == "grid") for name, form in varied.items()]
-    drawn = file.randomize.model_extra or {}
     first = structures[0]
     sweep = Sweep(
-        setup=first.setup,
-        run=first.run,
-        fixed=first.fixed,
-        pilot=first.pilot,
+        **{name: getattr(first, name) for name in ("setup", "run", "fixed", "pilot")},
+        **{name: getattr(file, name) for name in ("seed", "chunk", "plots", "keep")},
         axes=tuple(axes),
         sampler=sampler,
         samples=(samples if design is None else design.points) or 0,
@@ -526,14 +501,10 @@ def _read(doc: Document) -> Sweep:
         structures=structures,
         rows=rows,
         bodies=file.randomize.bodies,
-        seed=file.seed,
-        chunk=file.chunk,
-        plots=file.plots,
-        save=read_saving(doc, file.save, first.setup),
-        keep=file.keep,
+        comparison=file.compare,
+        save=None if file.save is None else read_saving(doc, file.save, first.setup),
     )
     check_together(doc, sweep)
-    sweep = dataclasses.replace(sweep, comparison=read_comparison(doc, file.compare, values_of(sweep)))
     return sweep if sweep.repeats == 1 else dataclasses.replace(sweep, draws=(*sweep.draws, *start_draws(sweep)))
 
 

@@ -27,7 +27,7 @@ from nermo_mjx.runs.files import DirectoryError, clear_errors, content_of, creat
 from nermo_mjx.runs.rows import FORMER, keys_of, retire
 from nermo_mjx.runs.text import to_json
 from nermo_mjx.specs.controllers import code_identity, with_code_copied
-from nermo_mjx.specs.reading import SpecError
+from nermo_mjx.specs.reading import SpecError, differing
 from nermo_mjx.specs.walk import WalkSpec, unread
 from nermo_mjx.sweep.results import RECORD, RECORDINGS, SweepRecord
 from nermo_mjx.sweep.sampling import Rows, Sample
@@ -54,26 +54,25 @@ def fixed_differences(there: Sweep, here: Sweep) -> str:
     free |= {f"randomize.{name}" for name in START_SPREAD}  # come with repeats
     if "physics" in free:
         free.add("timestep")
-    fixed = []
-    for name in _apart(there, here):
-        structure = name.split(".")[0] in free & set(STRUCTURES)
-        if name not in free and not structure and not any(f"{name}.".startswith(f"{field}.") for field in _ROWS):
-            fixed.append(name)
-    return _sentence(there, here, fixed)
+    apart = differing(there.decisive(), here.decisive())
+    for name in list(apart):
+        varied = name.split(".")[0] in free & set(STRUCTURES)
+        if varied or name in free or any(f"{name}.".startswith(f"{field}.") for field in _ROWS):
+            del apart[name]
+    return _sentence(apart)
 
 
 def differences(there: Sweep, here: Sweep) -> str:
     """How two sweeps differ: the first fields, each with both values: `seed is 0 there and 5 here`."""
     # The same values, but another row 0.
-    return _sentence(there, here, _apart(there, here)) or (
+    return _sentence(differing(there.decisive(), here.decisive())) or (
         "the parameters under vary or randomize stand in another order"
     )
 
 
 def refusal(there: Sweep, here: Sweep) -> str:
     """Why a directory's sweep cannot be extended to another one, in words; empty if it can."""
-    fixed = fixed_differences(there, here)
-    if fixed:
+    if fixed := fixed_differences(there, here):
         return f"{fixed}: what is not varied stays as it is"
     if there.sampler == here.sampler == "latin_hypercube" and there.samples != here.samples:
         return (
@@ -83,27 +82,13 @@ def refusal(there: Sweep, here: Sweep) -> str:
     return ""
 
 
-def _apart(there: Sweep, here: Sweep) -> list[str]:
-    first, second = _fields(there.decisive()), _fields(here.decisive())
-    return [name for name in {**first, **second} if first.get(name) != second.get(name)]
-
-
-def _sentence(there: Sweep, here: Sweep, names: list[str]) -> str:
-    first, second = _fields(there.decisive()), _fields(here.decisive())
-    shown = [f"{name} is {_text(first.get(name))} there and {_text(second.get(name))} here" for name in names[:_NAMED]]
-    return "; ".join(shown) + (f"; and {len(names) - _NAMED} more fields" if len(names) > _NAMED else "")
-
-
-def _fields(data: Mapping[str, Any], above: str = "") -> dict[str, Any]:
-    """Dotted names and values of all fields; lists are values."""
-    fields: dict[str, Any] = {}
-    for key, value in data.items():
-        fields |= _fields(value, f"{above}{key}.") if isinstance(value, Mapping) else {f"{above}{key}": value}
-    return fields
+def _sentence(apart: Mapping[str, tuple[Any, Any]]) -> str:
+    some = [f"{name} is {_text(a)} there and {_text(b)} here" for name, (a, b) in list(apart.items())[:_NAMED]]
+    return "; ".join(some) + (f"; and {len(apart) - _NAMED} more fields" if len(apart) > _NAMED else "")
 
 
 def _text(value: Any) -> str:
-    text = "absent" if value is None else f"{value:g}" if isinstance(value, float) else str(value)
+    text = f"{value:g}" if isinstance(value, float) else str(value)
     return text if len(text) <= 60 else f"{text[:57]}..."
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import dataclasses
 import functools
@@ -17,7 +18,7 @@ from typing import Annotated, Any, ClassVar, Final, NamedTuple, NoReturn
 
 import numpy as np
 import pyarrow as pa
-from pydantic import ConfigDict, GetCoreSchemaHandler
+from pydantic import ConfigDict, GetCoreSchemaHandler, create_model
 from pydantic_core import core_schema
 from pydantic_core.core_schema import CoreSchema
 
@@ -84,13 +85,8 @@ class Listed(Checked):
         if self.name == "pilot":
             item = {"anyOf": [*Pilot.short, {"type": "object", "minProperties": 1, "maxProperties": 1}]}
         listed = {"type": "array", "items": item, "minItems": 1}
-        mapping = {
-            "type": "object",
-            "properties": {"values": listed},
-            "required": ["values"],
-            "additionalProperties": False,
-        }
-        return {"anyOf": [listed, mapping]}
+        values = {"properties": {"values": listed}, "required": ["values"], "additionalProperties": False}
+        return {"anyOf": [listed, {"type": "object", **values}]}
 
 
 def also_parameters(schema: dict[str, Any]) -> None:
@@ -99,37 +95,31 @@ def also_parameters(schema: dict[str, Any]) -> None:
     schema |= {**listed, "properties": schema["properties"] | listed["properties"]}
 
 
-def _varied(name: str) -> Any:
-    return optional(f"{_ABOUT[name].description}: these, each as a setup of its own")
+#: Fields of a walk that may vary; in this order they stand in a message.
+STRUCTURES: Final = (
+    "gait", "spine", "steering", "pilot", "profile", "trajectory", "head", "tail_motion", "routing", "scene", "tail",
+    "physics", "robot",
+)  # fmt: skip
+_Structures: Any = create_model(
+    "_Structures",
+    __base__=Fields,
+    **{
+        name: (Annotated[Any, Listed(name)], optional(f"{_ABOUT[name].description}: these, each as a setup of its own"))
+        for name in STRUCTURES
+    },
+)
 
 
-class Vary(Fields):
+class Vary(_Structures):
     """What is varied: structures, and parameters by name."""
 
     __pydantic_extra__: dict[str, AxisForm]
     model_config = ConfigDict(extra="allow", json_schema_extra=also_parameters)
     expected: ClassVar = "a mapping of structures and parameters to their values"
-    gait: Annotated[Any, Listed("gait")] = _varied("gait")
-    spine: Annotated[Any, Listed("spine")] = _varied("spine")
-    steering: Annotated[Any, Listed("steering")] = _varied("steering")
-    pilot: Annotated[Any, Listed("pilot")] = _varied("pilot")
-    profile: Annotated[Any, Listed("profile")] = _varied("profile")
-    trajectory: Annotated[Any, Listed("trajectory")] = _varied("trajectory")
-    head: Annotated[Any, Listed("head")] = _varied("head")
-    tail_motion: Annotated[Any, Listed("tail_motion")] = _varied("tail_motion")
-    routing: Annotated[Any, Listed("routing")] = _varied("routing")
-    scene: Annotated[Any, Listed("scene")] = _varied("scene")
-    tail: Annotated[Any, Listed("tail")] = _varied("tail")
-    physics: Annotated[Any, Listed("physics")] = _varied("physics")
-    robot: Annotated[Any, Listed("robot")] = _varied("robot")
 
     @classmethod
     def refuse(cls, key: str) -> None:
         refuse_parameter(key, more=STRUCTURES)
-
-
-#: Fields of a walk that may vary; in this order they stand in a message.
-STRUCTURES: Final = tuple(Vary.model_fields)
 
 
 class Choice(NamedTuple):
@@ -286,18 +276,11 @@ class RowTable:
             for name, value in given.items():
                 if not isinstance(value, (str, Mapping)):
                     self.fail(row, name, f"is {describe(value)}: expected a name.")
-            key = json.dumps(given)
-            if key not in found:
-                found[key] = len(found)
-                chosen.append(
-                    {
-                        name: Choice(
-                            value_of(value) if isinstance(value, str) else value, ("rows", row), self.place(row)
-                        )
-                        for name, value in given.items()
-                    }
-                )
-            which[row] = found[key]
+            which[row] = found.setdefault(json.dumps(given), len(found))
+            if len(found) > len(chosen):
+                values = {name: value_of(value) if isinstance(value, str) else value for name, value in given.items()}
+                place = ("rows", row), self.place(row)
+                chosen.append({name: Choice(value, *place) for name, value in values.items()})
         return chosen, which
 
 
@@ -453,22 +436,19 @@ class RowList:
     def written(self, structures: Sequence[Structure]) -> list[dict[str, Any]]:
         """The rows as they stand in a sweep file."""
         chosen = [{name: each.written(name) for name in each.labels} for each in structures]
-        numbers = [
-            dict(zip(self.values, row, strict=True))
-            for row in zip(*(v.tolist() for v in self.values.values()), strict=True)
-        ]
+        columns = {name: column.tolist() for name, column in self.values.items()}
         return [
-            chosen[at] | {name: value for name, value in row.items() if value == value}
-            for at, row in zip(self.structure.tolist(), numbers or [{}] * len(self), strict=True)
+            chosen[at] | {name: column[i] for name, column in columns.items() if column[i] == column[i]}
+            for i, at in enumerate(self.structure.tolist())
         ]
 
     def file(self, structures: Sequence[Structure]) -> tuple[str, bytes]:
         """Name and content of a Parquet file with the rows, for a directory; its name tells its content."""
         arrays: dict[str, pa.Array] = {}
         for name in structures[0].labels:
-            texts = [each.written(name) for each in structures]
-            texts = [label_of(text) if isinstance(text, Mapping) else text for text in texts]
-            arrays[name] = pa.array(np.array(texts, object)[self.structure].tolist(), pa.string())
+            given = [each.written(name) for each in structures]
+            texts = np.array([label_of(text) if isinstance(text, Mapping) else text for text in given], object)
+            arrays[name] = pa.array(texts[self.structure].tolist(), pa.string())
         for name, column in self.values.items():
             arrays[name] = pa.array(column, pa.float64(), from_pandas=True)
         fields = [pa.field(name, each.type, metadata={"role": "varied"}) for name, each in arrays.items()]
@@ -493,18 +473,12 @@ def listed_rows(
     values = {name: _numbers(table, name, parameters[name]) for name in table.columns if name not in STRUCTURES}
     for at, each in enumerate(structures):
         for name, column in values.items():
-            lacks, given = unread(each.setup, name), np.flatnonzero((structure == at) & ~np.isnan(column))
-            if lacks and len(given):
-                choice, wanted = lacks
-                table.fail(
-                    int(given[0]),
-                    name,
-                    f"has no effect: it is read only with {choice}: {wanted}, and {choice} "
-                    f"is {getattr(each.setup, choice)}; leave it out here.",
-                )
-        for name, column in values.items():
-            if unread(each.setup, name) is None:
-                column[(structure == at) & np.isnan(column)] = each.setup.defaults()[name]
+            lacks, given = unread(each.setup, name), (structure == at) & ~np.isnan(column)
+            if lacks is None:
+                column[(structure == at) & ~given] = each.setup.defaults()[name]
+            elif given.any():
+                why = f"it is read only with {lacks[0]}: {lacks[1]}, and {lacks[0]} is {getattr(each.setup, lacks[0])}"
+                table.fail(int(given.argmax()), name, f"has no effect: {why}; leave it out here.")
     content = np.column_stack([structure.astype(float), *values.values()])
     first: dict[bytes, int] = {}
     for row in range(len(content)):
@@ -530,13 +504,13 @@ def _numbers(table: RowTable, name: str, about: Quantity) -> np.ndarray:
         except (TypeError, ValueError, OverflowError):
             comma = " with a point" if re.fullmatch(r"\s*-?\d*,\d+\s*", str(value)) else ""
             table.fail(row, name, f"is {describe(value)}: expected a number{comma}.")
-    given = column[~np.isnan(column)]
-    try:
-        about.check(name, given)
-    except ParameterError:
-        for place in np.flatnonzero(~np.isnan(column)).tolist():
-            try:
-                about.check(name, column[place])
-            except ParameterError as error:
-                table.fail(place, name, str(error).removeprefix(f"{name} "))
+    given = np.flatnonzero(~np.isnan(column))
+    with contextlib.suppress(ParameterError):
+        about.check(name, column[given])
+        return column
+    for row in given.tolist():
+        try:
+            about.check(name, column[row])
+        except ParameterError as error:
+            table.fail(row, name, str(error).removeprefix(f"{name} "))
     return column
