@@ -11,7 +11,6 @@ import math
 import os
 import re
 import shutil
-import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
@@ -25,7 +24,7 @@ import pyarrow.parquet as pq
 from nermo_mjx.physics import resolve_engine
 from nermo_mjx.plotting.files import write_figures
 from nermo_mjx.robot.quantity import ParameterError
-from nermo_mjx.rollout import METRICS, Run, Simulator
+from nermo_mjx.rollout import METRICS, Simulator
 from nermo_mjx.rollout.run import too_many
 from nermo_mjx.runs.directory import RunDirectory, engine_of
 from nermo_mjx.runs.files import DirectoryError, WrongDirectory, parquet_bytes
@@ -43,12 +42,14 @@ from nermo_mjx.sweep.results import HELD, Results, read_table
 from nermo_mjx.sweep.sampling import Sample
 from nermo_mjx.sweep.series import check_room, chunk_with_series, record_rows, series_table
 from nermo_mjx.sweep.simulating import (
+    PROBE,
     WORLD_BYTES,
     Simulated,
     SimulatorLike,
     SweepSimulator,
     chunk_rows_here,
     engine_name,
+    pace,
 )
 from nermo_mjx.sweep.spec import SIDES, Sweep, cost
 from nermo_mjx.sweep.store import (
@@ -634,9 +635,8 @@ def _rows(place: Path, sweep: Sweep, labelled: Sequence[str], varied: Sequence[s
 PROCESS_BYTES: Final = 600_000_000
 #: A world of the engine c: MuJoCo's data, the controller's state and what the metrics sum up [bytes]. Both as measured.
 C_WORLD_BYTES: Final = 100_000
-#: Simulated seconds of the measurement, and worlds of it.
-_MEASURED_SECONDS: Final = 0.5
-_MEASURED_WORLDS: Final = 64
+#: Worlds of the measurement.
+_WORLDS: Final = 64
 
 
 @dataclasses.dataclass(frozen=True)
@@ -735,8 +735,9 @@ def forecast(
             f"measured: {len(done):,} chunks of the directory",
         )
     elif steps and runs == "c":
-        rate = (measure or measured_rate)(sweep, runs)
-        rate_from = f"measured now: {_MEASURED_WORLDS} worlds for {_MEASURED_SECONDS:g} simulated s"
+        setup = sweep.setup
+        rate = measure(sweep, runs) if measure else pace(Simulator(setup, runs), setup, _WORLDS) / setup.timestep
+        rate_from = f"measured now: {_WORLDS} worlds for {PROBE:g} simulated s"
     elif steps:
         rate_from = f"not known: no chunk of the engine {runs} has been measured in the directory"
     if there:  # as much per row as those take
@@ -776,16 +777,3 @@ def forecast(
         memory_bytes=PROCESS_BYTES + worlds * C_WORLD_BYTES * (runs == "c") + len(work.rows) * 24 + points + summary,
         notes=tuple(notes),
     )
-
-
-def measured_rate(sweep: Sweep, engine: str) -> float:
-    """Physics steps per second, all worlds together, of 64 worlds that run for half a second."""
-    walk = sweep.structures[0]
-    run = Run(duration=_MEASURED_SECONDS, warmup=0.0)
-    some = Sample(sweep)
-    rows = some.take(np.flatnonzero(some.structures() == 0)[:_MEASURED_WORLDS])
-    values, simulator = batch_values(walk, rows, _MEASURED_WORLDS), Simulator(walk.setup, engine)
-    simulator.run(values, run)  # compiles
-    began = time.perf_counter()
-    result = simulator.run(values, run)
-    return float(result.steps * _MEASURED_WORLDS / (time.perf_counter() - began))
