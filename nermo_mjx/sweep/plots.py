@@ -125,20 +125,15 @@ def _scatter_figures(drawn: list[ShownValues], z: ShownValues, remark: str) -> I
     order = np.argsort(-np.abs(influence), kind="stable")
     first = [drawn[i] for i in order[:MOST_PANELS]]
     titles = [f"rank correlation {influence[i]:+.2f}" for i in order[:MOST_PANELS]]
-    note = f"{len(z.values):,} runs; line: running mean"
-    if len(z.values) > MOST_POINTS:
-        best = np.argmin(cost(z.side, z.values))  # a star
-        thin = thinned(np.arange(len(z.values)), MOST_POINTS, [int(best)])
-        first = [dataclasses.replace(x, values=x.values[thin]) for x in first]
-        z, note = dataclasses.replace(z, values=z.values[thin]), f"{MOST_POINTS:,} of {note}"
-    note = remark + note
-    if len(drawn) > MOST_PANELS:
-        note += f"; the {MOST_PANELS} of {len(drawn)} parameters that matter most"
+    places, count = _drawn_of(z.side, z.values)
+    z, *first = (dataclasses.replace(each, values=each.values[places]) for each in (z, *first))
+    more = f"; the {MOST_PANELS} of {len(drawn)} parameters that matter most" if len(drawn) > MOST_PANELS else ""
+    note = f"{remark}{count}; line: running mean{more}"
     yield f"{z.name}-over-each", scatters(first, z, titles, f"{titled(z.name)} over each parameter", note)
     if len(drawn) > 1:
         pairs = list(itertools.combinations(first[:MOST_PAIRED], 2))
         title = f"{titled(z.name)} over pairs of the parameters that matter most"
-        yield f"{z.name}-over-pairs", pair_scatters(pairs, z, title, note.partition("; line")[0] + "; ")
+        yield f"{z.name}-over-pairs", pair_scatters(pairs, z, title, f"{remark}{count}; ")
 
 
 def _panels(rest: list[ShownValues], count: int) -> tuple[list[tuple[str, np.ndarray]], str]:
@@ -229,7 +224,7 @@ def chosen_figure(
         _check_column(results, name, option)
     if not results.well.any():
         raise ParameterError("no run in the table succeeded, so there is nothing to plot.")
-    return (_figure(results, x, y or LEADING, color, remark) for _ in range(1))
+    return (_chosen(results, x, y or LEADING, color, remark) for _ in range(1))
 
 
 def _check_column(results: Results, name: str | None, option: str) -> None:
@@ -240,33 +235,36 @@ def _check_column(results: Results, name: str | None, option: str) -> None:
         raise ParameterError(f"{option} is {name!r}, no column of the table{hint} There are {', '.join(known)}.")
 
 
-def _figure(results: Results, x: str, y: str, color: str | None, remark: str) -> tuple[str, Figure]:
-    metrics, varied = columns_of(results, "metric"), columns_of(results, "varied")
-    sides = sides_in(results.schema)
+def _chosen(results: Results, x: str, y: str, color: str | None, remark: str) -> tuple[str, Figure]:
+    metrics, varied, sides = columns_of(results, "metric"), columns_of(results, "varied"), sides_in(results.schema)
     if color is None and x in sides and y in sides and x != y:
         points = points_of(results, [x, y])
         return f"{x}-against-{y}", trade_off_figure(points, x, y, points.differing, remark)
     if color is None and not {x, y} & set(metrics):
         color = LEADING
     if results.is_grid and color in metrics and {x, y} <= set(varied) and x != y:
-        others = quantities(results, varied)
-        across, up = (next(each for each in others if each.name == wanted) for wanted in (x, y))
-        differing = [each for each in others if not alike(each.values)]
-        return heat_map(across, up, differing, metric_of(results, color), remark + repeats_remark(results))
-    name = f"{color}-over-{x}-and-{y}" if color else f"{y}-over-{x}"
-    title = f"{titled(color)} over {spoken(x)} and {spoken(y)}" if color else f"{titled(y)} over {spoken(x)}"
+        others = {each.name: each for each in quantities(results, varied)}
+        differing = [each for each in others.values() if not alike(each.values)]
+        return heat_map(others[x], others[y], differing, metric_of(results, color), remark + repeats_remark(results))
     drawn = [quantities(results, [each])[0] for each in (x, y, color) if each]
-    good = results.well & np.logical_and.reduce([np.isfinite(each.values) for each in drawn])
-    places = np.flatnonzero(good)
-    note = f"{len(places):,} runs"
-    if len(places) > MOST_POINTS:
-        best = places[np.argmin(cost(drawn[-1].side, drawn[-1].values[places]))]
-        places, note = thinned(places, MOST_POINTS, [best]), f"{MOST_POINTS:,} of {note}"
-    note = remark + note
-    across, up, *by = (dataclasses.replace(each, values=each.values[places]) for each in drawn)
+    places = np.flatnonzero(results.well & np.logical_and.reduce([np.isfinite(each.values) for each in drawn]))
+    kept, count = _drawn_of(drawn[-1].side, drawn[-1].values[places])
+    across, up, *by = (dataclasses.replace(each, values=each.values[places[kept]]) for each in drawn)
     if by:
-        return name, pair_scatters([(across, up)], by[0], title, f"{note}; ", star=color in metrics)
-    return name, scatters([across], up, [""], title, f"{note}; line: running mean")
+        title = f"{titled(str(color))} over {spoken(x)} and {spoken(y)}"
+        figure = pair_scatters([(across, up)], by[0], title, f"{remark}{count}; ", star=color in metrics)
+        return f"{color}-over-{x}-and-{y}", figure
+    note = f"{remark}{count}; line: running mean"
+    return f"{y}-over-{x}", scatters([across], up, [""], f"{titled(y)} over {spoken(x)}", note)
+
+
+def _drawn_of(side: str, values: np.ndarray) -> tuple[np.ndarray, str]:
+    """Places of the points (n,) that a scatter draws, the best one among them, and how many these are of all."""
+    places, note = np.arange(len(values)), f"{len(values):,} runs"
+    if len(values) > MOST_POINTS:
+        places = thinned(places, MOST_POINTS, [int(np.argmin(cost(side, values)))])
+        note = f"{MOST_POINTS:,} of {note}"
+    return places, note
 
 
 # ---
@@ -297,13 +295,25 @@ def chosen_lines(costs: np.ndarray) -> np.ndarray:
     return np.concatenate([rest[np.linspace(0, len(rest) - 1, MOST_LINES).round().astype(int)], order[-BEST_LINES:]])
 
 
-def parallel(parameters: Sequence[ShownValues], z: ShownValues, title: str, note: str) -> Figure:
-    """The figure.
-
-    Args:
-        parameters: (n,) each, of the points in the order drawn, the best one last.
-        z: the metric of the same points.
-    """
+def parallel_figure(points: Points, names: Sequence[str], metric: str, remark: str) -> Figure:
+    """A line for each point through its parameters to the metric; the best lines are orange."""
+    values = points.metrics[metric]
+    price = cost(values.side, values.values)
+    drawn, left_out = chosen_lines(price), ""
+    parameters = points.of(names, drawn)
+    z = dataclasses.replace(values, values=values.values[drawn])
+    if len(parameters) > MOST_AXES:
+        influence = [abs(np.nan_to_num(rank_correlation(each.values, z.values))) for each in parameters]
+        matter = np.argsort(-np.array(influence), kind="stable")[:MOST_AXES]
+        left_out = f"; {len(parameters) - MOST_AXES} parameters that matter less are not shown"
+        parameters = [parameters[i] for i in sorted(matter)]
+    known = int(np.isfinite(price).sum())
+    note = f"{remark}{points.what}{left_out}"
+    if known > MOST_LINES:
+        note = f"{remark}{MOST_LINES:,} of {points.what}, evenly by rank, and the best {BEST_LINES}{left_out}"
+    at = ", ".join(f"{each.spoken} {each.shown(each.values[-1])}" for each in parameters)
+    word = "best" if values.side else "highest"
+    note += f"; orange: the {min(BEST_LINES, known)} {word}, of which the first is {z.shown(z.values[-1])} at {at}"
     scale, extend = colour_scale(z.values)
     if extend != "neither":
         end = scale.vmax if extend == "max" else scale.vmin
@@ -347,7 +357,7 @@ def parallel(parameters: Sequence[ShownValues], z: ShownValues, title: str, note
     ax.yaxis.set_visible(False)
     for spine in ax.spines.values():
         spine.set_visible(False)
-    return around(figure, title, note)
+    return around(figure, f"{titled(metric)}: all parameters side by side", note)
 
 
 def _share(axis: ShownValues, values: np.ndarray) -> np.ndarray:
@@ -462,7 +472,7 @@ def survey_figures(results: Results, metric: str, remark: str = "") -> Iterator[
     if len(names) < 2 or len(points.rows) < 4:
         return
     if not results.is_grid:  # whose lines would all cross
-        yield f"{metric}-parallel", _parallel(points, names, metric, remark)
+        yield f"{metric}-parallel", parallel_figure(points, names, metric, remark)
     if weighed:
         yield f"{metric}-against-{weighed}", trade_off_figure(points, metric, weighed, names, remark)
 
@@ -472,15 +482,11 @@ def trade_off_figure(points: Points, first: str, second: str, names: tuple[str, 
     x, y = points.metrics[first], points.metrics[second]
     best = front(cost(x.side, x.values), cost(y.side, y.values))
     named = best[named_points(x.values[best], y.values[best])]
-    told = points.of(names[:_MOST_TOLD], named)
-    lines = [
-        (
-            int(place),
-            f"{x.spoken} {x.shown(x.values[place])}, {y.spoken} {y.shown(y.values[place])}:  "
-            + ", ".join(f"{each.spoken} {each.shown(each.values[i])}" for each in told),
-        )
-        for i, place in enumerate(named)
-    ]
+    parameters = points.of(names[:_MOST_TOLD], named)
+    lines = []
+    for i, place in enumerate(named):
+        both = f"{x.spoken} {x.shown(x.values[place])}, {y.spoken} {y.shown(y.values[place])}"
+        lines.append(f"{both}:  " + ", ".join(f"{each.spoken} {each.shown(each.values[i])}" for each in parameters))
     if len(names) > _MOST_TOLD:
         remark += f"{len(names) - _MOST_TOLD} more parameters are in the table; "
     drawn = np.flatnonzero(np.isfinite(x.values) & np.isfinite(y.values))
@@ -488,36 +494,10 @@ def trade_off_figure(points: Points, first: str, second: str, names: tuple[str, 
     if len(drawn) > _MOST_POINTS:
         drawn = thinned(drawn, _MOST_POINTS, best)
         note = f"{remark}{_MOST_POINTS:,} of {points.what}, and the whole front; "
-    place = {int(row): i for i, row in enumerate(drawn)}
     x, y = (dataclasses.replace(each, values=each.values[drawn]) for each in (x, y))
-    best = np.array([place[int(row)] for row in best], int)
-    lines = [(place[row], text) for row, text in lines]
-    return trade_off(x, y, best, (x.side, y.side), lines, f"{titled(first)} over {y.spoken}", note)
-
-
-def _parallel(points: Points, names: tuple[str, ...], metric: str, remark: str) -> Figure:
-    values = points.metrics[metric]
-    price = cost(values.side, values.values)
-    drawn, left_out = chosen_lines(price), 0
-    parameters = points.of(names, drawn)
-    z = dataclasses.replace(values, values=values.values[drawn])
-    if len(parameters) > MOST_AXES:
-        influence = [abs(np.nan_to_num(rank_correlation(each.values, z.values))) for each in parameters]
-        matter = np.argsort(-np.array(influence), kind="stable")[:MOST_AXES]
-        left_out = len(parameters) - MOST_AXES
-        parameters = [parameters[i] for i in sorted(matter)]
-    known = int(np.isfinite(price).sum())
-    note = (
-        f"{remark}{points.what}"
-        if known <= MOST_LINES
-        else (f"{remark}{MOST_LINES:,} of {points.what}, evenly by rank, and the best {BEST_LINES}")
-    )
-    if left_out:
-        note += f"; {left_out} parameters that matter less are not shown"
-    at = ", ".join(f"{each.spoken} {each.shown(each.values[-1])}" for each in parameters)
-    word = "best" if values.side else "highest"
-    note += f"; orange: the {min(BEST_LINES, known)} {word}, of which the first is {z.shown(z.values[-1])} at {at}"
-    return parallel(parameters, z, f"{titled(metric)}: all parameters side by side", note)
+    best, named = np.searchsorted(drawn, best), np.searchsorted(drawn, named)
+    told = list(zip(named.tolist(), lines, strict=True))
+    return trade_off(x, y, best, (x.side, y.side), told, f"{titled(first)} over {y.spoken}", note)
 
 
 # ---
