@@ -97,7 +97,15 @@ class RayWorkers:
         self._looked = self._seen = -math.inf
 
     def __enter__(self) -> RayWorkers:
-        _check_address(self.address)
+        if self.address not in (None, "auto", "local"):  # fail at once if nothing listens: Ray would retry for minutes
+            host, _, port = str(self.address).rpartition(":")
+            missing = f"no Ray cluster at {self.address}"
+            if not host or "/" in host or not port.isdecimal():
+                raise WorkersLost(f"{missing}: expected ADDRESS:PORT of its head, such as 10.0.0.1:6379.")
+            try:
+                socket.create_connection((host.strip("[]"), int(port)), timeout=10.0).close()
+            except (OSError, OverflowError) as error:
+                raise WorkersLost(f"{missing}: {getattr(error, 'strerror', None) or error}.") from None
         os.environ.update(QUIET if self.address else QUIET | LOOPBACK)
         import ray
         import ray.util.scheduling_strategies
@@ -112,7 +120,15 @@ class RayWorkers:
         before = signal.getsignal(signal.SIGTERM) if main else None
         more: dict[str, Any] = {"include_dashboard": False} if self.address is None else {}
         try:
-            self._connect(more)
+            for last in (False, True):
+                try:
+                    ray.init(self.address or "local", log_to_driver=False, logging_level=logging.ERROR, **more)
+                    break
+                except Exception as error:
+                    # Ray allows 30 s for its own start, which a busy machine may need.
+                    if last or self.address is not None or "timed out during startup" not in str(error):
+                        raise
+                    self._say("Ray has not started within its 30 s, and is started once more.")
         except Exception as error:  # Ray raises plain ones, too
             reason = (str(error).strip().splitlines() or [type(error).__name__])[0].rstrip(".")
             raise WorkersLost(f"no Ray cluster at {self.address or 'this machine'}: {reason}.") from error
@@ -124,17 +140,6 @@ class RayWorkers:
     def __exit__(self, *_: object) -> None:
         self._end_all()
         self._ray.shutdown()
-
-    def _connect(self, more: dict[str, Any]) -> None:
-        for last in (False, True):
-            try:
-                self._ray.init(self.address or "local", log_to_driver=False, logging_level=logging.ERROR, **more)
-                return
-            except Exception as error:
-                # Ray allows 30 s for its own start, which a busy machine may need.
-                if last or self.address is not None or "timed out during startup" not in str(error):
-                    raise
-                self._say("Ray has not started within its 30 s, and is started once more.")
 
     @property
     def parts(self) -> int:
@@ -184,11 +189,13 @@ class RayWorkers:
                     except self._ray.exceptions.RayTaskError as error:
                         raise TaskFailed(key, _cause(error)) from _cause(error)
                     except self._ray.exceptions.RayError as error:
-                        self._lost(worker, error)
+                        where, kind = self._names[worker.node], type(error).__name__
+                        self._say(f"a worker on {where} is lost ({kind}); what it computed is computed again.")
+                        self._drop(worker)
                         again.append((key, task))
                         lost[key] += 1
                         if lost[key] >= ATTEMPTS:
-                            cause = RuntimeError(f"its worker was lost {ATTEMPTS} times ({type(error).__name__})")
+                            cause = RuntimeError(f"its worker was lost {ATTEMPTS} times ({kind})")
                             raise TaskFailed(key, cause) from cause
                     else:
                         yield key, result
@@ -207,17 +214,15 @@ class RayWorkers:
             alive = any(node["NodeID"] == worker.node for node in self._nodes())
             self._failures[worker.node] += alive
             if self._failures[worker.node] >= ATTEMPTS:
-                self._refuse(worker, f"no worker starts there: {_first_line(_cause(error))}")
+                cause = _cause(error)
+                lines = [line.strip() for line in str(cause).splitlines() if line.strip()]
+                first = f"{type(cause).__name__}{f': {lines[0]}' if lines else ''}".rstrip(".")[:300]
+                self._refuse(worker, f"no worker starts there: {first}")
             else:
                 self._drop(worker)
         else:
             if other:
                 self._refuse(worker, f"it has other code: {other}")
-
-    def _lost(self, worker: _Worker, error: Exception) -> None:
-        kind = type(error).__name__
-        self._say(f"a worker on {self._names[worker.node]} is lost ({kind}); what it computed is computed again.")
-        self._drop(worker)
 
     def _staff(self) -> None:
         """Start workers on nodes that lack some."""
@@ -231,14 +236,12 @@ class RayWorkers:
             cores, gpus = int(resources.get("CPU", 0)), int(resources.get("GPU", 0)) if self._stamp.engine != "c" else 0
             wanted = 0 if name in self._refused else gpus or min(cores, 1)
             for _ in range(wanted - sum(worker.node == name for worker in self._workers)):
-                self._start(name, max(1, cores // wanted), 1 if gpus else 0)
-
-    def _start(self, node: str, cores: int, gpus: int) -> None:
-        there = self._ray.util.scheduling_strategies.NodeAffinitySchedulingStrategy(node, soft=False)
-        kind = self._ray.remote(_Actor).options(num_cpus=cores, num_gpus=gpus, scheduling_strategy=there)
-        worker = _Worker(kind.remote(cores), node)
-        self._workers.append(worker)
-        self._busy[worker.actor.begin.remote(self._computer, self._stamp)] = worker
+                there = self._ray.util.scheduling_strategies.NodeAffinitySchedulingStrategy(name, soft=False)
+                share = {"num_cpus": max(1, cores // wanted), "num_gpus": 1 if gpus else 0}
+                kind = self._ray.remote(_Actor).options(scheduling_strategy=there, **share)
+                worker = _Worker(kind.remote(share["num_cpus"]), name)
+                self._workers.append(worker)
+                self._busy[worker.actor.begin.remote(self._computer, self._stamp)] = worker
 
     def _refuse(self, worker: _Worker, reason: str) -> None:
         if worker.node not in self._refused:
@@ -249,16 +252,13 @@ class RayWorkers:
     def _drop(self, worker: _Worker) -> None:
         self._workers.remove(worker)
         self._busy = {reference: each for reference, each in self._busy.items() if each is not worker}
-        self._end(worker)
-
-    def _end(self, worker: _Worker) -> None:
         with contextlib.suppress(Exception):  # it may be gone, or never have come
             self._ray.kill(worker.actor)
 
     def _end_all(self) -> None:
-        for worker in self._workers:
-            self._end(worker)
-        for known in (self._workers, self._busy, self._failures, self._refused):
+        for worker in list(self._workers):
+            self._drop(worker)
+        for known in (self._failures, self._refused):
             known.clear()
         self._looked = -math.inf
 
@@ -274,24 +274,6 @@ class RayWorkers:
         return [node for node in self._ray.nodes() if node["Alive"]]
 
 
-def _check_address(address: str | None) -> None:
-    """Fail at once if nothing listens there; Ray would retry for minutes."""
-    if address in (None, "auto", "local"):
-        return
-    host, _, port = str(address).rpartition(":")
-    if not host or "/" in host or not port.isdecimal():
-        raise WorkersLost(f"no Ray cluster at {address}: expected ADDRESS:PORT of its head, such as 10.0.0.1:6379.")
-    try:
-        socket.create_connection((host.strip("[]"), int(port)), timeout=10.0).close()
-    except (OSError, OverflowError) as error:
-        raise WorkersLost(f"no Ray cluster at {address}: {getattr(error, 'strerror', None) or error}.") from None
-
-
 def _cause(error: BaseException) -> BaseException:
     """The exception raised by a task, instead of Ray's wrapper."""
     return getattr(error, "cause", None) or error
-
-
-def _first_line(error: BaseException) -> str:
-    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-    return f"{type(error).__name__}{f': {lines[0]}' if lines else ''}".rstrip(".")[:300]
