@@ -102,7 +102,7 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
 
 #: Modules that make simulators by this name.
 MAKERS = (
-    "rollout", "sweep.run", "sweep.series", "sweep.replay", "sweep.simulating", "optimize.problems",
+    "rollout", "sweep.run", "sweep.replay", "sweep.simulating", "optimize.problems",
     "learn.evaluation", "experiments.walks",
 )  # fmt: skip
 

@@ -51,9 +51,8 @@ from nermo_mjx.runs.status import last_command
 from nermo_mjx.specs.reading import SpecError, read_file, read_mapping
 from nermo_mjx.sweep import DirectoryError, Sweep, merge_sweeps, read_table, run_sweep
 from nermo_mjx.sweep.comparing import two_tables
-from nermo_mjx.sweep.results import RECORD, Results, SweepRecord, status
 from nermo_mjx.sweep.structures import read_row_table
-from nermo_mjx.sweep.table import meta
+from nermo_mjx.sweep.table import RECORD, Results, SweepRecord, meta, status
 from nermo_mjx.view.explore import runs_of
 from nermo_mjx.view.recorded import robot_of
 

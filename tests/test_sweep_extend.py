@@ -212,11 +212,6 @@ def test_a_latin_hypercube_has_no_further_points(tmp_path):
     assert run_sweep(more, tmp_path, simulator=FakeSimulator(), extend=True).rows == 8
 
 
-def test_an_extension_is_begun_by_one_process(tmp_path):
-    with pytest.raises(SpecError, match="start it on its own"):
-        run_sweep(SMALL, tmp_path, extend=True, shard=(0, 2), simulator=FakeSimulator())
-
-
 def test_without_being_told_another_sweep_is_refused_and_extend_is_named(tmp_path):
     run_sweep(SMALL, tmp_path, simulator=FakeSimulator())
     with pytest.raises(DirectoryError, match=r"randomize.repeats is 1 there and 2 here; .* with --extend\.$"):

@@ -12,11 +12,9 @@ import time
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from click.testing import CliRunner
 from sweep_fake import SPEC, FakeSimulator, part_of
 from test_rows import FullDisk
 
-from nermo_mjx.cli import main
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.runs import Interrupted, JobFailed, OtherCode, Watch, files
 from nermo_mjx.runs.rows import Runs
@@ -136,29 +134,6 @@ def test_rows_that_two_processes_made_count_once(done, tmp_path, reference):
     assert run_sweep(SPEC, done, simulator=FakeSimulator()).chunks_run == 0
 
 
-class Vandal(FakeSimulator):
-    """Damages the first part while the last batch is simulated."""
-
-    def __init__(self, out):
-        super().__init__()
-        self.out = out
-
-    def run(self, *args, **kwargs):
-        if len(self.batches) == 8:
-            path = sorted(self.out.glob("results/*"))[0]
-            path.write_bytes(path.read_bytes()[:-20])
-        return super().run(*args, **kwargs)
-
-
-def test_what_is_damaged_meanwhile_is_found_in_the_end(tmp_path, reference):
-    """What was written is read again before it is summed up."""
-    simulator, said = Vandal(tmp_path), []
-    result = run_sweep(SPEC, tmp_path, chunk=4, simulator=simulator, watch=Watch(warn=said.append))
-    assert len(simulator.batches) == 10
-    assert len(said) == 1
-    assert result.table.equals(reference)
-
-
 def test_a_disk_that_loses_everything_is_not_tried_for_ever(tmp_path, monkeypatch, reference):
     def loses(path, content, replace=files.replace_file):
         replace(path, content[:-1] if path.suffix == ".parquet" else content)
@@ -234,17 +209,6 @@ def test_places_that_are_no_directories_are_one_sentence(tmp_path):
             run_sweep(SPEC, "/sys/kernel/nermo", simulator=FakeSimulator())
 
 
-def test_the_command_ends_with_one_sentence_and_1(tmp_path):
-    """Errors of the store and of the simulation are the work's, not the user's."""
-    spec, out = tmp_path / "sweep.yaml", tmp_path / "out"
-    spec.write_text(json.dumps(SPEC))
-    run_sweep(SPEC | {"seed": 3}, out, simulator=FakeSimulator())
-    result = CliRunner().invoke(main, ["sweep", str(spec), "--out", str(out)])
-    assert result.exit_code == 1
-    assert result.stderr.startswith(f"nermo-mjx: {out} holds the results of another sweep: seed is 3 there and 0 here")
-    assert result.stderr.count("\n") == 1
-
-
 # --- a simulation that fails, interruptions
 
 
@@ -261,15 +225,6 @@ def test_a_failed_simulation_names_its_rows(tmp_path, reference, error, expected
         run_sweep(SPEC, tmp_path, chunk=9, simulator=FakeSimulator(fail_at=2, error=error))
     assert caught.value.__cause__ is error
     goes_on(tmp_path, reference, 2)
-
-
-def test_what_is_computed_is_written_before_an_interruption_ends_it(tmp_path, monkeypatch):
-    """A slow disk is waited for: three batches were computed when Ctrl-C came, and three are there."""
-    add = Runs.add
-    monkeypatch.setattr(Runs, "add", lambda *args: (time.sleep(0.2), add(*args))[1])
-    with pytest.raises(Interrupted):
-        run_sweep(SPEC, tmp_path, chunk=4, simulator=FakeSimulator(stop_at=3))
-    assert len(list(tmp_path.glob("results/*.parquet"))) == 3
 
 
 class Deaf(FakeSimulator):

@@ -12,19 +12,17 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from conftest import shared_simulator
-from sweep_fake import SPEC, FakeSimulator, part_of
+from sweep_fake import SPEC, FakeSimulator
 
 from nermo_mjx import Recording, Run, Setup, load_robot
 from nermo_mjx.rollout import Saving, Series
 from nermo_mjx.rollout.saving import all_signals, chosen_signals
 from nermo_mjx.runs import Interrupted, Watch
 from nermo_mjx.runs.files import DirectoryError
-from nermo_mjx.sweep import SpecError, Sweep, read_table, run_sweep, series
-from nermo_mjx.sweep.replay import replay_row
-from nermo_mjx.sweep.results import Results, status
-from nermo_mjx.sweep.series import kept_rows
+from nermo_mjx.sweep import SpecError, Sweep, read_table, run_sweep, store
+from nermo_mjx.sweep.replay import kept_rows, replay_row
 from nermo_mjx.sweep.spec import Keep
-from nermo_mjx.sweep.table import meta
+from nermo_mjx.sweep.table import Results, meta, status
 
 pytestmark = pytest.mark.usefixtures("shared_simulators")
 SAVED: dict[str, Any] = {**SPEC, "save": {"sensors": ["gyro", "speed"], "rate": 20}}
@@ -90,24 +88,6 @@ def test_series_come_along_when_a_sweep_is_extended_or_used(tmp_path: Path) -> N
         assert read_table(tmp_path / out).equals(read_table(tmp_path / "whole"))
 
 
-@pytest.mark.parametrize("damage", ["missing", "flipped"])
-def test_runs_without_their_series_are_made_again(tmp_path: Path, damage: str) -> None:
-    run_sweep(SAVED, tmp_path, chunk=5, simulator=Saver())
-    before, part = samples(tmp_path), part_of(tmp_path, 12)
-    file = tmp_path / "series" / pq.read_metadata(part).metadata[b"series"].decode()
-    if damage == "missing":
-        file.unlink()
-    else:
-        file.write_bytes(file.read_bytes().replace(b"gyro_x", b"gyro_y", 1))
-    damaged, told = file.read_bytes() if file.exists() else b"", []
-    result = run_sweep(SAVED, tmp_path, simulator=Saver(), watch=Watch(warn=told.append))
-    assert result.chunks_run == 1
-    assert len(told) == 1
-    assert f"{part} has no time series, or damaged ones; it is kept in results.aside" in told[0]
-    assert samples(tmp_path).equals(before)
-    assert [path.read_bytes() for path in tmp_path.glob("series.aside/*")] == [damaged] * (damage == "flipped")
-
-
 def test_what_is_saved_belongs_to_the_sweep(tmp_path: Path) -> None:
     """Of another rate or without series, the directory is another sweep's; a file without `save` is what it was."""
     run_sweep(SAVED, tmp_path, chunk=5, simulator=Saver())
@@ -141,17 +121,17 @@ def test_what_cannot_be_saved_is_refused(save: Any, message: str) -> None:
 def test_series_that_do_not_fit_are_refused_or_make_smaller_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
     """A run of 8 s has 160 samples of 16 + 4 x 4 bytes."""
     sweep, seconds = Sweep.from_dict(SAVED), np.array([4.0, 8.0, 8.0, 2.0])
-    assert series.series_bytes(sweep, seconds) == 22 * 20 * 32
-    monkeypatch.setattr(series, "LARGEST_CHUNK", 3 * 160 * 32)
-    monkeypatch.setattr(series, "simulated_seconds", lambda *_: seconds)
-    assert series.chunk_with_series(sweep, None, lambda: 64) == 3
-    assert series.chunk_with_series(sweep, 2, lambda: 64) == 2
+    assert store.series_bytes(sweep, seconds) == 22 * 20 * 32
+    monkeypatch.setattr(store, "LARGEST_CHUNK", 3 * 160 * 32)
+    monkeypatch.setattr(store, "simulated_seconds", lambda *_: seconds)
+    assert store.chunk_with_series(sweep, None, lambda: 64) == 3
+    assert store.chunk_with_series(sweep, 2, lambda: 64) == 2
     with pytest.raises(SpecError, match=r"save takes 14.1 kB of memory for a chunk of 4 runs: .* take chunk: 3"):
-        series.chunk_with_series(sweep, 4, lambda: 64)
+        store.chunk_with_series(sweep, 4, lambda: 64)
 
 
 def test_a_full_disk_is_seen_before_the_work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(series.shutil, "disk_usage", lambda _: shutil._ntuple_diskusage(10**9, 10**9, 1000))
+    monkeypatch.setattr(store.shutil, "disk_usage", lambda _: shutil._ntuple_diskusage(10**9, 10**9, 1000))
     with pytest.raises(DirectoryError, match="room for 1 kB, and the time series would take up to"):
         run_sweep(SAVED, tmp_path, chunk=5, simulator=Saver())
     assert not list((tmp_path / "results").iterdir())
@@ -258,7 +238,7 @@ def test_a_stopped_sweep_records_what_is_missing(tmp_path: Path, monkeypatch: py
         return replay_row(found, *args, **how)
 
     with monkeypatch.context() as patch:
-        patch.setattr("nermo_mjx.sweep.series.replay_row", stopped)
+        patch.setattr("nermo_mjx.sweep.replay.replay_row", stopped)
         with pytest.raises(Interrupted, match="run the same command again"):
             run_sweep(spec, tmp_path, engine="c")
     (file,) = (tmp_path / "recordings").iterdir()

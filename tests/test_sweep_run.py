@@ -108,7 +108,14 @@ def test_chunk_mates_last_alike_long(tmp_path):
     assert sorted(spans, key=min) == [{0.5}, {0.7}, {0.9}, {1.1}]
 
 
-@pytest.mark.parametrize(("given", "message"), [({"shard": (2, 2)}, "shard is 2/2"), ({"chunk": 0}, "chunk is 0")])
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"shard": (2, 2)}, "shard is 2/2"),
+        ({"chunk": 0}, "chunk is 0"),
+        ({"extend": True, "shard": (0, 2)}, "start it on its own"),
+    ],
+)
 def test_wrong_options_are_refused_before_anything_is_written(tmp_path, given, message):
     """Shard and chunk outside their range are the user's error."""
     with pytest.raises(SpecError, match=message):

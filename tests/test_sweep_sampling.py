@@ -7,7 +7,6 @@ import pytest
 
 from nermo_mjx.robot import identified
 from nermo_mjx.sweep import Sweep, sample
-from nermo_mjx.sweep.sampling import Sample
 
 
 def rows_of(**spec):
@@ -139,21 +138,6 @@ def test_bodies_are_drawn_whole_by_weight_and_leave_other_draws_alone(monkeypatc
     shares = np.bincount(drawn.body) / len(drawn)
     np.testing.assert_allclose(shares, [1 / 8, 2 / 8, 5 / 8], atol=4 * np.sqrt(0.25 / 4000))
     assert abs(np.corrcoef(drawn.body, drawn.values["mass.front"])[0, 1]) < 4 / np.sqrt(4000)
-
-
-def test_bodies_do_not_depend_on_chunks_or_on_the_other_variants():
-    """Each row draws its own body from (seed, variant, repeat), like everything that is drawn."""
-    spec = {"randomize": {"repeats": 8, "from": "identified"}, "vary": {"frequency": [0.5, 0.6, 0.7]}}
-    whole = rows_of(**spec)
-    lazy = Sample(Sweep.from_dict(spec))
-    parts = [lazy.take(np.arange(first, min(first + 5, len(whole)))) for first in range(0, len(whole), 5)]
-    np.testing.assert_array_equal(np.concatenate([part.body for part in parts]), whole.body)
-    for name in whole.values:
-        np.testing.assert_array_equal(np.concatenate([part.values[name] for part in parts]), whole.values[name])
-    few = rows_of(**spec | {"vary": {"frequency": [0.5, 0.6]}})
-    np.testing.assert_array_equal(few.body, whole.body[: len(few)])
-    assert not np.array_equal(whole.body[:8], whole.body[8:16])
-    assert not np.array_equal(rows_of(**spec, seed=1).body, whole.body)
 
 
 def test_taking_rows_keeps_columns_together():

@@ -83,6 +83,7 @@ SPECS = {
         "randomize": {"repeats": 3, "frequency": {"uniform": [0.6, 0.9]}},
     },
     "sobol": {"vary": {"frequency": {"uniform": [0.5, 1.5]}, "duty": {"uniform": [0.4, 0.6]}}, "sample": {"sobol": 9}},
+    "bodies": {"randomize": {"repeats": 8, "from": "identified"}, "vary": {"frequency": [0.5, 0.6]}},
     "only chance": {"randomize": {"repeats": 4, "contact.friction": {"uniform": [1.0, 1.6]}}},
 }
 
@@ -98,6 +99,8 @@ def test_a_row_is_the_same_whichever_rows_are_asked_for(spec):
     np.testing.assert_array_equal(some.variant, whole.variant[index])
     np.testing.assert_array_equal(some.repeat, whole.repeat[index])
     np.testing.assert_array_equal(some.seed, whole.seed[index])
+    assert (some.body is None) == (whole.body is None)
+    np.testing.assert_array_equal(some.body, None if whole.body is None else whole.body[index])
     for name, values in whole.values.items():
         np.testing.assert_array_equal(some.values[name], values[index])
         np.testing.assert_array_equal(lazy.column(name), values)
@@ -160,7 +163,7 @@ def test_a_table_that_does_not_fit_is_read_column_by_column(tmp_path, monkeypatc
     spec = SPEC | {"plots": True, "randomize": {"repeats": 2, "contact.friction": {"uniform": [1.0, 1.6]}}}
     usual = run_sweep(spec, tmp_path, chunk=5, simulator=FakeSimulator(falls_above=0.11))
     figures = [path.read_bytes() for path in usual.plots]
-    monkeypatch.setattr("nermo_mjx.sweep.results.HELD", 1)
+    monkeypatch.setattr("nermo_mjx.sweep.table.HELD", 1)
     frugal = run_sweep(spec, tmp_path, simulator=FakeSimulator())
     assert frugal.chunks_run == 0
     assert frugal.summary == usual.summary

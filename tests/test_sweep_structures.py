@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import json
 import pickle
-from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
@@ -275,12 +274,6 @@ def test_parameters_and_structures_are_listed():
     listed = json.loads(CliRunner().invoke(main, ["sweep", "--list-parameters", "--json"]).stdout)
     assert listed["structures"]["gait"]["allowed"][:5] == [*GAITS, "bound", "gallop"]
     assert "trt, trt1, lat, bound, gallop" in CliRunner().invoke(main, ["sweep", "--list-parameters"]).stdout
-
-
-def test_the_status_counts_the_runs_of_all_structures(tmp_path: Path) -> None:
-    run_sweep(SPEC, tmp_path, simulator=FakeSimulator())
-    said = json.loads(CliRunner().invoke(main, ["status", str(tmp_path), "--json"]).stdout)
-    assert (said["rows"], said["rows_done"], said["complete"]) == (36, 36, True)
 
 
 def test_the_command_says_where_a_parameter_is_not_varied(tmp_path, asked):

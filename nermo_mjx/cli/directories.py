@@ -57,7 +57,7 @@ class Kind:
 KINDS: Final = {
     kind.name: kind
     for kind in (
-        Kind("sweep", "a sweep", "sweep.plots:figures", "sweep.results:status", ("x", "y", "color", "notify")),
+        Kind("sweep", "a sweep", "sweep.plots:figures", "sweep.table:status", ("x", "y", "color", "notify")),
         Kind("search", "a search", "optimize.search_figures:figures", "optimize.search_directory:status",
              ("x", "y", "color", "notify")),
         Kind("tuning", "a tuning", "optimize.tuning_figures:figures", "optimize.tuning_directory:status"),
@@ -67,8 +67,8 @@ KINDS: Final = {
              tracked=True),
         Kind("identification", "an identification", "experiments.identification:drawn",
              "experiments.identification:status", tracked=True),
-        Kind("comparison", "a comparison", "sweep.comparing:figures", "sweep.table:status", tracked=True),
-        Kind("sensitivity", "a sensitivity analysis", "sweep.sensitivity:figures", "sweep.table:status",
+        Kind("comparison", "a comparison", "sweep.comparing:figures", "sweep.table:report_status", tracked=True),
+        Kind("sensitivity", "a sensitivity analysis", "sweep.sensitivity:figures", "sweep.table:report_status",
              tracked=True),
         Kind("benchmarks", "benchmarks", "bench.results:figures", "bench.results:status", tracked=True),
     )

@@ -167,8 +167,7 @@ def print_sweep(result: SweepResult) -> None:
     click.echo(f"{summary['rows']:,} runs ({counts}) in {duration(summary['wall_seconds'])}, {effort}")
     from nermo_mjx.plotting.shown import shown
     from nermo_mjx.runs.rows import part_files
-    from nermo_mjx.sweep.results import Results
-    from nermo_mjx.sweep.table import meta
+    from nermo_mjx.sweep.table import Results, meta
 
     schema, rows = Results(part_files(result.out)).schema, []
 

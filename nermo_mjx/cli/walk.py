@@ -462,7 +462,7 @@ def _print_replay(found: SweepRow, wanted: Plan, replay: Replay, report: dict[st
     print_walk(report, wanted)
     for flag, what in (("fell", "fell"), ("diverged", "lost its numbers")):
         if report["metrics"][flag]:
-            click.echo(f"It {what} at {replay.metrics['failure_time']:.2f} s, of {found.end:.2f} s.")
+            click.echo(f"It {what} at {replay.metrics['failure_time']:.2f} s, of {found.span[1]:.2f} s.")
     click.echo(report["compared"])
 
 

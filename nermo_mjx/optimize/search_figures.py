@@ -25,7 +25,7 @@ from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.runs.files import DirectoryError
 from nermo_mjx.runs.rows import part_files
 from nermo_mjx.sweep.plots import chosen_figure, named_points, survey_figures, trade_off
-from nermo_mjx.sweep.results import Results
+from nermo_mjx.sweep.table import Results
 
 _WIDTH: Final = 7.2
 #: Pairs of measures that an atlas of three or more shows.

@@ -25,14 +25,22 @@ from nermo_mjx.plotting.page import Page
 from nermo_mjx.plotting.shown import ShownValues, shown, spoken, titled
 from nermo_mjx.plotting.style import BEST, GRID, INK, LINE, MUTED, SERIES, horizontal_grid, set_scales
 from nermo_mjx.robot.quantity import ParameterError, did_you_mean
-from nermo_mjx.rollout.own_metrics import METRICS
 from nermo_mjx.runs.files import DirectoryError
 from nermo_mjx.runs.rows import part_files
 from nermo_mjx.specs.reading import SpecError
-from nermo_mjx.sweep.results import HELD, Results, SweepRecord
-from nermo_mjx.sweep.spec import OBJECTIVES, SIDES
+from nermo_mjx.sweep.spec import OBJECTIVES
 from nermo_mjx.sweep.structures import label_of
-from nermo_mjx.sweep.table import LEADING, Columns, columns_of, meta, report_table
+from nermo_mjx.sweep.table import (
+    HELD,
+    LEADING,
+    Columns,
+    Results,
+    SweepRecord,
+    better,
+    columns_of,
+    meta,
+    report_table,
+)
 
 if TYPE_CHECKING:
     import pandas as pd  # imported where it is used: it takes half a second
@@ -621,13 +629,6 @@ def compare(
         status=status,
         notes=tuple(dict.fromkeys(notes)),
     )
-
-
-def better(field: pa.Field) -> str:
-    """Whether high or low is better of a metric, or what is nearer to 0; empty if neither is."""
-    known = {side: word for word, side in SIDES.items()}
-    built_in = METRICS[field.name].better if field.name in METRICS else None
-    return meta(field).get("better") or known.get(OBJECTIVES.get(field.name, ""), built_in or "")
 
 
 def _lines(pairing: Pairing, metrics: Sequence[str], groups: Sequence[str]) -> list[dict[str, Any]]:

@@ -35,9 +35,8 @@ from nermo_mjx.plotting.style import (
     horizontal_grid,
     set_scales,
 )
-from nermo_mjx.sweep.results import Results
 from nermo_mjx.sweep.spec import cost, sides_in
-from nermo_mjx.sweep.table import Variants, columns_of, labelled, meta
+from nermo_mjx.sweep.table import Results, Variants, columns_of, labelled, meta
 
 _BAR: Final[dict[str, Any]] = {"shrink": 0.9, "aspect": 28}
 

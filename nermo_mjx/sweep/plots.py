@@ -31,8 +31,6 @@ from nermo_mjx.plotting.style import BEST, COLOURS, GRID, INK, MUTED, SMALL, col
 from nermo_mjx.robot.quantity import ParameterError, did_you_mean
 from nermo_mjx.runs.files import DirectoryError
 from nermo_mjx.runs.rows import part_files
-from nermo_mjx.sweep import comparing, sensitivity
-from nermo_mjx.sweep.comparing import compare
 from nermo_mjx.sweep.figures import (
     Points,
     alike,
@@ -49,9 +47,8 @@ from nermo_mjx.sweep.figures import (
     structure_figures,
     thinned,
 )
-from nermo_mjx.sweep.results import Results, SweepRecord
 from nermo_mjx.sweep.spec import cost, sides_in
-from nermo_mjx.sweep.table import LEADING, columns_of, rank_correlation, spine_ratio
+from nermo_mjx.sweep.table import LEADING, Results, SweepRecord, columns_of, rank_correlation, spine_ratio
 
 #: A figure has no more panels than this; more values are thinned evenly.
 MOST_PANELS = 12
@@ -519,13 +516,19 @@ def findings(
     """
     try:
         if comparison is not None:
+            from nermo_mjx.sweep import comparing  # few sweeps ask for it
+
             by, base, groups = comparison["by"], comparison.get("base"), comparison.get("for", ())
-            found = compare(results, by=by, base=base, groups=groups, drawn=() if metric == LEADING else (metric,))
+            found = comparing.compare(
+                results, by=by, base=base, groups=groups, drawn=() if metric == LEADING else (metric,)
+            )
             yield "comparison", found.table, found.about(only=found.drawn), comparing.figures_of(found.table)
     except ParameterError as error:
         notify(f"There is no comparison: {error}")
     try:
         if (results.schema.metadata or {}).get(b"sampler") == b"saltelli":
+            from nermo_mjx.sweep import sensitivity
+
             indices = sensitivity.sensitivity(results, metric)
             yield "sensitivity", indices.table, indices.about(), sensitivity.figures_of(indices.table)
     except ParameterError as error:

@@ -1,29 +1,33 @@
-"""One row of a sweep's directory rerun on its own, recorded, and compared with the table."""
+"""Rows of a sweep's directory rerun on their own, compared with the table, and recorded."""
 
 from __future__ import annotations
 
 import contextlib
 import dataclasses
+import functools
 import math
 import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import mujoco
 import numpy as np
 
 from nermo_mjx.physics import ENGINES
-from nermo_mjx.recording import Recording, recording_of
-from nermo_mjx.rollout import History, Simulator
+from nermo_mjx.recording import Recording, RecordingError, recording_of
+from nermo_mjx.robot.quantity import ParameterError
+from nermo_mjx.rollout import History, Setup, Simulator
+from nermo_mjx.runs.directory import RunDirectory
 from nermo_mjx.runs.files import DirectoryError
 from nermo_mjx.runs.rows import opened, part_files
 from nermo_mjx.runs.text import plain
 from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.sweep.sampling import Rows, Sample
-from nermo_mjx.sweep.spec import Sweep
+from nermo_mjx.sweep.spec import Keep, Sweep, cost, sides_in
 from nermo_mjx.sweep.store import known
 from nermo_mjx.sweep.structures import Structure
+from nermo_mjx.sweep.table import RECORDINGS, Results
 
 
 @dataclasses.dataclass(frozen=True)
@@ -35,7 +39,6 @@ class SweepRow:
         sweep: what sweep.yaml holds.
         row: position in the sweep.
         line: its parameters and draws.
-        begin, end: when measuring begins, and when the run ends, if not at a distance [s].
         engine: the engine that made the row, or else other rows of the directory; None if it has none.
         stored: the row as the table has it, by column; None if it is not there.
         outdated: whether it is there as another sweep made it, or other defaults.
@@ -45,16 +48,20 @@ class SweepRow:
     sweep: Sweep
     row: int
     line: Rows
-    begin: float
-    end: float
-    engine: str | None
-    stored: Mapping[str, Any] | None
-    outdated: bool
+    engine: str | None = None
+    stored: Mapping[str, Any] | None = None
+    outdated: bool = False
 
     @property
     def values(self) -> dict[str, float]:
         """Varied and randomized parameters of the row, as far as its structure reads them."""
-        return _values(self.line)
+        return {name: float(column[0]) for name, column in known(self.line.values).items()}
+
+    @functools.cached_property
+    def span(self) -> tuple[float, float]:
+        """When measuring begins, and when the run ends, if not at a distance [s]."""
+        begin, end = self.walk.run.seconds(self.walk.setup.cycle_rate(self.walk.constants | self.values))
+        return float(begin), float(end)
 
     @property
     def walk(self) -> Structure:
@@ -148,20 +155,8 @@ def find_row(out: str | os.PathLike[str], row: int) -> SweepRow:
             if len(here):
                 stored, engines = file.read().slice(int(here[0]), 1).to_pylist()[0], engines[-1:]
                 break
-    line = rows.take(np.array([row]))
-    walk = sweep.structures[int(line.structure[0])]
-    begin, end = walk.run.seconds(walk.setup.cycle_rate(walk.constants | _values(line)))
-    return SweepRow(
-        out=out,
-        sweep=sweep,
-        row=row,
-        line=line,
-        begin=float(begin),
-        end=float(end),
-        engine=engines[0] if engines else None,
-        stored=stored or None,
-        outdated=outdated and not stored,
-    )
+    line, engine = rows.take(np.array([row])), engines[0] if engines else None
+    return SweepRow(out, sweep, row, line, engine, stored or None, outdated and not stored)
 
 
 def replay_row(
@@ -188,11 +183,11 @@ def replay_row(
     metrics = {name: float(values[0]) for name, values in result.metrics.items()}
     status = str(result.status[0])
     # A run that has covered its distance is over; one that fell is shown to its end, one that is lost until then.
-    whole = found.begin + metrics["duration"]
+    whole = found.span[0] + metrics["duration"]
     ends = dict.fromkeys(("ok", "unsolved", "sank", "floated"), whole) | {
         "diverged": metrics["failure_time"] - simulator.controller.dt
     }
-    ticks = math.ceil(ends.get(status, found.end) / simulator.controller.dt - 1e-3)
+    ticks = math.ceil(ends.get(status, found.span[1]) / simulator.controller.dt - 1e-3)
     trace = result.trace
     assert trace is not None
     return Replay(
@@ -256,18 +251,108 @@ def agreement(stored: Mapping[str, Any], metrics: Mapping[str, float], engine: s
         metrics: name -> value.
         engine: which engine made the table's row.
     """
-    differences = {name: _difference(stored[name], metrics[name]) for name in metrics if name in stored}
+
+    def apart(a: float, b: float) -> float:
+        if a == b or (math.isnan(a) and math.isnan(b)):
+            return 0.0
+        return math.inf if math.isnan(a) or math.isnan(b) else abs(a - b) / max(abs(a), abs(b))
+
+    differences = {name: apart(stored[name], metrics[name]) for name in metrics if name in stored}
     worst = max(differences, key=differences.__getitem__)
     if differences[worst] == 0.0:
         return Agreement(engine, equal=True)
     return Agreement(engine, False, worst, differences[worst], float(stored[worst]), float(metrics[worst]))
 
 
-def _values(line: Rows) -> dict[str, float]:
-    return {name: float(column[0]) for name, column in known(line.values).items()}
+# ---
+# Rows of a complete sweep that are kept as recordings: each is replayed and recorded once.
 
 
-def _difference(a: float, b: float) -> float:
-    if a == b or (math.isnan(a) and math.isnan(b)):
-        return 0.0
-    return math.inf if math.isnan(a) or math.isnan(b) else abs(a - b) / max(abs(a), abs(b))
+#: Kinds of rows that are kept by their outcome.
+_STATUSES: Final = ("fell", "diverged", "unsolved")
+
+
+def recording_file(out: Path, row: int) -> Path:
+    """Where a row of a directory is recorded, if it is kept."""
+    return out / RECORDINGS / f"row-{row:06d}.npz"
+
+
+def kept_rows(results: Results, keep: Keep) -> dict[int, str]:
+    """The rows of a complete table that are kept, and why.
+
+    The best come first, each of a different variant; then those with another outcome, the first ones in the table.
+    """
+    kept: dict[int, str] = {}
+    if keep.best:
+        price = cost(sides_in(results.schema)[keep.metric], results.column(keep.metric))
+        price = np.where(results.well & np.isfinite(price), price, np.inf)
+        order = np.argsort(price, kind="stable")
+        order = order[np.isfinite(price[order])]
+        _, first = np.unique(results.column("variant")[order], return_index=True)
+        best = order[np.sort(first)[: keep.best]]
+        kept |= {int(row): f"number {i} by {keep.metric}" for i, row in enumerate(best, 1)}
+    status = results.column("status")
+    for word in _STATUSES:
+        for row in np.flatnonzero(status == word)[: getattr(keep, word)]:
+            kept.setdefault(int(row), word)
+    return kept
+
+
+def record_rows(
+    held: RunDirectory,
+    digest: str,
+    results: Results,
+    keep: Keep,
+    used: Any = None,
+    check: Callable[[], None] = lambda: None,
+    warn: Callable[[str], None] = lambda _: None,
+) -> list[Path]:
+    """Record the rows to keep that are not recorded yet; returns the files of all of them, in the order of the rows.
+
+    Args:
+        held: the directory of the complete table.
+        digest: of its sweep.
+        results: the table.
+        keep: which rows.
+        used: what simulated the table in this process, if anything; a `Simulator` has its programs compiled.
+        check: called often; may raise an interruption. What is recorded until then stays.
+        warn: called with a message if a replay does not give the table's numbers, or nothing can be recorded.
+
+    Raises:
+        DirectoryError: a file cannot be written.
+    """
+    files = []
+
+    @functools.lru_cache
+    def simulator(setup: Setup, engine: str) -> Simulator:
+        if (getattr(used, "setup", None), getattr(getattr(used, "engine", None), "name", "")) == (setup, engine):
+            return used
+        try:
+            return Simulator(setup, engine)
+        except ParameterError:
+            warn(f"the engine {engine} cannot run here: rows that are kept are replayed on the engine c.")
+            return Simulator(setup, "c")
+
+    for row, why in sorted(kept_rows(results, keep).items()):
+        path = recording_file(held.out, row)
+        with contextlib.suppress(RecordingError):  # absent, or damaged
+            there = Recording.load(path).metadata
+            if (there.get("row"), there.get("sweep")) == (row, digest):
+                files.append(path)
+                continue
+        check()
+        found = find_row(held.out, row)
+        walker = simulator(found.walk.setup, engine_for(found))
+        replay = replay_row(found, progress=lambda _: check(), simulator=walker)
+        if not len(replay.history.time):
+            warn(f"row {row} diverged in its first tick: there is nothing to record.")
+            continue
+        report = report_of(found, replay)
+        if replay.comparison is not None and not replay.comparison.equal:
+            warn(f"row {row} as it is recorded: {report['compared']}")
+        about = {**report, "kept": why, "sweep": digest}
+        content = dataclasses.replace(replay.recording(), metadata=plain(about)).content()
+        held.move_aside(path.relative_to(held.out))
+        held.write(path.relative_to(held.out), content)
+        files.append(path)
+    return files

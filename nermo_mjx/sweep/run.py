@@ -36,11 +36,8 @@ from nermo_mjx.runs.text import to_json
 from nermo_mjx.runs.workers import LocalWorkers, TaskFailed, Workers
 from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.specs.walk import unread
-from nermo_mjx.sweep.comparing import better
 from nermo_mjx.sweep.plots import figures_of, findings
-from nermo_mjx.sweep.results import HELD, Results, read_table
 from nermo_mjx.sweep.sampling import Sample
-from nermo_mjx.sweep.series import check_room, chunk_with_series, record_rows, series_table
 from nermo_mjx.sweep.simulating import (
     PROBE,
     WORLD_BYTES,
@@ -54,7 +51,9 @@ from nermo_mjx.sweep.simulating import (
 from nermo_mjx.sweep.spec import SIDES, Sweep, cost
 from nermo_mjx.sweep.store import (
     batch_values,
+    check_room,
     check_source,
+    chunk_with_series,
     claim,
     differences,
     fixed_differences,
@@ -62,10 +61,11 @@ from nermo_mjx.sweep.store import (
     layout_of,
     listed,
     refusal,
+    series_table,
     simulated_seconds,
     sweep_in,
 )
-from nermo_mjx.sweep.table import chunk_table, columns_of, summarize
+from nermo_mjx.sweep.table import HELD, Results, better, chunk_table, columns_of, read_table, summarize
 from nermo_mjx.trust import only_reading
 
 # ---
@@ -102,6 +102,7 @@ class Work:
     Attributes:
         rows: all of them.
         seconds: how long each is simulated, (rows,) [s].
+        layout: the rows of each batch, if the whole sweep is simulated in one go.
         runs: the store that has them, or not.
         simulated, reused: batches that this process has simulated, and rows that it has taken from elsewhere.
     """
@@ -119,8 +120,8 @@ class Work:
     ) -> None:
         self.sweep, self.out, self.rows, self._watch = sweep, out, Sample(sweep), watch
         self._structure, self.seconds = self.rows.structures(), simulated_seconds(sweep, self.rows)
-        self._layout, self._shard = layout_of(self.seconds, size, self._structure), shard or (0, 1)
-        self._share = np.concatenate(self._layout[self._shard[0] :: self._shard[1]] or [np.empty(0, int)])
+        self.layout, self._shard = layout_of(self.seconds, size, self._structure), shard or (0, 1)
+        self._share = np.concatenate(self.layout[self._shard[0] :: self._shard[1]] or [np.empty(0, int)])
         self.runs = Runs(out, sweep.digest(), sources, watch.warn, sweep.save is not None, held)
         self._log = None if board is None else BatchLog(board)
         if self._log is not None:
@@ -142,11 +143,6 @@ class Work:
         """The rows of this process that are not there, (n,), those of one batch together."""
         return self._share[~self.done[self._share]]
 
-    @property
-    def batches_in_all(self) -> int:
-        """How many batches the whole sweep has if it is simulated in one go."""
-        return len(self._layout)
-
     def effort(self) -> dict[str, Any]:
         """Engines, physics steps and the time they took, over all sessions."""
         steps, seconds = np.sum(
@@ -165,7 +161,7 @@ class Work:
         done, (own, shards) = self.done, self._shard
         if done.all():
             return ""
-        lacking = {k % shards for k, rows in enumerate(self._layout) if not done[rows].all()}
+        lacking = {k % shards for k, rows in enumerate(self.layout) if not done[rows].all()}
         shares = " and ".join(f"--shard {shard}/{shards}" for shard in sorted(lacking - {own}))
         how = f"with {shares}" if shares else "by the command sweep"
         return f"{(~done).sum():,} of {len(done):,} runs are missing; unless they are being run, run them {how}."
@@ -173,7 +169,7 @@ class Work:
     def known(self) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         """Unfinished rows that are in other directories or in former parts, some at a time (n,), and where (n,)."""
         unfinished = self.unfinished if self.runs.others else np.empty(0, int)
-        at_once = _TAKEN if self.sweep.save is None else len(self._layout[0])
+        at_once = _TAKEN if self.sweep.save is None else len(self.layout[0])
         for start in range(0, len(unfinished), at_once):
             index = unfinished[start : start + at_once]
             places = self.runs.find(keys_of_rows(self.sweep, self.rows.take(index)))
@@ -188,7 +184,7 @@ class Work:
             reused: how many rows of the sweep are not simulated at all; then there may be few others.
         """
         whole = dict[int, int]()
-        for each in self._layout:
+        for each in self.layout:
             at = int(self._structure[each[0]])
             whole[at] = max(whole.get(at, 0), len(each))
         batches = []
@@ -499,6 +495,8 @@ def run_sweep(
             results = Results([part.path for part in work.runs.parts])
             summary, plots = _sum_up(work, held, results, watch)
             if sweep.keep is not None:
+                from nermo_mjx.sweep.replay import record_rows
+
                 recordings = record_rows(
                     held, sweep.digest(), results, sweep.keep, simulates.used, interruption.check, watch.warn
                 )
@@ -763,7 +761,7 @@ def forecast(
         )
     return Forecast(
         rows=len(work.rows),
-        chunks=work.batches_in_all,
+        chunks=len(work.layout),
         rows_left=len(left),
         batches=len(batches),
         structures=len({batch.structure for batch in batches}),

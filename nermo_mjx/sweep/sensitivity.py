@@ -22,8 +22,7 @@ from nermo_mjx.plotting.style import BAND, GRID, INK, LINE, MUTED, OKABE_ITO
 from nermo_mjx.robot.quantity import ParameterError, did_you_mean
 from nermo_mjx.sweep.axes import saltelli_size, unit_problem
 from nermo_mjx.sweep.comparing import Source, opened
-from nermo_mjx.sweep.results import Results
-from nermo_mjx.sweep.table import LEADING, Columns, columns_of, labelled, report_table
+from nermo_mjx.sweep.table import LEADING, Columns, Results, columns_of, labelled, report_table
 
 #: Resamples of SALib's bootstrap, the same ones in each call; SALib takes a seed of 0 for none.
 _BOOTSTRAP: Final[dict[str, Any]] = {"num_resamples": 1000, "seed": 1}
