@@ -214,11 +214,11 @@ def test_no_odd_value_leads_to_anything_but_a_sentence():
     from nermo_mjx.specs.fields import read
     from nermo_mjx.specs.reading import SpecError, read_mapping
     from nermo_mjx.specs.walk import Arc, OpenLoop, Pilot, RunFields, Straight, Waypoints
-    from nermo_mjx.sweep.axes import AxisForm, DrawForm
+    from nermo_mjx.sweep.axes import Axis, Draw
     from nermo_mjx.sweep.spec import Randomized, Sampler, SweepFile
 
     models = [SweepFile, TuningFile, SearchFile, ChannelsFile, TrainingFile, SceneFields,
-              AxisForm, DrawForm, Randomized, Sampler, Arc, OpenLoop, Pilot,
+              Axis, Draw, Randomized, Sampler, Arc, OpenLoop, Pilot,
               RunFields, Straight, Waypoints, OptimizerFields]  # fmt: skip
     messages = []
     for model in models:

@@ -165,7 +165,7 @@ def test_the_example_of_the_interface_is_read():
     assert (sweep.setup.gait, sweep.setup.spine, sweep.setup.pilot) == ("trt", "stride_extension", "straight")
     assert (sweep.run.cycles, sweep.run.warmup_cycles, sweep.run.distance) == (8, 2, 2.0)
     assert [axis.name for axis in sweep.axes] == ["frequency", "spine.amplitude", "spine.phase"]
-    np.testing.assert_array_equal(sweep.axes[0].values(), [0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.2])
+    np.testing.assert_array_equal(sweep.axes[0].listed(), [0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.2])
     assert sweep.variants == 9 * 3 * 13
     assert sweep.repeats == 3
     assert sweep.constants == {"duty": 0.55}
@@ -250,7 +250,7 @@ def test_arrays_may_stand_for_lists_in_a_dict():
     """A dict from Python may hold numpy arrays and tuples."""
     sweep = Sweep.from_dict({"vary": {"frequency": np.linspace(0.5, 1.0, 3), "duty": (0.5, 0.6)}})
     assert sweep.variants == 6
-    np.testing.assert_array_equal(sweep.axes[0].values(), [0.5, 0.75, 1.0])
+    np.testing.assert_array_equal(sweep.axes[0].listed(), [0.5, 0.75, 1.0])
 
 
 def test_way_points_are_read():

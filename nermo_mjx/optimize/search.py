@@ -27,7 +27,7 @@ from nermo_mjx.specs.model import Spec, one_of, written
 from nermo_mjx.specs.reading import Document, FieldPath, describe
 from nermo_mjx.specs.values import MEASURED, ByParameter, Checked, Choice, Finite, Numbers, Positive, Whole
 from nermo_mjx.specs.walk import WalkFields, check_sources, check_workspace, read_walk, written_out
-from nermo_mjx.sweep.axes import Axis, AxisForm, read_axis, read_draw
+from nermo_mjx.sweep.axes import Axis, read_axis, read_draw
 from nermo_mjx.sweep.spec import Randomized, Sweep, start_draws
 from nermo_mjx.sweep.structures import Structure
 
@@ -283,7 +283,7 @@ class SearchFile(WalkFields):
     model_config = ConfigDict(json_schema_extra={"required": ["vary"]}, use_attribute_docstrings=True)
     what: ClassVar = "a field of a search"
     sources: ClassVar = "'vary', 'set' or 'randomize'"
-    vary: Annotated[dict[str, AxisForm], ByParameter()] = Field({})
+    vary: Annotated[dict[str, Axis], ByParameter()] = Field({})
     """searched parameters with their bounds"""
     objective: Annotated[list[Term], OneOrMore()] = optional("a term, or several whose sum is minimized")
     pareto: list[Term] = optional("several objectives, each a term")

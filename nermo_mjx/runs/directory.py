@@ -324,8 +324,7 @@ class Written:
         Raises:
             DirectoryError: it cannot be written.
         """
-        if self._digest_of(path) not in (None, self.known.get(self.name(path)), digest(content)):
-            self._move_aside(path)
+        self._make_way(path, digest(content))
         self.held.write(self.name(path), content)
         self.known[self.name(path)] = digest(content)
 
@@ -335,8 +334,7 @@ class Written:
         Raises:
             DirectoryError: what stands in the way cannot be moved.
         """
-        if self._digest_of(path) not in (None, self.known.get(self.name(path))):
-            self._move_aside(path)
+        self._make_way(path)
         made = maker(path)
         self.known[self.name(path)] = str(self._digest_of(path))
         return made
@@ -356,29 +354,26 @@ class Written:
             DirectoryError: it cannot be.
         """
         self.remove([self.name(path)])
-        if path.exists():
-            self._move_aside(path)
+        self._make_way(path)
 
     def sentence(self) -> str:
         """What was moved aside; empty if nothing was."""
         if not self.aside:
             return ""
-        more = f" and {len(self.aside) - 1} more" if len(self.aside) > 1 else ""
-        what = (
-            "Files in the way were not as this program wrote them"
-            if more
-            else ("A file in the way was not as this program wrote it")
-        )
+        what, more = "A file in the way was not as this program wrote it", ""
+        if len(self.aside) > 1:
+            what, more = "Files in the way were not as this program wrote them", f" and {len(self.aside) - 1} more"
         return f"{what}: moved aside in {self.held.out}, to {self.aside[0]}{more}."
 
     def name(self, path: Path) -> str:
         """The path of a file from the directory, for links as well."""
         return path.relative_to(self.held.out).as_posix()
 
-    def _move_aside(self, path: Path) -> None:
-        moved = self.held.move_aside(self.name(path))
-        if moved is not None:
-            self.aside.append(self.name(moved))
+    def _make_way(self, path: Path, *also: str) -> None:
+        """Move a file aside that is neither as the program wrote it nor of one of these digests."""
+        if self._digest_of(path) not in (None, self.known.get(self.name(path)), *also):
+            moved = self.held.move_aside(self.name(path))
+            self.aside += [] if moved is None else [self.name(moved)]
 
     def _digest_of(self, path: Path) -> str | None:
         """Digest of a file; None if it does not exist, a marker for a folder."""

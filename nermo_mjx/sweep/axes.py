@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import dataclasses
-from typing import Annotated, Any, ClassVar, Final
+from typing import Annotated, Any, ClassVar, Final, Self
 
 import numpy as np
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, Field, PrivateAttr
 from scipy import special
 
 from nermo_mjx.robot.quantity import Quantity
@@ -20,14 +19,31 @@ _Steps = Annotated[list[float], Numbers("[from, to, count]", 2, 3)]
 _Bounds = Annotated[list[float], Numbers("[low, high]", 2, 2)]
 
 
-class AxisForm(OneOf):
-    """A varied parameter, as written in a file; with a sampler, `linspace` and `logspace` need no count."""
+class _Values(OneOf):
+    """How a file gives a parameter its values: `name` is the parameter's, `form` the given field, `numbers` its list."""
+
+    other: ClassVar = "has the form {name!r}"
+    _name: str = PrivateAttr("")
+    _range: tuple[float, float] = PrivateAttr((-np.inf, np.inf))
+    _implied: bool = PrivateAttr(False)
+
+    def of(self, name: str, about: Quantity, implied: bool = False) -> Self:
+        """With what its section's key says, and the range of the parameter."""
+        self._name, self._range, self._implied = name, (about.low, about.high), implied
+        return self
+
+    name = property(lambda self: self._name)
+    form = property(lambda self: self.chosen[0])
+    numbers = property(lambda self: tuple(self.chosen[1]))
+
+
+class Axis(_Values):
+    """A varied parameter; with a sampler, `linspace` and `logspace` need no count."""
 
     expected: ClassVar = (
         "{linspace: [from, to, count]} or {logspace: [from, to, count]} or {values: [a, b, ...]}, with a sampler also "
         "{uniform: [low, high]} or {loguniform: [low, high]}; put a fixed value under 'set'"
     )
-    other: ClassVar = "has the form {name!r}"
     short: ClassVar = ({"type": "array", "items": {"type": "number"}, "minItems": 1},)
     linspace: _Steps = optional("evenly spaced, both ends included")
     logspace: _Steps = optional("evenly in the logarithm; the ends are values, not exponents")
@@ -39,34 +55,7 @@ class AxisForm(OneOf):
     def written_out(cls, given: Any) -> Any:
         return {"values": given} if isinstance(given, list) else super().written_out(given)
 
-
-class DrawForm(OneOf):
-    """A randomized parameter, as written in a file."""
-
-    expected: ClassVar = (
-        "{uniform: [low, high]} or {loguniform: [low, high]} or {normal: [mean, std]}; put a fixed value under 'set'"
-    )
-    other: ClassVar = "has the form {name!r}"
-    uniform: _Bounds = optional("between the bounds")
-    loguniform: _Bounds = optional("evenly in the logarithm")
-    normal: Annotated[list[float], Numbers("[mean, std]", 2, 2)] = optional("truncated to the range")
-
-
-@dataclasses.dataclass(frozen=True)
-class Axis:
-    """One varied parameter.
-
-    Attributes:
-        name: dotted name of the parameter.
-        form: a field of `AxisForm`. `logspace` and `loguniform` are given by their end values, not by exponents.
-        numbers: the given list; the count of a linspace or logspace that only bounds a sampler may be absent.
-    """
-
-    name: str
-    form: str
-    numbers: tuple[float, ...]
-
-    def values(self) -> np.ndarray:
+    def listed(self) -> np.ndarray:
         """The values of the axis on a grid, shape (n,)."""
         if self.form == "values":
             return np.asarray(self.numbers, dtype=float)
@@ -79,12 +68,12 @@ class Axis:
     def at(self, share: np.ndarray) -> np.ndarray:
         """Values for shares in [0, 1) of the axis, as the samplers draw them; listed values are drawn equally often."""
         if self.form == "values":
-            return self.values()[np.floor(share * len(self.numbers)).astype(int)]
+            return self.listed()[np.floor(share * len(self.numbers)).astype(int)]
         return _between(self.numbers[0], self.numbers[1], share, log=self.form in ("logspace", "loguniform"))
 
     def tried(self, *, grid: bool) -> np.ndarray:
         """Values to try before a sweep begins: all of a grid, else a few within the bounds."""
-        return self.values() if grid or self.form == "values" else self.at(np.linspace(0.0, 0.999, _TRIED))
+        return self.listed() if grid or self.form == "values" else self.at(np.linspace(0.0, 0.999, _TRIED))
 
     def written(self) -> dict[str, list[float]]:
         """The axis as written in a sweep file."""
@@ -92,32 +81,24 @@ class Axis:
         return {self.form: [*self.numbers[:2], *count] if self.form != "values" else list(self.numbers)}
 
 
-@dataclasses.dataclass(frozen=True)
-class Draw:
-    """One randomized parameter.
+class Draw(_Values):
+    """A randomized parameter; one that is implied no file names: with repeats the start is perturbed, but the first."""
 
-    Attributes:
-        name: dotted name of the parameter.
-        form: a field of `DrawForm`; a normal distribution is truncated to the parameter's range.
-        numbers: (low, high), or (mean, standard deviation).
-        low, high: range of the parameter.
-        implied: whether no file names it: with repeats the start is perturbed, except for the first repeat.
-    """
-
-    name: str
-    form: str
-    numbers: tuple[float, float]
-    low: float
-    high: float
-    implied: bool = False
+    expected: ClassVar = (
+        "{uniform: [low, high]} or {loguniform: [low, high]} or {normal: [mean, std]}; put a fixed value under 'set'"
+    )
+    uniform: _Bounds = optional("between the bounds")
+    loguniform: _Bounds = optional("evenly in the logarithm")
+    normal: Annotated[list[float], Numbers("[mean, std]", 2, 2)] = optional("truncated to the range")
+    implied = property(lambda self: self._implied)
 
     def at(self, share: np.ndarray) -> np.ndarray:
         """The quantile function of the distribution at shares in [0, 1)."""
         a, b = self.numbers
         if self.form != "normal":
             return _between(a, b, share, log=self.form == "loguniform")
-        low, high = special.ndtr((self.low - a) / b), special.ndtr((self.high - a) / b)
-        return np.clip(a + b * special.ndtri(low + (high - low) * share), self.low, self.high)
+        low, high = (special.ndtr((end - a) / b) for end in self._range)
+        return np.clip(a + b * special.ndtri(low + (high - low) * share), *self._range)
 
     def tried(self) -> np.ndarray:
         """A few values within the bounds; for a normal draw, all but one in a thousand on either side."""
@@ -128,7 +109,7 @@ class Draw:
         return {self.form: list(self.numbers)}
 
 
-def read_axis(doc: Document, name: str, given: AxisForm, about: Quantity, *, grid: bool) -> Axis:
+def read_axis(doc: Document, name: str, given: Axis, about: Quantity, *, grid: bool) -> Axis:
     """Check the entry `vary.name`; `grid` tells whether the sampler needs listed values or only bounds."""
     form, numbers = given.chosen
     path = ("vary", name, form)
@@ -146,7 +127,7 @@ def read_axis(doc: Document, name: str, given: AxisForm, about: Quantity, *, gri
             twice = next(number for i, number in enumerate(numbers) if number in numbers[:i])
             doc.fail(path, f"lists {twice:g} twice: every variant would be run twice.", name)
         check_value(doc, path, name, about, numbers)
-        return Axis(name, form, tuple(numbers))
+        return given.of(name, about)
     if grid and len(numbers) != 3:
         doc.fail(path, f"is {form} with {len(numbers)} numbers: expected [from, to, count].", name)
     check_value(doc, path, name, about, numbers[:2])
@@ -164,10 +145,10 @@ def read_axis(doc: Document, name: str, given: AxisForm, about: Quantity, *, gri
             f"is {form} from {numbers[0]:g} to {numbers[1]:g}: both are end values (not exponents) and above 0.",
             name,
         )
-    return Axis(name, form, tuple(numbers))
+    return given.of(name, about)
 
 
-def read_draw(doc: Document, name: str, given: DrawForm, about: Quantity) -> Draw:
+def read_draw(doc: Document, name: str, given: Draw, about: Quantity) -> Draw:
     """Check the entry `randomize.name`."""
     form, (a, b) = given.chosen
     path = ("randomize", name, form)
@@ -178,7 +159,7 @@ def read_draw(doc: Document, name: str, given: DrawForm, about: Quantity) -> Dra
         doc.fail(path, f"has the bounds {a:g} and {b:g}: the lower one comes first.", name)
     if form == "loguniform" and a <= 0:
         doc.fail(path, f"is loguniform from {a:g}: both bounds must be above 0.", name)
-    return Draw(name, form, (a, b), about.low, about.high)
+    return given.of(name, about)
 
 
 def _between(a: float, b: float, share: np.ndarray, *, log: bool) -> np.ndarray:

@@ -65,7 +65,7 @@ class Sample:
         """
         self.sweep = sweep
         self._axes: dict[str, Axis] = {axis.name: axis for axis in sweep.axes}
-        self._listed = {axis.name: axis.values() for axis in sweep.axes} if sweep.sampler == "grid" else {}
+        self._listed = {axis.name: axis.listed() for axis in sweep.axes} if sweep.sampler == "grid" else {}
         self._ends = np.cumsum(sweep.counts) if shares is None else np.array([len(shares)])
         dimensions, rng = len(sweep.axes), np.random.default_rng(sweep.seed)
         if shares is None and sweep.sampler == "saltelli":

@@ -25,7 +25,7 @@ from nermo_mjx.specs.fields import Fields, OneOf, Refused, optional, read
 from nermo_mjx.specs.reading import Document, describe, read_file, read_mapping
 from nermo_mjx.specs.values import Choice, Positive, Whole, refuse_parameter
 from nermo_mjx.specs.walk import WalkFields, WalkSpec, check_sources, check_workspace, unread, written_out
-from nermo_mjx.sweep.axes import Axis, Draw, DrawForm, Saltelli, read_axis, read_draw, saltelli_size
+from nermo_mjx.sweep.axes import Axis, Draw, Saltelli, read_axis, read_draw, saltelli_size
 from nermo_mjx.sweep.structures import (
     RowList,
     RowsForm,
@@ -214,7 +214,7 @@ class Sampler(OneOf):
 class Randomized(Fields):
     """Repeats, where bodies are drawn from, and the randomized parameters by name."""
 
-    __pydantic_extra__: dict[str, DrawForm]
+    __pydantic_extra__: dict[str, Draw]
     model_config = ConfigDict(extra="allow", json_schema_extra=also_parameters)
     repeats: Annotated[int, Whole(1, 100_000)] = Field(1, description="how often each variant is drawn and run")
     bodies: Annotated[str, Choice(("identified",))] = optional("draw whole bodies", alias="from")
@@ -295,7 +295,7 @@ def check_together(doc: Document, sweep: Sweep) -> None:
             name: list(dict.fromkeys(each.labels[name] for each in sweep.structures)) for name in sweep.labelled
         }
         for axis in sweep.axes:
-            values[axis.name] = axis.values().tolist() if sweep.sampler == "grid" or axis.form == "values" else None
+            values[axis.name] = axis.listed().tolist() if sweep.sampler == "grid" or axis.form == "values" else None
         for name, column in ({} if sweep.rows is None else sweep.rows.values).items():
             values[name] = np.unique(column[~np.isnan(column)]).tolist()
         check_comparison(doc, sweep.comparison, values)
@@ -376,7 +376,7 @@ class Sweep(WalkSpec, Described):
         if self.rows is not None:
             return tuple(np.bincount(self.rows.structure, minlength=len(self.structures)).tolist())
         if self.sampler == "grid":
-            return tuple(math.prod(len(axis.values()) for axis in self.read_axes(at)) for at in self.structures)
+            return tuple(math.prod(len(axis.listed()) for axis in self.read_axes(at)) for at in self.structures)
         points = self.samples * (saltelli_size(len(self.axes), self.second_order) if self.sampler == "saltelli" else 1)
         return tuple(points if self.read_axes(at) or not self.axes else 1 for at in self.structures)
 
@@ -515,7 +515,7 @@ def start_draws(sweep: Sweep) -> tuple[Draw, ...]:
     """
     named = {*sweep.constants, *sweep.varied, *(draw.name for draw in sweep.draws)}
     return tuple(
-        Draw(name, "uniform", (-spread, spread), sweep.parameters[name].low, sweep.parameters[name].high, True)
+        Draw.model_validate({"uniform": [-spread, spread]}).of(name, sweep.parameters[name], implied=True)
         for name, spread in START_SPREAD.items()
         if name not in named
     )

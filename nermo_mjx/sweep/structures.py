@@ -33,7 +33,7 @@ from nermo_mjx.specs.fields import Fields, JsonSchema, Refused, optional, read
 from nermo_mjx.specs.reading import Document, FieldPath, SpecError, describe, read_text
 from nermo_mjx.specs.values import Checked, by_parameter, refuse_parameter
 from nermo_mjx.specs.walk import Pilot, SetupFields, WalkFields, WalkSpec, read_walk, unread
-from nermo_mjx.sweep.axes import AxisForm
+from nermo_mjx.sweep.axes import Axis
 
 #: Combinations in one sweep: each is a simulator, and is checked before anything runs.
 MOST_STRUCTURES: Final = 1_000
@@ -113,7 +113,7 @@ _Structures: Any = create_model(
 class Vary(_Structures):
     """What is varied: structures, and parameters by name."""
 
-    __pydantic_extra__: dict[str, AxisForm]
+    __pydantic_extra__: dict[str, Axis]
     model_config = ConfigDict(extra="allow", json_schema_extra=also_parameters)
     expected: ClassVar = "a mapping of structures and parameters to their values"
 
