@@ -20,7 +20,7 @@ _Bounds = Annotated[list[float], Numbers("[low, high]", 2, 2)]
 
 
 class _Values(OneOf):
-    """How a file gives a parameter its values: `name` is the parameter's, `form` the given field, `numbers` its list."""
+    """How a file gives the parameter `name` its values: `form` is the given field, and `numbers` its list."""
 
     other: ClassVar = "has the form {name!r}"
     _name: str = PrivateAttr("")

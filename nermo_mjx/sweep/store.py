@@ -58,7 +58,7 @@ def fixed_differences(there: Sweep, here: Sweep) -> str:
     free |= {f"randomize.{name}" for name in START_SPREAD}  # come with repeats
     if "physics" in free:
         free.add("timestep")
-    apart = differing(there.decisive(), here.decisive())
+    apart = _apart(there, here)
     for name in list(apart):
         varied = name.split(".")[0] in free & set(STRUCTURES)
         if varied or name in free or any(f"{name}.".startswith(f"{field}.") for field in _ROWS):
@@ -69,9 +69,7 @@ def fixed_differences(there: Sweep, here: Sweep) -> str:
 def differences(there: Sweep, here: Sweep) -> str:
     """How two sweeps differ: the first fields, each with both values: `seed is 0 there and 5 here`."""
     # The same values, but another row 0.
-    return _sentence(differing(there.decisive(), here.decisive())) or (
-        "the parameters under vary or randomize stand in another order"
-    )
+    return _sentence(_apart(there, here)) or ("the parameters under vary or randomize stand in another order")
 
 
 def refusal(there: Sweep, here: Sweep) -> str:
@@ -84,6 +82,12 @@ def refusal(there: Sweep, here: Sweep) -> str:
             "which can be extended, or repeats"
         )
     return ""
+
+
+def _apart(there: Sweep, here: Sweep) -> dict[str, tuple[Any, Any]]:
+    """The fields in which they differ; what stands in an empty section has a name of its own."""
+    apart = differing(there.decisive(), here.decisive())
+    return {name: values for name, values in apart.items() if {} not in values}
 
 
 def _sentence(apart: Mapping[str, tuple[Any, Any]]) -> str:
