@@ -6,6 +6,7 @@ import collections
 import functools
 import gc
 import os
+import sys
 from collections.abc import Generator, Iterator
 from typing import Any
 
@@ -14,6 +15,11 @@ import jax
 import numpy as np
 import pytest
 import tiers
+
+# Without bytecode each of the processes that a run starts compiles the package anew, for 3 s of a core, and each of
+# those that run tests compiles all tests, for 7 s.
+if os.environ.pop("PYTHONDONTWRITEBYTECODE", None):
+    sys.dont_write_bytecode = False
 
 from nermo_mjx import runtime
 from nermo_mjx.physics import resolve_engine
