@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import collections
+import contextlib
 import functools
 import gc
+import importlib
 import os
 import sys
 from collections.abc import Generator, Iterator
+from pathlib import Path
 from typing import Any
 
 import chromium
@@ -76,8 +79,17 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 
 @pytest.hookimpl(wrapper=True)
-def pytest_collection() -> Generator[None, Any, Any]:
-    """Existing objects live until the end: the garbage collector need not traverse them repeatedly."""
+def pytest_collection(session: pytest.Session) -> Generator[None, Any, Any]:
+    """Of all tests each process compiles its share first, and finds the bytecode of the others' shares afterwards.
+
+    Existing objects live until the end: the garbage collector need not traverse them repeatedly.
+    """
+    worker = getattr(session.config, "workerinput", None)
+    if worker and session.config.args == session.config.getini("testpaths"):
+        names = sorted(path.stem for path in Path(__file__).parent.glob("test_*.py"))
+        for name in names[int(worker["workerid"].removeprefix("gw")) :: worker["workercount"]]:
+            with contextlib.suppress(Exception, pytest.skip.Exception):  # which are reported when it is collected
+                importlib.import_module(name)
     result = yield
     gc.freeze()
     gc.enable()

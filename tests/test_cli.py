@@ -69,6 +69,7 @@ def test_help_imports_nothing_heavy() -> None:
     subprocess.run([sys.executable, "-c", script], check=True, capture_output=True)
 
 
+@pytest.mark.process
 def test_a_walk_imports_neither_splines_nor_tables() -> None:
     """Together they take a quarter of a walk's import time, and only courses and result tables need them."""
     script = (

@@ -113,6 +113,7 @@ def test_episodes_begin_with_a_gait_whose_feet_and_limbs_have_parameters():
     assert qpos.shape == (robot.model.nq,)
 
 
+@pytest.mark.compiles
 def test_staggered_worlds_do_not_end_their_episodes_together():
     """The first ends after a share of the duration that differs between worlds, and all later ones last it out."""
     environment = Environment(SETUP, worlds=12, task=TASK, staggered=True)

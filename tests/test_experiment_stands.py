@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import functools
+
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -30,13 +33,20 @@ def of_spine():
     return stands.run_spine(Settings(("exact",)))
 
 
-def slopes(pair: str, routing: str) -> tuple[np.ndarray, np.ndarray]:
-    """d(y, z) / d(q1, q2) of the neutral foot, and d theta_1 / d(q1, q2), in double precision."""
-    servo = stands.servo_angles(pair, np.array(LEGS[pair].neutral_foot), routing)
-    numbers = kinematics.leg_of(LEGS[pair])
+@functools.cache
+def slopes(pair: str, routing: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """d(y, z) / d(q1, q2) of the neutral foot, d theta_1 / d(q1, q2), and theta_1, in double precision."""
+    numbers, foot = kinematics.leg_of(LEGS[pair]), np.array(LEGS[pair].neutral_foot)
+    servo = stands.servo_angles(pair, foot, routing)
+
+    @jax.jit
+    def found(servo, foot):
+        knee = jax.jacfwd(lambda servo: kinematics.forward(numbers, servo, routing).knee_angle)(servo)
+        angle = kinematics.inverse(numbers, foot, routing).knee_angle
+        return kinematics.jacobian(numbers, servo, routing), knee, angle
+
     with jax.enable_x64(True):
-        knee = jax.jacfwd(lambda change: kinematics.forward(numbers, servo + change, routing).knee_angle)(np.zeros(2))
-        return np.asarray(kinematics.jacobian(numbers, servo, routing)), np.asarray(knee)
+        return tuple(map(np.asarray, found(jnp.asarray(servo, float), jnp.asarray(foot))))
 
 
 @pytest.mark.parametrize("routing", ROUTINGS)
@@ -44,7 +54,7 @@ def slopes(pair: str, routing: str) -> tuple[np.ndarray, np.ndarray]:
 def test_speed_and_coupling_are_those_of_the_kinematics(of_leg, pair, routing):
     """Speed within 3 % (the servo's sag changes with the spring's torque), coupling within 0.02."""
     case = {"pair": pair, "routing": routing, "hinges": 1}
-    foot, knee = slopes(pair, routing)
+    foot, knee, _ = slopes(pair, routing)
     assert of_leg.mean("speed", **case) == pytest.approx(15.0 * abs(foot[1, 1]), rel=0.03)
     assert of_leg.mean("coupling", **case) == pytest.approx(LEGS[pair].knee_direction * knee[0], abs=0.02)
 
@@ -57,9 +67,7 @@ def test_force_is_that_of_virtual_work(pair, routing):
     limb, foot = f"{pair}_left", np.array(LEGS[pair].neutral_foot)
     servo = stands.servo_angles(pair, foot, routing)
     measured = Stand(assemble_leg(limb, routing, stiff)).settle(servo).held(f"{limb}_foot", (0.0, 0.0, -1.0), 20.0)
-    jacobian, knee = slopes(pair, routing)
-    with jax.enable_x64(True):
-        angle = float(kinematics.inverse(kinematics.leg_of(LEGS[pair]), foot, routing).knee_angle)
+    jacobian, knee, angle = slopes(pair, routing)
     spring = float(getattr(ModelParameters().stiffness, f"{pair}_knee")) * (angle - KNEE_REST[pair])
     rise, limit = jacobian[1], float(ModelParameters().servo.torque_limit)
     # The knee's servo drives it in the sense in which the foot rises, and the hip's servo carries the rest.

@@ -145,6 +145,7 @@ def directories(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[str, Pa
     return request.param, tmp_path / "a", tmp_path / "b", log
 
 
+@pytest.mark.draws
 def test_no_code_of_a_directory_is_run(directories: tuple[str, Path, Path, Path]) -> None:
     """Yet units, sides, meanings, the section `compare`, and how many runs there will be are known."""
     own, a, b, log = directories
@@ -423,7 +424,7 @@ def _copy(source: Path, path: Path) -> Path:
     return path
 
 
-@pytest.mark.parametrize("share", range(4))
+@pytest.mark.parametrize("share", [0, *(pytest.param(share, marks=pytest.mark.slow) for share in range(1, 4))])
 def test_mutants_of_all_kinds_of_files_end_in_a_sentence(kinds_of_files: Any, share: int) -> None:
     """2,000 in all."""
     assert hunted(kinds_of_files, 500, seed=share) == []

@@ -92,10 +92,11 @@ def test_the_policy_of_the_page_climbs_the_spiral_stair():
     # The body that it was trained on; on the default one it passes in a fifth of the walks.
     values |= {"damping.knee": 0.02531, "damping.ankle": 0.02531, "damping.spine": 0.09242}
     none = dataclasses.replace(policy, actor=jax.tree.map(np.zeros_like, policy.actor)).parameters
-    result, alone = (
-        simulator.run(values, Run(duration=10.0, warmup=1.0), policy=each) for each in (policy.parameters, none)
-    )
+    run = Run(duration=10.0, warmup=1.0)
+    result = simulator.run(values, run, policy=policy.parameters)
+    few = {name: value[::5] if np.ndim(value) else value for name, value in values.items()}  # on each of the frictions
+    alone = simulator.run(few, run, policy=none)
     aside = result.metrics["cross_track_peak"]
     passed = (np.array(result.status) == "ok") & (result.metrics["distance"] >= 0.5) & (aside <= 0.15)
     assert passed.sum() >= 116
-    assert np.nanmean(aside) < np.nanmean(alone.metrics["cross_track_peak"])  # 0.86 times with JAX 0.12
+    assert np.nanmean(aside[::5]) < np.nanmean(alone.metrics["cross_track_peak"])  # 0.86 times with JAX 0.12

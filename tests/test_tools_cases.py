@@ -63,6 +63,7 @@ def test_a_controllers_parameter_may_not_take_a_columns_name(tmp_path: Path, nam
     refused(Sweep.from_file, f"s.yaml:1: field 'controller' has a parameter '{name}', which is", tmp_path / "s.yaml")
 
 
+@pytest.mark.compiles
 @pytest.mark.parametrize(("name", "short"), [("trot", "trt"), ("walking_trot", "trt1"), ("lateral_walk", "lat")])
 def test_gaits_have_the_names_of_the_field(name: str, short: str) -> None:
     assert Setup(gait=name) == Setup(gait=short)
@@ -304,6 +305,7 @@ class Broker(threading.Thread):
         self.socket.close()
 
 
+@pytest.mark.process
 def test_a_broker_that_goes_away_is_noticed_and_the_password_unquoted() -> None:
     pytest.importorskip("paho.mqtt.client")
     broker = Broker(0.5)
