@@ -22,11 +22,6 @@ export function tableRow(cells, tag) {
   return element("tr", cells.map((cell) => element(tag, cell)));
 }
 
-/** The help's table, of `[key, meaning]`. */
-export function fillHelp(rows) {
-  for (const [key, meaning] of rows) find("keys").append(tableRow([element("kbd", key), meaning], "td"));
-}
-
 /** Opens or closes a panel. */
 export function togglePanel(id, open = find(id).hidden) {
   for (const panel of document.querySelectorAll(".panel")) {

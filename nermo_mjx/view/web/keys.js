@@ -1,32 +1,13 @@
 // Keyboard shortcuts, and the list of them that the help shows.
 
-/** `[keys, what they do, how the help names them]`; `actions` has a function for each second entry. */
-export const SHORTCUTS = [
-  [[" ", "k"], "play", "Space", "play, pause"],
-  [["ArrowLeft"], "back", "←", "one sample back; with Shift ten"],
-  [["ArrowRight"], "forth", "→", "one sample forward; with Shift ten"],
-  [["Home"], "first", "Home", "to the beginning"],
-  [["End"], "last", "End", "to the end"],
-  [["ArrowDown", "-"], "slower", "↓", "slower"],
-  [["ArrowUp", "+"], "faster", "↑", "faster"],
-  [["1", "2", "3", "4", "5", "6"], "view", "1 – 6", "view: three-quarter, side, top, front, rear, its eyes"],
-  [["f"], "follow", "F", "follow the robot, or stay"],
-  [["t"], "tendons", "T", "tendons"],
-  [["c"], "forces", "C", "contact forces"],
-  [["r"], "trail", "R", "trail and footprints"],
-  [["h"], "shadows", "H", "shadows"],
-  [["g"], "collisions", "G", "what collides"],
-  [["b"], "compare", "B", "B as a ghost, in A's place, or beside A"],
-  [["p"], "plots", "P", "plots"],
-  [["z"], "window", "Z", "plots: all of the run, or two seconds of it"],
-  [["l"], "loop", "L", "start again at the end"],
-  [["i"], "details", "I", "metrics and parameters"],
-  [["?"], "help", "?", "this help"],
-  [["Escape"], "close", "Esc", "close a panel"],
-];
+import { element, find, tableRow } from "viewer/dialogs.js";
 
-/** Calls `actions[name](key, event)` for each shortcut pressed outside a field. */
-export function wireKeys(actions, shortcuts = SHORTCUTS) {
+/**
+ * Shortcuts are `[keys, how the help names them, what they do, function of (key, event)]`; those without keys are only
+ * listed. A key pressed in a field is the field's, as far as it needs it.
+ */
+export function wireKeys(shortcuts) {
+  find("keys").append(...shortcuts.map(([, name, meaning]) => tableRow([element("kbd", name), meaning], "td")));
   addEventListener("keydown", (event) => {
     if (event.ctrlKey || event.metaKey || event.altKey) return;
     const field = event.target.closest?.("input, select, textarea");
@@ -35,14 +16,9 @@ export function wireKeys(actions, shortcuts = SHORTCUTS) {
     }
     if (event.key === " " && event.target.closest?.("button, summary")) return; // it presses the button
     const key = event.key.length === 1 ? event.key.toLowerCase() : event.key;
-    const found = shortcuts.find(([keys]) => keys.includes(key));
-    if (!found || !actions[found[1]]) return;
+    const act = shortcuts.find(([keys]) => keys.includes(key))?.[3];
+    if (!act) return;
     event.preventDefault();
-    actions[found[1]](key, event);
+    act(key, event);
   });
-}
-
-/** Rows of the help: key and meaning. */
-export function shortcutRows(two, shortcuts = SHORTCUTS) {
-  return shortcuts.filter(([, name]) => two || name !== "compare").map(([, , key, meaning]) => [key, meaning]);
 }

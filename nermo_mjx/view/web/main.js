@@ -4,9 +4,9 @@ import { Clip } from "viewer/clip.js";
 import { VIEWS } from "viewer/camera.js";
 import { onThemeChange, theme } from "viewer/colours.js";
 import { unpackAll } from "viewer/data.js";
-import { failed, fillHelp, find, togglePanel, wireFullScreen, wirePanel } from "viewer/dialogs.js";
+import { failed, find, togglePanel, wireFullScreen, wirePanel } from "viewer/dialogs.js";
 import { Model, prepare } from "viewer/geometry.js";
-import { shortcutRows, wireKeys } from "viewer/keys.js";
+import { wireKeys } from "viewer/keys.js";
 import { fillDetails, fillHead, fillScales } from "viewer/panels.js";
 import { Player, wireTransport } from "viewer/player.js";
 import { Plots } from "viewer/plots.js";
@@ -23,7 +23,6 @@ async function start() {
   const player = new Player(clips);
   fillHead(clips);
   fillDetails(clips);
-  fillHelp(shortcutRows(clips.length > 1, live?.SHORTCUTS));
   if (!clips[0].plots.length) {
     document.body.classList.add("no-plots");
     find("plots-toggle").hidden = true;
@@ -33,7 +32,7 @@ async function start() {
   const plots = new Plots(find("plot-list"), clips, player);
   wireTransport(player);
   const drive = live && new live.Drive(header.live, clips[0], player, stage, plots);
-  wireControls(player, stage, plots, clips, drive && { actions: drive.actions(), shortcuts: live.SHORTCUTS });
+  wireControls(player, stage, plots, clips, drive);
 
   const paint = () => {
     const colours = theme();
@@ -69,7 +68,7 @@ function makeStage(clips) {
   }
 }
 
-function wireControls(player, stage, plots, clips, driven) {
+function wireControls(player, stage, plots, clips, drive) {
   const views = Object.keys(VIEWS).filter((view) => view !== "eyes" || clips[0].model.eyes);
   const look = (view) => {
     if (!stage || !views.includes(view)) return;
@@ -82,7 +81,7 @@ function wireControls(player, stage, plots, clips, driven) {
   const states = {
     follow: true, tendons: true, forces: true, trail: false, shadows: true, collisions: false,
     // The picture of a drive needs a telephone's height.
-    "plots-toggle": !driven || innerWidth > 719, window: Boolean(driven),
+    "plots-toggle": !drive || innerWidth > 719, window: Boolean(drive),
   };
   const toggle = (id) => () => {
     states[id] = !states[id];
@@ -115,29 +114,37 @@ function wireControls(player, stage, plots, clips, driven) {
   stage?.man.controls.addEventListener("start", () => (stage.turned = true));
   for (const id of ["help", "details"]) wirePanel(id);
   wireFullScreen();
-  wireKeys({
-    play: () => player.toggle(),
-    back: (_, event) => player.nudge(event.shiftKey ? -10 : -1),
-    forth: (_, event) => player.nudge(event.shiftKey ? 10 : 1),
-    first: () => player.seek(player.begin),
-    last: () => player.seek(player.end),
-    slower: () => player.shiftSpeed(-1),
-    faster: () => player.shiftSpeed(1),
-    view: (key) => look(views[Number(key) - 1]),
-    loop: () => player.setLoop(!player.loop),
-    plots: toggle("plots-toggle"),
-    compare: () => {
-      if (compare.hidden) return;
-      compare.selectedIndex = (compare.selectedIndex + 1) % compare.length;
-      arrange();
-    },
-    details: () => togglePanel("details"),
-    help: () => togglePanel("help"),
-    close: () => togglePanel("help", false),
-    ...Object.fromEntries(["follow", "tendons", "forces", "trail", "shadows", "collisions", "window"].map((id) => [id, toggle(id)])),
-    ...driven?.actions,
-  }, driven?.shortcuts);
-  if (driven) {
+  const timeKeys = [
+    [[" ", "k"], "Space", "play, pause", () => player.toggle()],
+    [["ArrowLeft"], "←", "one sample back; with Shift ten", (_, event) => player.nudge(event.shiftKey ? -10 : -1)],
+    [["ArrowRight"], "→", "one sample forward; with Shift ten", (_, event) => player.nudge(event.shiftKey ? 10 : 1)],
+    [["Home"], "Home", "to the beginning", () => player.seek(player.begin)],
+    [["End"], "End", "to the end", () => player.seek(player.end)],
+    [["ArrowDown", "-"], "↓", "slower", () => player.shiftSpeed(-1)],
+    [["ArrowUp", "+"], "↑", "faster", () => player.shiftSpeed(1)],
+    [["l"], "L", "start again at the end", () => player.setLoop(!player.loop)],
+  ];
+  const nextWay = () => {
+    compare.selectedIndex = (compare.selectedIndex + 1) % compare.length;
+    arrange();
+  };
+  wireKeys([
+    ...(drive ? drive.keys : timeKeys),
+    [["1", "2", "3", "4", "5", "6"], "1 – 6", "view: three-quarter, side, top, front, rear, its eyes", (key) => look(views[key - 1])],
+    [["f"], "F", "follow the robot, or stay", toggle("follow")],
+    [["t"], "T", "tendons", toggle("tendons")],
+    [["c"], "C", "contact forces", toggle("forces")],
+    [["r"], "R", "trail and footprints", toggle("trail")],
+    [["h"], "H", "shadows", toggle("shadows")],
+    [["g"], "G", "what collides", toggle("collisions")],
+    ...(clips.length > 1 ? [[["b"], "B", "B as a ghost, in A's place, or beside A", nextWay]] : []),
+    [["p"], "P", "plots", toggle("plots-toggle")],
+    [["z"], "Z", "plots: all of the run, or two seconds of it", toggle("window")],
+    [["i"], "I", "metrics and parameters", () => togglePanel("details")],
+    [["?"], "?", "this help", () => togglePanel("help")],
+    [["Escape"], "Esc", "close a panel", () => togglePanel("help", false)],
+  ]);
+  if (drive) {
     plots.setWindowed(true);
     document.body.classList.toggle("no-plots", !states["plots-toggle"]);
   }

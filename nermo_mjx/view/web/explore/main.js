@@ -2,7 +2,7 @@
 
 import { onThemeChange, theme } from "viewer/colours.js";
 import { unpack } from "viewer/data.js";
-import { element, failed, fillHelp, find, togglePanel, wireFullScreen, wirePanel } from "viewer/dialogs.js";
+import { element, failed, find, togglePanel, wireFullScreen, wirePanel } from "viewer/dialogs.js";
 import { Chart } from "viewer/explore/chart.js";
 import { Filters } from "viewer/explore/filters.js";
 import { wirePointing } from "viewer/explore/pointing.js";
@@ -11,19 +11,6 @@ import { Table } from "viewer/explore/table.js";
 import { Theatre } from "viewer/explore/theatre.js";
 import { wireKeys } from "viewer/keys.js";
 
-/** As in keys.js; those without a name belong to the plot. */
-const SHORTCUTS = [
-  [["Tab"], "", "Tab", "to the plot, the filters, the chosen run"],
-  [[], "", "← → ↑ ↓", "in the plot: walk from run to run"],
-  [[], "", "PgDn PgUp", "the next by colour, the one before; Home is the best, End the worst"],
-  [[], "", "Enter", "choose the run"],
-  [["p"], "play", "P", "play the chosen run's recording"],
-  [["c"], "cells", "C", "cells, or points"],
-  [["f"], "fit", "F", "axes and colours fit the runs that pass, or all"],
-  [["r"], "reset", "R", "reset the filters"],
-  [["?"], "help", "?", "this help"],
-  [["Escape"], "close", "Esc", "close what is open; let go of the run"],
-];
 const ROLES = { varied: "Parameters", metric: "Metrics", randomized: "Drawn at random", status: "Others", index: "Others" };
 
 async function start() {
@@ -35,10 +22,8 @@ async function start() {
   const [title, ...figures] = [header.title, ...headOf(header, table)];
   find("title").textContent = title;
   find("figures").replaceChildren(...figures.map((text) => element("span", text)));
-  fillHelp(SHORTCUTS.map(([, , key, meaning]) => [key, meaning]));
 
   const explorer = new Explorer(header, table, recorded, view);
-  wireKeys(explorer.actions, SHORTCUTS);
   wirePanel("help");
   wireFullScreen();
   const paint = () => {
@@ -65,14 +50,18 @@ class Explorer {
     this.#wireChoices();
     for (const id of ["reset", "empty-reset"]) find(id).addEventListener("click", () => this.filters.release());
     find("save").addEventListener("click", () => save(`${header.title}.csv`, this.csv));
-    this.actions = {
-      play: () => this.play(this.chart.chosen),
-      cells: () => find("cells").click(),
-      fit: () => find("fit").click(),
-      reset: () => this.filters.release(),
-      help: () => togglePanel("help"),
-      close: () => this.#close(),
-    };
+    wireKeys([
+      [[], "Tab", "to the plot, the filters, the chosen run"],
+      [[], "← → ↑ ↓", "in the plot: walk from run to run"],
+      [[], "PgDn PgUp", "the next by colour, the one before; Home is the best, End the worst"],
+      [[], "Enter", "choose the run"],
+      [["p"], "P", "play the chosen run's recording", () => this.play(this.chart.chosen)],
+      [["c"], "C", "cells, or points", () => find("cells").click()],
+      [["f"], "F", "axes and colours fit the runs that pass, or all", () => find("fit").click()],
+      [["r"], "R", "reset the filters", () => this.filters.release()],
+      [["?"], "?", "this help", () => togglePanel("help")],
+      [["Escape"], "Esc", "close what is open; let go of the run", () => this.#close()],
+    ]);
   }
 
   #wireChoices() {

@@ -1,10 +1,8 @@
 // Drives the robot: keys, gamepad, sliders, buttons and pushes become messages; rows of numbers become the picture.
 
 import { Vector3 } from "three";
-import { element } from "viewer/dialogs.js";
-import { SHORTCUTS as VIEWER } from "viewer/keys.js";
+import { button, element, find } from "viewer/dialogs.js";
 
-const find = (id) => document.getElementById(id);
 /** Time in which a slider's new value is reached [s], and between two messages of sliders [ms]. */
 const SOON = 0.2;
 const PACE = 90;
@@ -34,16 +32,10 @@ const CONTROLS = [
   [["m"], "M", "slow motion, or real time", null, (drive) => drive.send({ speed: drive.state.speed < 1 ? 1 : 0.25 })],
   [["Backspace"], "⌫", "back to the start", 8, (drive) => drive.send({ reset: true })],
 ];
-const TIME = ["back", "forth", "first", "last", "slower", "faster", "play", "loop", "compare"];
-/** As in keys.js; keys of the picture and the panels are the viewer's. */
-export const SHORTCUTS = [
-  ...CONTROLS.map(([keys, label, meaning]) => [keys, meaning, label, meaning]),
-  ...VIEWER.filter(([, name]) => !TIME.includes(name)),
-];
 
 export class Drive {
   constructor(live, clip, player, stage, plots) {
-    Object.assign(this, { live, clip, player, stage, plots, state: {}, wanted: {}, touched: {}, buttons: [], stick: {} });
+    Object.assign(this, { live, clip, player, stage, plots, state: {}, wanted: {}, touched: {}, buttons: [], stick: {}, pushing: false });
     document.body.classList.add("live");
     player.tick = () => {};
     player.toggle = (playing = !player.playing) => this.send({ pause: !playing });
@@ -96,7 +88,7 @@ export class Drive {
     for (const { name } of this.live.sliders) {
       if (performance.now() - (this.touched[name] ?? -1e9) > 600) this.#showValue(name, message.values[name]);
     }
-    for (const [button, isOn] of this.buttons) button.setAttribute("aria-pressed", String(isOn()));
+    this.#press();
     const spine = message.spine === "none" ? "" : `, spine ${called(message.spine)}`;
     const { frequency } = message.values;
     if (this.live.choices.gait) document.querySelector("h1").textContent = `${called(message.gait)}, ${frequency.toFixed(2)} Hz${spine}`;
@@ -176,67 +168,55 @@ export class Drive {
     this.pressed = pad.buttons.map(({ pressed }) => pressed);
   }
 
-  /** For keys.js. */
-  actions() {
-    return Object.fromEntries(CONTROLS.map(([, , name, , act]) => [name, (key, event) => act(this, event.key)]));
+  /** As in keys.js. */
+  get keys() {
+    return CONTROLS.map(([keys, name, meaning, , act]) => [keys, name, meaning, (key) => act(this, key)]);
   }
 
   // The panel.
 
   #panel() {
-    const panel = element("section");
-    panel.id = "drive";
-    panel.setAttribute("aria-label", "Drive");
-    const buttons = element("div", "", "drive-buttons");
-    for (const [field, names] of Object.entries(this.live.choices)) {
-      const made = names.map((name) => [called(name), () => this.choose(field, name), () => this.#chosen(field).includes(name)]);
-      if (made.length) this.#group(buttons, field.replace("_motion", ""), made);
-    }
-    this.pushes = this.#group(buttons, "hand", [["push", () => this.#aim(), () => this.pushing]])[0];
-    const reset = this.#group(buttons, "", [["reset", () => this.send({ reset: true })]])[0];
+    const choices = Object.entries(this.live.choices).filter(([, names]) => names.length);
+    const groups = choices.map(([field, names]) => this.#group(field.replace("_motion", ""), names.map((name) =>
+      this.#button(called(name), () => this.choose(field, name), () => this.#chosen(field).includes(name)))));
+    const push = this.#button("push", () => (this.pushing = !this.pushing), () => this.pushing);
+    const reset = this.#button("reset", () => this.send({ reset: true }));
     reset.title = "Back to the start (Backspace)";
-    const sliders = element("div", "", "drive-sliders");
-    for (const { name, title, unit, low, high } of this.live.sliders) {
-      const label = element("label");
-      const input = element("input");
-      Object.assign(input, { type: "range", min: low, max: high, step: 0.01, id: `drive-${name}` });
-      input.addEventListener("input", () => this.set(name, Number(input.value)));
-      input.addEventListener("pointerup", () => input.blur()); // so that arrows drive
-      if (name === "pilot.turn_rate") input.addEventListener("dblclick", () => this.set(name, 0));
-      label.append(element("span", title), input, element("output"));
-      label.dataset.unit = unit;
-      sliders.append(label);
-    }
-    const told = element("p");
-    Object.assign(told, { id: "told", hidden: true });
-    told.setAttribute("role", "status");
-    panel.append(buttons, sliders);
-    find("stage").append(told);
-    document.querySelector("footer").before(panel);
-    const state = element("span");
-    state.id = "drive-state";
-    find("clock").after(state);
+    const buttons = element("div", [...groups, this.#group("hand", [push]), this.#group("", [reset])], "drive-buttons");
+    const sliders = element("div", this.live.sliders.map((slider) => this.#slider(slider)), "drive-sliders");
+    document.querySelector("footer").before(element("section", [buttons, sliders], "", { id: "drive", "aria-label": "Drive" }));
+    find("stage").append(element("p", "", "", { id: "told", hidden: true, role: "status" }));
+    find("clock").after(element("span", "", "", { id: "drive-state" }));
   }
 
-  /** Buttons under a title: `[label, what a click does, whether it is pressed]`. */
-  #group(panel, title, buttons) {
-    const group = element("div", "", "drive-group");
-    group.setAttribute("role", "group");
-    group.setAttribute("aria-label", title);
-    if (title) group.append(element("span", title));
-    const made = buttons.map(([label, act, isOn]) => {
-      const button = element("button", label);
-      button.type = "button";
-      button.addEventListener("click", () => {
-        button.blur(); // so that Space pauses
-        act();
-      });
-      if (isOn) this.buttons.push([button, isOn]);
-      return button;
+  #group(title, buttons) {
+    const heading = title && element("span", title);
+    return element("div", [heading, ...buttons], "drive-group", { role: "group", "aria-label": title });
+  }
+
+  /** `isOn` says whether it is pressed, of one that stays so. */
+  #button(label, act, isOn) {
+    const made = button(label, "", () => {
+      made.blur(); // so that Space pauses
+      act();
+      this.#press();
     });
-    group.append(...made);
-    panel.append(group);
+    if (isOn) this.buttons.push([made, isOn]);
     return made;
+  }
+
+  #press() {
+    for (const [made, isOn] of this.buttons) made.setAttribute("aria-pressed", String(isOn()));
+  }
+
+  #slider({ name, title, unit, low, high }) {
+    const input = element("input", "", "", {
+      type: "range", min: low, max: high, step: 0.01, id: `drive-${name}`,
+      oninput: () => this.set(name, Number(input.value)),
+      onpointerup: () => input.blur(), // so that arrows drive
+      ondblclick: () => name === "pilot.turn_rate" && this.set(name, 0),
+    });
+    return element("label", [element("span", title), input, element("output")], "", { "data-unit": unit });
   }
 
   #showValue(name, value) {
@@ -251,18 +231,10 @@ export class Drive {
 
   // Pushes: a drag from a body, with Shift or after the button.
 
-  #aim() {
-    this.pushing = !this.pushing;
-    this.pushes.setAttribute("aria-pressed", String(this.pushing));
-  }
-
   #push() {
     const canvas = find("canvas");
-    const arrow = document.createElementNS("http://www.w3.org/2000/svg", "svg");
-    arrow.id = "arrow";
-    arrow.innerHTML = "<line/><text/>";
-    arrow.style.display = "none";
-    find("stage").append(arrow);
+    find("stage").insertAdjacentHTML("beforeend", '<svg id="arrow"></svg>');
+    const arrow = find("arrow");
     let begin = null;
     /** While a body is dragged, the camera does not take the pointer. */
     const on = (kind, does) => canvas.addEventListener(kind, (event) => {
@@ -275,17 +247,14 @@ export class Drive {
       begin = { x, y, body: this.#bodyAt(x, y) };
     });
     on("pointermove", (event) => {
-      arrow.style.display = "block";
-      const [line, text] = arrow.children;
-      for (const [name, value] of Object.entries({ x1: begin.x, y1: begin.y, x2: event.offsetX, y2: event.offsetY })) line.setAttribute(name, value);
-      text.setAttribute("x", event.offsetX + 8);
-      text.setAttribute("y", event.offsetY);
-      text.textContent = `${this.#force(begin, event).length().toFixed(1)} N`;
+      const { offsetX: x, offsetY: y } = event;
+      const newton = this.#force(begin, event).length().toFixed(1);
+      arrow.innerHTML = `<line x1="${begin.x}" y1="${begin.y}" x2="${x}" y2="${y}"/><text x="${x + 8}" y="${y}">${newton} N</text>`;
     });
     on("pointerup", (event) => {
       this.send({ push: { body: begin.body, force: this.#force(begin, event).toArray(), seconds: PUSH.seconds } });
       begin = null;
-      arrow.style.display = "none";
+      arrow.replaceChildren();
     });
   }
 
