@@ -7,6 +7,7 @@ from typing import Any, Final
 import mujoco
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy.ndimage import gaussian_filter1d
 from scipy.spatial import ConvexHull, QhullError
 
 from nermo_mjx.recording import Recording
@@ -51,16 +52,9 @@ def smooth_path(points: Float[np.ndarray, "F 3"], interval: float) -> Float[np.n
     reach = int(np.ceil(3 * sigma))
     if reach == 0 or len(points) < 2:
         return points
-    kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
-    kernel /= kernel.sum()
-    # Continue each end point-symmetrically, so that a steady walk stays steady at both ends.
-    index = np.arange(-reach, len(points) + reach)
-    last = len(points) - 1
-    inside = np.clip(np.where(index < 0, -index, np.where(index > last, 2 * last - index, index)), 0, last)
-    edge = np.clip(index, 0, last)
-    outside = (index < 0) | (index > last)
-    padded = np.where(outside[:, None], 2 * points[edge] - points[inside], points[inside])
-    smooth = np.stack([np.convolve(padded[:, axis], kernel, mode="valid") for axis in range(3)], axis=1)
+    # Each end is continued point-symmetrically, so that a steady walk stays steady there.
+    padded = np.pad(points, ((reach, reach), (0, 0)), mode="reflect", reflect_type="odd")
+    smooth = gaussian_filter1d(padded, sigma, axis=0, radius=reach)[reach:-reach]
     smooth[:, 2] = points[:, 2].mean()
     return smooth
 

@@ -11,6 +11,7 @@ from typing import Any, Final
 import mujoco
 import numpy as np
 from jaxtyping import Float, Int
+from scipy.spatial.transform import Rotation
 
 from nermo_mjx.recording import Recording
 from nermo_mjx.robot import Robot, RobotConfig
@@ -29,6 +30,7 @@ from nermo_mjx.view.recorded import (
     recorded_model,
     robot_of,
     shown_model,
+    stretches,
     title_of,
 )
 
@@ -117,13 +119,14 @@ class Frames:
         place = {int(body): i for i, body in enumerate(self.bodies)}
         self.parents = [place.get(int(model.body_parentid[body]), -1) for body in self.bodies]
         self._position = motion.position[:, self.bodies] - origin[:, None]
-        self._quaternion = motion.quaternion[:, self.bodies]
-        self.position, turns = self._position.copy(), self._quaternion.copy()
+        turns = motion.quaternion[:, self.bodies]
+        self._turns = [Rotation.from_quat(turns[:, i], scalar_first=True) for i in range(len(self.bodies))]
+        self.position, self.quaternion = self._position.copy(), turns.copy()
         for i, parent in enumerate(self.parents):
             if parent >= 0:
                 self.position[:, i] = self._inside(parent, self._position[:, i])
-                turns[:, i] = _product(_conjugate(self._quaternion[:, parent]), self._quaternion[:, i])
-        self.quaternion = without_jumps(turns)
+                self.quaternion[:, i] = (self._turns[parent].inv() * self._turns[i]).as_quat(scalar_first=True)
+        self.quaternion = without_jumps(self.quaternion)
 
     def fixed(self, path: Float[np.ndarray, "T K 3"]) -> tuple[list[int], Float[np.ndarray, "T K 3"]]:
         """Points in the frames in which they move least: indices in `bodies` or -1, and the points."""
@@ -137,7 +140,7 @@ class Frames:
 
     def _inside(self, frame: int, points: Float[np.ndarray, "T 3"]) -> Float[np.ndarray, "T 3"]:
         """Points in the frame of a body."""
-        return _turned(_conjugate(self._quaternion[:, frame]), points - self._position[:, frame])
+        return self._turns[frame].apply(points - self._position[:, frame], inverse=True)
 
 
 def without_jumps(quaternion: np.ndarray) -> np.ndarray:
@@ -148,29 +151,8 @@ def without_jumps(quaternion: np.ndarray) -> np.ndarray:
     return steady
 
 
-def _conjugate(quaternion: np.ndarray) -> np.ndarray:
-    return quaternion * np.array([1.0, -1.0, -1.0, -1.0])
-
-
-def _product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """First b, then a, as (w, x, y, z)."""
-    w = a[:, 0] * b[:, 0] - (a[:, 1:] * b[:, 1:]).sum(axis=1)
-    rest: Any = a[:, :1] * b[:, 1:] + b[:, :1] * a[:, 1:] + np.cross(a[:, 1:], b[:, 1:])
-    return np.concatenate([w[:, None], rest], axis=1)
-
-
-def _turned(quaternion: np.ndarray, points: np.ndarray) -> np.ndarray:
-    twice = 2 * np.cross(quaternion[:, 1:], points)
-    return points + quaternion[:, :1] * twice + np.cross(quaternion[:, 1:], twice)
-
-
-_GEOM: Final = mujoco.mjtGeom
-#: Shapes that the page draws, by MuJoCo's type.
-KINDS: Final = {
-    int(_GEOM.mjGEOM_PLANE): "plane", int(_GEOM.mjGEOM_SPHERE): "sphere", int(_GEOM.mjGEOM_CAPSULE): "capsule",
-    int(_GEOM.mjGEOM_ELLIPSOID): "ellipsoid", int(_GEOM.mjGEOM_CYLINDER): "cylinder", int(_GEOM.mjGEOM_BOX): "box",
-    int(_GEOM.mjGEOM_MESH): "mesh",
-}  # fmt: skip
+#: Shapes that the page draws, by MuJoCo's names.
+KINDS: Final = ("plane", "sphere", "capsule", "ellipsoid", "cylinder", "box", "mesh")
 #: MuJoCo draws the groups below this one; the others contain collision geoms.
 HIDDEN_GROUP: Final = 3
 
@@ -186,8 +168,8 @@ def shapes_of(model: mujoco.MjModel, packer: Packer) -> dict[str, Any]:
     meshes: dict[int, int] = {}
     geoms = []
     for i in range(model.ngeom):
-        kind = KINDS.get(int(model.geom_type[i]))
-        if kind is None:
+        kind = mujoco.mjtGeom(model.geom_type[i]).name.removeprefix("mjGEOM_").lower()
+        if kind not in KINDS:
             continue
         geom: dict[str, Any] = {
             "kind": kind, "body": int(model.geom_bodyid[i]), "size": _rounded(model.geom_size[i]),
@@ -371,9 +353,7 @@ def _footprints(recording: Recording, motion: Motion) -> list[list[float]]:
     force, place = recording.sensors["foot_force"][samples], recording.sensors["foot_position"][samples]
     prints = []
     for limb in range(force.shape[1]):
-        stands = force[:, limb] > 0.1
-        edges = np.flatnonzero(np.diff(np.concatenate([[False], stands, [False]]).astype(int)))
-        for begin, end in zip(edges[::2], edges[1::2], strict=True):
+        for begin, end in stretches(force[:, limb] > 0.1):
             if motion.time[end - 1] - motion.time[begin] >= 0.05:
                 x, y = place[(begin + end - 1) // 2, limb, :2]
                 prints.append([round(float(motion.time[begin]), 4), limb, round(float(x), 5), round(float(y), 5)])

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import mujoco
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from nermo_mjx.recording import Recording, RecordingError
 from nermo_mjx.robot import LIMBS, ModelParameters, Robot, RobotConfig, load_robot
@@ -139,8 +139,8 @@ def motion_of(
     position = np.empty((len(samples), model.nbody, 3))
     quaternion = np.empty((len(samples), model.nbody, 4))
     tension = np.zeros((len(samples), model.ntendon))
-    wraps: list[_Wraps] = []
-    found: dict[tuple[int, int, int], dict[int, tuple[np.ndarray, np.ndarray]]] = {}
+    paths: list[list[np.ndarray]] = [[] for _ in range(model.ntendon)]
+    found: dict[tuple[int, int, int], tuple[np.ndarray, np.ndarray]] = {}
     for i, sample in enumerate(samples):
         data.qpos[:], data.qvel[:] = recording.qpos[sample], recording.qvel[sample]
         data.ctrl[:] = np.nan_to_num(recording.ctrl[sample])
@@ -148,14 +148,16 @@ def motion_of(
         position[i], quaternion[i] = data.xpos, data.xquat
         limits = data.efc_type == mujoco.mjtConstraint.mjCNSTR_LIMIT_TENDON
         np.add.at(tension[i], data.efc_id[limits], data.efc_force[limits])
-        wraps.append(_wraps_of(data))
+        for k, path in enumerate(paths):
+            path.append(_path(data, k))
         for key, point, force in _contacts(model, data):
-            found.setdefault(key, {})[i] = (point, force)
+            places, forces = found.setdefault(key, (np.full((len(samples), 3), np.nan), np.zeros((len(samples), 3))))
+            places[i], forces[i] = point, force
     tendons = tuple(
-        Tendon(model.tendon(k).name, float(model.tendon_width[k]), _paths(wraps, k), tension[:, k])
-        for k in range(model.ntendon)
+        Tendon(model.tendon(k).name, float(model.tendon_width[k]), _of_one_length(path), tension[:, k])
+        for k, path in enumerate(paths)
     )
-    contacts = tuple(_contact(model, key, found[key], len(samples)) for key in sorted(found))
+    contacts = tuple(_contact(model, key, *found[key]) for key in sorted(found))
     return Motion(recording.time[samples].astype(float), position, quaternion, tendons, contacts)
 
 
@@ -173,37 +175,21 @@ def finite_count(finite: Bool[np.ndarray, "T n"]) -> int:
     return count
 
 
-class _Wraps(NamedTuple):
-    """Paths of the tendons at one sample, from MuJoCo's data; geoms are those that any tendon may wrap."""
-
-    first: np.ndarray
-    number: np.ndarray
-    geom: np.ndarray
-    point: np.ndarray
-    centre: np.ndarray
-    axis: np.ndarray
-
-
-def _wraps_of(data: mujoco.MjData) -> _Wraps:
-    """A copy of what MuJoCo's data say at this sample."""
-    axis = data.geom_xmat.reshape(-1, 3, 3)[:, :, 2]
-    point = data.wrap_xpos.reshape(-1, 3)
-    parts = data.ten_wrapadr, data.ten_wrapnum, data.wrap_obj.reshape(-1), point, data.geom_xpos, axis
-    return _Wraps(*(each.copy() for each in parts))
+def _path(data: mujoco.MjData, tendon: int) -> Float[np.ndarray, "K 3"]:
+    """The polygon of a tendon, with an arc around each pulley."""
+    first = data.ten_wrapadr[tendon]
+    along = slice(first, first + data.ten_wrapnum[tendon])
+    points, geoms = data.wrap_xpos.reshape(-1, 3)[along], data.wrap_obj.reshape(-1)[along]
+    parts = [points[:1]]
+    for begin, end, geom, following in zip(points[:-1], points[1:], geoms[:-1], geoms[1:], strict=True):
+        if geom >= 0 and geom == following:
+            parts.append(_arc(begin, end, data.geom_xpos[geom], data.geom_xmat[geom, 2::3]))
+        parts.append(end[None])
+    return np.concatenate(parts)
 
 
-def _paths(wraps: list[_Wraps], tendon: int) -> Float[np.ndarray, "T K 3"]:
-    """The polygon of one tendon at each sample, with an arc around each pulley."""
-    paths = []
-    for each in wraps:
-        along = slice(each.first[tendon], each.first[tendon] + each.number[tendon])
-        points, geoms = each.point[along], each.geom[along]
-        parts = [points[:1]]
-        for begin, end, geom, following in zip(points[:-1], points[1:], geoms[:-1], geoms[1:], strict=True):
-            if geom >= 0 and geom == following:
-                parts.append(_arc(begin, end, each.centre[geom], each.axis[geom]))
-            parts.append(end[None])
-        paths.append(np.concatenate(parts))
+def _of_one_length(paths: list[np.ndarray]) -> Float[np.ndarray, "T K 3"]:
+    """The polygons of one tendon, the last point repeated where they are shorter than the longest."""
     longest = max(map(len, paths))
     return np.stack([np.pad(path, ((0, longest - len(path)), (0, 0)), mode="edge") for path in paths])
 
@@ -242,35 +228,29 @@ def _contacts(model: mujoco.MjModel, data: mujoco.MjData) -> list[tuple[tuple[in
     return result
 
 
-def _contact(
-    model: mujoco.MjModel, key: tuple[int, int, int], found: dict[int, tuple[np.ndarray, np.ndarray]], count: int
-) -> Contact:
-    there = np.array(sorted(found))
-    force = np.zeros((count, 3))
-    force[there] = [found[i][1] for i in there]
+def _contact(model: mujoco.MjModel, key: tuple[int, int, int], points: np.ndarray, force: np.ndarray) -> Contact:
     # The point of the previous contact, and before the first contact the first one's.
-    nearest = there[np.maximum(np.searchsorted(there, np.arange(count), side="right") - 1, 0)]
-    point = np.array([found[i][0] for i in nearest])
+    there = np.flatnonzero(np.isfinite(points[:, 0]))
+    nearest = there[np.maximum(np.searchsorted(there, np.arange(len(points)), side="right") - 1, 0)]
     bodies = [model.body(model.geom_bodyid[geom]).name for geom in key[:2]]
     limb = next((i for i, limb in enumerate(LIMBS) if any(body.startswith(limb) for body in bodies)), -1)
-    return Contact(limb, point, force)
+    return Contact(limb, points[nearest], force)
 
 
 #: A foot is in stance above this load [N]; the robot weighs 2.65 N. The metrics' smooth threshold is centred on it.
 STANDING: Final = 0.02
 
 
-def spans(flags: Bool[np.ndarray, " T"], time: Float[np.ndarray, " T"]) -> list[tuple[float, float]]:
-    """(begin, length) of each stretch of samples that are true; a sample stands for the time since the one before.
+def stretches(flags: Bool[np.ndarray, " T"]) -> Int[np.ndarray, "n 2"]:
+    """The first sample of each stretch that is true, and the one after its last."""
+    return np.flatnonzero(np.diff(flags.astype(int), prepend=0, append=0)).reshape(-1, 2)
 
-    Args:
-        flags: (T,) bool.
-        time: (T,) [s].
-    """
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(int)))
+
+def spans(flags: Bool[np.ndarray, " T"], time: Float[np.ndarray, " T"]) -> list[tuple[float, float]]:
+    """(begin, length) [s] of each stretch that is true; a sample stands for the time since the one before."""
     step = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
     begins = np.concatenate([time - step, [time[-1]]])
-    return [(float(begins[a]), float(begins[b] - begins[a])) for a, b in edges.reshape(-1, 2)]
+    return [(float(begins[a]), float(begins[b] - begins[a])) for a, b in stretches(flags)]
 
 
 _LIMB_TITLES: Final = tuple(limb.replace("_", " ") for limb in LIMBS)
@@ -326,13 +306,8 @@ def plots_of(recording: Recording, motion: Motion) -> list[Plot]:
     return plots
 
 
-def _per_limb(values: np.ndarray, faint: np.ndarray | None = None) -> tuple[Curve, ...]:
-    lines = []
-    for i, (limb, title) in enumerate(zip(LIMBS, _LIMB_TITLES, strict=True)):
-        lines.append(Curve(title, limb, values[:, i]))
-        if faint is not None:
-            lines.append(Curve(f"{title}, commanded", limb, faint[:, i], faint=True))
-    return tuple(lines)
+def _per_limb(values: np.ndarray) -> tuple[Curve, ...]:
+    return tuple(Curve(title, limb, column) for title, limb, column in zip(_LIMB_TITLES, LIMBS, values.T, strict=True))
 
 
 def _body(recording: Recording, time: np.ndarray, sensors: dict[str, np.ndarray]) -> list[Plot]:
@@ -376,41 +351,42 @@ def _over_cycle(values: np.ndarray, time: np.ndarray, period: float) -> np.ndarr
 
 
 def _tensions(motion: Motion) -> list[Plot]:
-    knees, others = [], []
+    groups: dict[str, list[Curve]] = {}
     for tendon in motion.tendons:
-        limb = next((i for i, name in enumerate(LIMBS) if tendon.name.startswith(name)), None)
-        if limb is not None:
-            knees.append(Curve(_LIMB_TITLES[limb], LIMBS[limb], tendon.tension))
-        else:
-            others.append(tendon)
-    plots = [Plot("knee_tension", "Tension, leg tendons", "N", tuple(knees))] if knees else []
-    for part in dict.fromkeys(tendon.name.split("_")[0] for tendon in others):
-        mine = [tendon for tendon in others if tendon.name.split("_")[0] == part]
-        lines = tuple(
-            Curve(tendon.name.removeprefix(f"{part}_").replace("_", " "), colour, tendon.tension)
-            for tendon, colour in zip(mine, ("first", "second", "third"), strict=False)
-        )
-        plots.append(Plot(f"{part}_tension", f"Tension, {part} tendons", "N", lines))
-    return plots
+        limb = next((limb for limb in LIMBS if tendon.name.startswith(limb)), "")
+        part, _, rest = ("leg", "", limb) if limb else tendon.name.partition("_")
+        curves = groups.setdefault(part, [])
+        colour = limb or ("first", "second", "third", "")[min(len(curves), 3)]
+        if colour:
+            curves.append(Curve(rest.replace("_", " "), colour, tendon.tension))
+    groups = {"leg": groups.pop("leg", []), **groups}
+    return [
+        Plot("knee_tension" if part == "leg" else f"{part}_tension", f"Tension, {part} tendons", "N", tuple(curves))
+        for part, curves in groups.items()
+        if curves
+    ]
 
 
 def _servos(angle: np.ndarray, command: np.ndarray) -> list[Plot]:
-    names = servos_by_count(angle.shape[1])
-    plots = []
-    for kind in ("hip", "knee"):
-        chosen = [names.index(f"{limb}_{kind}") for limb in LIMBS]
-        plots.append(Plot(kind, f"{kind.capitalize()} servos", "°", _per_limb(angle[:, chosen], command[:, chosen])))
+    names, colours = servos_by_count(angle.shape[1]), ("first", "second", "third")
+    groups = [
+        (kind, f"{kind.capitalize()} servos", [f"{limb}_{kind}" for limb in LIMBS], _LIMB_TITLES, LIMBS)
+        for kind in ("hip", "knee")
+    ]
     for key, title, servos in (
         ("body_servos", "Body servos, + left", ("spine", "neck", "tail")),
         ("vertical_servos", "Vertical servos, + hip up, nose down", ("spine_vertical", "head")),
     ):
-        single: list[Curve] = []
-        for name, colour in zip(servos, ("first", "second", "third"), strict=False):
-            if name in names:
-                i, called = names.index(name), name.replace("_", " ")
-                single += [Curve(called, colour, angle[:, i]),
-                           Curve(f"{called}, commanded", colour, command[:, i], faint=True)]  # fmt: skip
-        plots += [Plot(key, title, "°", tuple(single))] if single else []
+        groups.append((key, title, [*servos], tuple(name.replace("_", " ") for name in servos), colours))
+    plots = []
+    for key, title, servos, titles, colours in groups:
+        curves: list[Curve] = []
+        for servo, name, colour in zip(servos, titles, colours, strict=False):
+            if servo in names:
+                i = names.index(servo)
+                curves.append(Curve(name, colour, angle[:, i]))
+                curves.append(Curve(f"{name}, commanded", colour, command[:, i], faint=True))
+        plots += [Plot(key, title, "°", tuple(curves))] if curves else []
     return plots
 
 
