@@ -17,7 +17,6 @@ from matplotlib.patches import Patch
 
 from nermo_mjx.control.parameters import ControlParameters, published_values
 from nermo_mjx.control.stepping import FREE, FreeStepping, Stepping
-from nermo_mjx.kinematics.body import attitude
 from nermo_mjx.kinematics.leg import forward, four_legs
 from nermo_mjx.plotting.page import Page
 from nermo_mjx.plotting.style import FOOT, GRID, INK, LINE, MISSING, MUTED, SERIES, TAIL, horizontal_grid
@@ -26,7 +25,15 @@ from nermo_mjx.robot import GAITS, LIMBS, ParameterError, Robot
 from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.parameters import servos_by_count
 from nermo_mjx.robot.quantity import quantities, replace_quantities
-from nermo_mjx.view.recorded import GAIT_TITLES, STANDING, recorded_geometry, recorded_model, robot_of, spans
+from nermo_mjx.view.recorded import (
+    GAIT_TITLES,
+    STANDING,
+    attitude_of,
+    recorded_geometry,
+    recorded_model,
+    robot_of,
+    spans,
+)
 
 #: Gait cycles shown in figures of single steps: the last whole ones.
 SHOWN_CYCLES: Final = 4
@@ -94,11 +101,7 @@ class Walk:
     def angles(self) -> np.ndarray | None:
         """Roll, pitch and yaw of the torso, (T, 3) [deg]; the yaw does not jump. None without such a sensor."""
         orientation = self.recording.sensors.get("orientation")
-        if orientation is None:
-            return None
-        found = np.array(attitude(jnp.asarray(orientation)), float)
-        found[:, 2] = np.unwrap(found[:, 2])
-        return np.degrees(found)
+        return None if orientation is None else attitude_of(np.asarray(orientation, float))
 
 
 def name_of(limb: str) -> str:

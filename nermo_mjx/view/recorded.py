@@ -311,7 +311,7 @@ def _per_limb(values: np.ndarray) -> tuple[Curve, ...]:
 
 
 def _body(recording: Recording, time: np.ndarray, sensors: dict[str, np.ndarray]) -> list[Plot]:
-    angles = _attitude(sensors["orientation"])
+    angles = attitude_of(sensors["orientation"])
     orientation = tuple(
         Curve(name, colour, angles[:, i])
         for i, (name, colour) in enumerate((("roll", "first"), ("pitch", "second"), ("yaw", "third")))
@@ -331,7 +331,7 @@ def _body(recording: Recording, time: np.ndarray, sensors: dict[str, np.ndarray]
     return [*plots, Plot("place", "Position of the torso", "mm", way)]
 
 
-def _attitude(quaternion: Float[np.ndarray, "T 4"]) -> Float[np.ndarray, "T 3"]:
+def attitude_of(quaternion: Float[np.ndarray, "T 4"]) -> Float[np.ndarray, "T 3"]:
     """(roll, pitch, yaw) as in `kinematics.body`, in degrees, with unwrapped yaw; NumPy, to plot without JAX."""
     w, x, y, z = quaternion.T
     r01, r11 = 2 * (x * y - w * z), 1 - 2 * (x * x + z * z)
