@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 from PIL import Image
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
@@ -35,10 +36,31 @@ PATIENCE = 60.0
 READY = "document.documentElement?.dataset.ready === 'yes'"
 
 
-def find() -> str | None:
-    """Path of a Chromium or Chrome, `$CHROMIUM` first."""
-    given = os.environ.get("CHROMIUM")
-    return given or next((path for name in NAMES if (path := shutil.which(name))), None)
+def find(names: Sequence[str] = NAMES, variable: str = "CHROMIUM") -> str | None:
+    """Path of a browser, by default a Chromium or Chrome: what the variable says, or the first of these names."""
+    return os.environ.get(variable) or next((path for name in names if (path := shutil.which(name))), None)
+
+
+def require(names: Sequence[str] = NAMES, variable: str = "CHROMIUM") -> str:
+    """The same; without one the test is skipped, with the remedy. In CI, which installs it, that is a failure."""
+    path = find(names, variable)
+    if path is None:
+        remedy = f"no {names[0]}: `apt-get install {names[0]}`, or set {variable} to the path of one"
+        (pytest.fail if os.environ.get("CI") else pytest.skip)(remedy)
+    return path
+
+
+@contextlib.contextmanager
+def ended(process: subprocess.Popen[bytes]) -> Iterator[None]:
+    """A process that ends with the context."""
+    try:
+        yield
+    finally:
+        process.terminate()
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.wait(10)
+        process.kill()
+        process.wait()
 
 
 class Page:
@@ -221,13 +243,14 @@ def browser(path: str, webgl: bool = True) -> Iterator[Browser]:
         )  # fmt: skip
         os.close(to_read)
         os.close(back_write)
-        try:
+        with ended(process):
             yield Browser(process, to_write, back_read)
-        finally:
-            process.terminate()
-            with contextlib.suppress(subprocess.TimeoutExpired):
-                process.wait(10)
-            process.kill()
-            process.wait()
-            os.close(to_write)
-            os.close(back_read)
+        os.close(to_write)
+        os.close(back_read)
+
+
+@contextlib.contextmanager
+def page() -> Iterator[Tab]:
+    """A page in a running Chromium."""
+    with browser(require()) as running, running.tab() as tab:
+        yield tab

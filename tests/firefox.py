@@ -6,8 +6,6 @@ import base64
 import contextlib
 import itertools
 import json
-import os
-import shutil
 import socket
 import subprocess
 import tempfile
@@ -16,9 +14,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from chromium import PATIENCE, Page
+from chromium import PATIENCE, Page, ended, require
 
-NAMES = ("firefox", "firefox-esr")
+NAMES = ("firefox-esr", "firefox")
 #: A port of its own choice, no look-ups, no first-run pages; the theme is set by each page.
 PREFS = {
     "marionette.port": 0, "app.update.disabledForTesting": True, "browser.shell.checkDefaultBrowser": False,
@@ -37,12 +35,6 @@ SHIFT = "\ue008"
 CONSOLE = """return Services.console.getMessageArray().filter((m) => m instanceof Ci.nsIScriptError
     && /^(file:|viewer|data:text.javascript)/.test(m.sourceName)
     && !/css|webgl/i.test(m.category + m.errorMessage)).map((m) => m.message)"""
-
-
-def find() -> str | None:
-    """Path of a Firefox, `$FIREFOX` first."""
-    given = os.environ.get("FIREFOX")
-    return given or next((path for name in NAMES if (path := shutil.which(name))), None)
 
 
 class Tab(Page):
@@ -133,8 +125,9 @@ class Tab(Page):
 
 
 @contextlib.contextmanager
-def browser(path: str) -> Iterator[Tab]:
-    """A running Firefox and its page, ended with the context."""
+def page() -> Iterator[Tab]:
+    """The page of a running Firefox, which ends with the context."""
+    path = require(NAMES, "FIREFOX")
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
         lines = [f"user_pref({json.dumps(name)}, {json.dumps(value)});\n" for name, value in PREFS.items()]
         (Path(profile) / "user.js").write_text("".join(lines))
@@ -142,15 +135,10 @@ def browser(path: str) -> Iterator[Tab]:
             [path, "--headless", "--no-remote", "--marionette", "--remote-allow-system-access", "--profile", profile],
             stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
         )  # fmt: skip
-        try:
-            with socket.create_connection(("127.0.0.1", _port(Path(profile), process)), PATIENCE) as connection:
+        with ended(process):
+            where = ("127.0.0.1", _port(Path(profile), process))
+            with socket.create_connection(where, PATIENCE) as connection:
                 yield Tab(connection)
-        finally:
-            process.terminate()
-            with contextlib.suppress(subprocess.TimeoutExpired):
-                process.wait(10)
-            process.kill()
-            process.wait()
 
 
 def _port(profile: Path, process: subprocess.Popen[bytes]) -> int:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import threading
 import time
@@ -315,9 +314,7 @@ def test_the_command_prints_its_address_and_waits_for_a_page(tmp_path):
 @pytest.mark.parametrize("module", [chromium, firefox], ids=["chromium", "firefox"])
 def test_the_robot_follows_keys_gamepad_and_hand(drive, module):
     running = drive.driving
-    if (path := module.find()) is None:
-        pytest.skip(f"no {module.__name__}")
-    with module.browser(path) as browser, getattr(browser, "tab", lambda: contextlib.nullcontext(browser))() as tab:
+    with module.page() as tab:
         tab.open(drive.address)
         tab.wait('document.documentElement?.dataset.ready === "yes"')
         tab.wait("viewer.drive.socket.readyState === WebSocket.OPEN")

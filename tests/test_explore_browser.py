@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import io
 import json
-import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -44,28 +43,19 @@ def page(folder: Path, rows: dict[str, np.ndarray]) -> Path:
     return explore(folder / "sweep").save(folder / "sweep.html")
 
 
-@pytest.fixture(scope="module", params=["chromium", "firefox"])
+@pytest.fixture(scope="module", params=[chromium, firefox], ids=["chromium", "firefox"])
 def window(request: pytest.FixtureRequest) -> Iterator[Any]:
-    """A page in each of both browsers; skips, with the remedy, where one is missing. In CI that is a failure."""
-    module = {"chromium": chromium, "firefox": firefox}[request.param]
-    path = module.find()
-    if path is None:
-        package, variable = {"chromium": ("chromium", "CHROMIUM"), "firefox": ("firefox-esr", "FIREFOX")}[request.param]
-        remedy = f"no {request.param}: `apt-get install {package}`, or set {variable} to the path of one"
-        (pytest.fail if os.environ.get("CI") else pytest.skip)(remedy)
-    with module.browser(path) as running:
-        if module is firefox:
-            yield running
-        else:
-            with running.tab() as tab:
-                yield tab
+    """A page in each of both browsers."""
+    with request.param.page() as page:
+        yield page
 
 
 @pytest.fixture
 def tab(window: Any) -> Iterator[Any]:
-    """The page, which must not have complained in the end."""
+    """The page, which must not have complained in the end, and whose controls have names."""
     yield window
     assert window.complaints() == []
+    assert window.nameless() == []
 
 
 def opened(tab: Any, path: Path, width: int = 1000, height: int = 640, dark: bool = False) -> Any:
@@ -399,12 +389,6 @@ def test_everything_fits_its_window(tab: Any, page: Path, width: int, height: in
     tab.evaluate(reached)
     filters = tab.evaluate("document.querySelector('[data-field=\"spine.phase\"]').getBoundingClientRect().toJSON()")
     assert 0 <= filters["top"] < height
-
-
-def test_every_control_has_a_name(tab: Any, page: Path) -> None:
-    opened(tab, page)
-    tab.evaluate("explorer.choose(3)")
-    assert tab.nameless() == []
 
 
 def test_a_dark_page_is_dark_and_its_points_can_be_seen(tab: Any, page: Path, rows: dict[str, Any]) -> None:

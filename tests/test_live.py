@@ -56,24 +56,9 @@ def test_the_rigid_tail_is_given_what_is_missing() -> None:
     np.testing.assert_array_equal(table.given[:, [8, 10]], 0.0)
 
 
-class Clock:
-    """A time that passes where it is waited for, and jumps once."""
-
-    def __init__(self, jump_at: float = np.inf, jump: float = 0.0) -> None:
-        self.now, self.jump_at, self.jump = 100.0, 100.0 + jump_at, jump
-
-    def __call__(self) -> float:
-        return self.now
-
-    def wait(self, seconds: float) -> None:
-        self.now += seconds
-        if self.now >= self.jump_at:
-            self.now, self.jump_at = self.now + self.jump, np.inf
-
-
 def test_rows_are_sent_at_their_times_again_and_again(published) -> None:
     """Three cycles: each row at its time, and after the last one the first."""
-    clock, seen = Clock(), []
+    clock, seen = wires.Clock(), []
     sent = play(
         published, lambda angles, given: seen.append((clock.now - 100.0, given)), 3 / 0.8, clock=clock, wait=clock.wait
     )
@@ -85,7 +70,7 @@ def test_rows_are_sent_at_their_times_again_and_again(published) -> None:
 
 def test_what_is_late_is_left_out(published) -> None:
     """After half a second in which nothing could be sent the gait is where it would be without."""
-    clock, seen = Clock(jump_at=0.5, jump=0.5), []
+    clock, seen = wires.Clock(jump_at=0.5, jump=0.5), []
     sent = play(
         published, lambda angles, given: seen.append((clock.now - 100.0, given)), 2.0, clock=clock, wait=clock.wait
     )

@@ -1,4 +1,4 @@
-"""Recordings in MuJoCo's own viewer, and the robot's MJCF by itself: as far as a machine without a display can tell."""
+"""Recordings in MuJoCo's own viewer, and as MJCF: as far as a machine without a display can tell."""
 
 from __future__ import annotations
 
@@ -12,21 +12,18 @@ import mujoco
 import numpy as np
 import pytest
 
-from nermo_mjx import Recording, Run, Setup, Simulator, load_robot
+from nermo_mjx import Recording, load_robot
 from nermo_mjx.robot import ParameterError
-from nermo_mjx.view import RecordingError, play, recording_of, robot_of, write_keyframes
+from nermo_mjx.view import RecordingError, play, robot_of, write_keyframes
 from nermo_mjx.view.playing import set_sample
 
 pytestmark = pytest.mark.compiles
 
 
 @pytest.fixture(scope="module")
-def recording() -> Recording:
+def recording(walks) -> Recording:
     """Half a second of a walk."""
-    simulator = Simulator(Setup(spine="stride_extension"), "c")
-    trace = simulator.run({}, Run(duration=0.5, warmup=0.1), record=True).trace
-    setup = {"spine": "stride_extension", "scene": "flat", "tail": "rigid"}
-    return recording_of(trace, simulator.robot.model, metadata={"setup": setup})
+    return walks("c").recording(5).between(0.0, 0.51)
 
 
 @pytest.mark.parametrize("sample", [0, 17, 49])
@@ -135,30 +132,3 @@ def test_what_cannot_be_played_is_said(recording: Recording, tmp_path: Path, mon
     if "DISPLAY" not in os.environ and "WAYLAND_DISPLAY" not in os.environ and sys.platform == "linux":
         with pytest.raises(RecordingError, match="needs a display"):
             play(recording)
-
-
-def test_the_robots_mjcf_by_itself_has_the_same_physics(tmp_path: Path) -> None:
-    """`model --xml`, copied to an empty folder: MuJoCo without this package steps it to the same state."""
-    file = tmp_path / "robot.xml"
-    command = [sys.executable, "-m", "nermo_mjx", "model", "--tail", "articulated", "--xml", str(file), "--quiet"]
-    subprocess.run(command, check=True)
-    script = (
-        "import sys, mujoco, numpy as np\n"
-        "m = mujoco.MjModel.from_xml_path('robot.xml'); d = mujoco.MjData(m)\n"
-        "d.ctrl[:] = 0.1\n"
-        "for _ in range(30): mujoco.mj_step(m, d)\n"
-        "assert 'nermo_mjx' not in sys.modules\n"
-        "np.savez('state.npz', qpos=d.qpos, mass=m.body_mass, friction=m.pair_friction)\n"
-    )
-    subprocess.run([sys.executable, "-I", "-c", script], cwd=tmp_path, check=True)
-    model = load_robot(tail="articulated").model
-    data = mujoco.MjData(model)
-    data.ctrl[:] = 0.1
-    for _ in range(30):
-        mujoco.mj_step(model, data)
-    with np.load(tmp_path / "state.npz") as state:
-        np.testing.assert_allclose(state["mass"], model.body_mass, rtol=1e-5)
-        np.testing.assert_allclose(state["friction"], model.pair_friction, rtol=1e-5)
-        # XML holds six digits of each number, which a moment of contact makes a little more of.
-        np.testing.assert_allclose(state["qpos"], data.qpos, atol=5e-4)
-        assert np.abs(data.qpos - model.qpos0).max() > 0.05

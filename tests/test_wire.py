@@ -50,19 +50,6 @@ AUTHORS = {
 }
 
 
-class Clock:
-    """A time that passes where it is told to."""
-
-    def __init__(self) -> None:
-        self.now = 100.0
-
-    def __call__(self) -> float:
-        return self.now
-
-    def wait(self, seconds: float) -> None:
-        self.now += seconds
-
-
 @pytest.fixture(scope="module")
 def driving() -> RobotDriving:
     return RobotDriving(Setup(), channels=CHANNELS, rate=100.0)
@@ -73,7 +60,7 @@ def stamped(seconds: float, **more: Any) -> dict[str, Any]:
 
 
 def test_the_authors_message_is_read_by_meaning() -> None:
-    robot, clock = load_robot(), Clock()
+    robot, clock = load_robot(), wires.Clock()
     measured = Measured(robot, CHANNELS, clock=clock)
     assert not measured.told
     measured.receive(AUTHORS)
@@ -132,7 +119,7 @@ def test_what_is_no_measurement_is_left_out_and_counted(message: Any, why: str) 
 
 
 def test_a_message_that_was_overtaken_is_left_out() -> None:
-    clock = Clock()
+    clock = wires.Clock()
     measured = Measured(load_robot(), CHANNELS, clock=clock)
     for seconds, feet in ((5.00, 1.0), (5.02, 2.0), (5.01, 3.0), (5.02, 4.0), (5.03, 5.0)):
         measured.receive(stamped(seconds, contact_sensors=[feet] * 4))
@@ -150,7 +137,7 @@ def test_what_a_controller_reads_is_found_and_must_be_told() -> None:
     assert needed_sensors(Setup(pilot="open_loop", spine="stride_extension")) == set()
     assert needed_sensors(Setup()) >= {"position", "orientation"}
     assert "gyro" in needed_sensors(Setup(pilot="open_loop", head="gaze"))
-    clock = Clock()
+    clock = wires.Clock()
     measured = Measured(load_robot(), CHANNELS, clock=clock)
     meet(measured, set(), clock.wait)
     measured.receive("nonsense")
@@ -169,7 +156,7 @@ class Together:
 
     def __init__(self, driving: RobotDriving, channels: Channels = CHANNELS, delay: float = 0.0, loss: float = 0.0,
                  rate: float | None = None, values: dict[str, float] | None = None) -> None:  # fmt: skip
-        self.clock, self.silent = Clock(), False
+        self.clock, self.silent = wires.Clock(), False
         self.body = SimulatedRobot(driving.setup, values or {}, channels, delay, loss, self.clock)
         self.measured = Measured(self.body.robot, channels, clock=self.clock)
         self.commands: list[np.ndarray] = []

@@ -1,4 +1,4 @@
-"""A broker and a bridge on this machine, over which robots are driven."""
+"""A clock of their own for tests in time, and a broker and a bridge on this machine, over which robots are driven."""
 
 from __future__ import annotations
 
@@ -7,12 +7,28 @@ import contextlib
 import importlib.util
 import json
 import logging
+import math
 import socket
 import threading
 from collections.abc import Iterator
 from typing import Any
 
 import pytest
+
+
+class Clock:
+    """A time that passes where it is waited for, and jumps once."""
+
+    def __init__(self, jump_at: float = math.inf, jump: float = 0.0) -> None:
+        self.now, self.jump_at, self.jump = 100.0, 100.0 + jump_at, jump
+
+    def __call__(self) -> float:
+        return self.now
+
+    def wait(self, seconds: float) -> None:
+        self.now += seconds
+        if self.now >= self.jump_at:
+            self.now, self.jump_at = self.now + self.jump, math.inf
 
 
 def needs(*packages: str) -> None:

@@ -16,7 +16,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
-from typing import Any, Final, Protocol, TypeAlias
+from typing import Any, Final, TypeAlias
 from urllib.parse import SplitResult, unquote, urlsplit
 
 import numpy as np
@@ -45,16 +45,9 @@ class NotSentError(SendError):
     """A message was not sent, but the connection may come back."""
 
 
-class Sender(Protocol):
-    """Sends the angles of one row."""
-
-    def __call__(self, angles: Float[np.ndarray, " channels"], given: Float[np.ndarray, " channels"]) -> None:
-        """Send the angles [deg], or `given`, in whole degrees, if required.
-
-        Raises:
-            NotSentError: this message was not sent; the next one may be.
-            SendError: the connection is lost.
-        """
+#: Sends the angles of a row [deg]: as they are, and as they are given in whole degrees, if required. It raises
+#: `NotSentError` where the next message may be sent, and `SendError` where the connection is lost.
+Sender: TypeAlias = Callable[[Float[np.ndarray, " channels"], Float[np.ndarray, " channels"]], None]
 
 
 @dataclasses.dataclass(frozen=True)

@@ -17,12 +17,11 @@ from nermo_mjx.control.controller import Controller
 from nermo_mjx.control.head_and_tail import COUNTER_ROLL, COUNTER_YAW, GAZE
 from nermo_mjx.control.parameters import ControlParameters
 from nermo_mjx.control.spine_modes import mode_names
-from nermo_mjx.hardware.channels import Channel, Channels, default_channels, read_channels
+from nermo_mjx.hardware.channels import Channels, default_channels, read_channels
 from nermo_mjx.recording import Recording
 from nermo_mjx.robot import ModelParameters, ParameterError, Robot, Sensors
 from nermo_mjx.robot.quantity import quantities, replace_quantities
 from nermo_mjx.rollout import Setup
-from nermo_mjx.rollout.setup import WorldParameters
 
 #: Lowest rate of the controller, in simulated time [Hz]; a table of a lower rate contains every nth of its ticks.
 CONTROL_RATE: Final = 100.0
@@ -159,7 +158,11 @@ def servo_table(
         if choice in _ANSWERING:
             raise ParameterError(f"{name} is {choice!r}, which answers to sensors: a servo table reads none.")
     setup = dataclasses.replace(setup, pilot="open_loop", waypoints=None, command=None)
-    world = _parameters(setup, values or {})
+    world = setup.world({name: np.asarray(value, float) for name, value in (values or {}).items()})
+    for name, value in (values or {}).items():
+        if np.ndim(value):
+            raise ParameterError(f"{name} has shape {np.shape(value)}: a servo table is of one gait, so of one number.")
+    setup.check(world)
     params, phase = world.control, float(np.asarray(world.start.phase))
     robot = setup.load()
     servos = robot.servos
@@ -185,15 +188,6 @@ def servo_table(
     fastest = math.degrees(float(world.model.servo.top_speed))
     return ServoTable(tuple(channel.servo for channel in connected), time, columns, rate, cycles, frequency, connected,
                       steps.max(axis=0) * rate, fastest)  # fmt: skip
-
-
-def _parameters(setup: Setup, values: Mapping[str, float]) -> WorldParameters:
-    params = setup.world({name: np.asarray(value, float) for name, value in values.items()})
-    for name, value in values.items():
-        if np.ndim(value):
-            raise ParameterError(f"{name} has shape {np.shape(value)}: a servo table is of one gait, so of one number.")
-    setup.check(params)
-    return params
 
 
 def check_rate(rate: float) -> None:
@@ -263,16 +257,13 @@ def sent_angles(
     channels: Channels, servos: tuple[str, ...], angles: Float[np.ndarray, "rows servos"]
 ) -> Float[np.ndarray, "rows channels"]:
     """The angles sent to the servos, from the controller's angles of the robot's servos [deg]."""
-    return np.stack([_column(channel, servos, angles) for channel in channels], axis=-1)
-
-
-def _column(
-    channel: Channel, servos: tuple[str, ...], angles: Float[np.ndarray, "rows servos"]
-) -> Float[np.ndarray, " rows"]:
-    if channel.servo not in servos:
-        assert channel.missing is not None
-        return np.full(len(angles), channel.missing)
-    return channel.zero + channel.direction * angles[:, servos.index(channel.servo)]
+    columns = []
+    for channel in channels:
+        if channel.servo in servos:
+            columns.append(channel.zero + channel.direction * angles[:, servos.index(channel.servo)])
+        else:
+            columns.append(np.full(len(angles), channel.missing))  # see `channels_of`
+    return np.stack(columns, axis=-1)
 
 
 def channels_of(channels: Channels | Mapping[str, Any] | str | os.PathLike[str] | None, robot: Robot) -> Channels:

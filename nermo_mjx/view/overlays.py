@@ -9,7 +9,6 @@ import dataclasses
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Final
 
-import mujoco
 import numpy as np
 from jaxtyping import Float, UInt8
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -19,7 +18,6 @@ from nermo_mjx.plotting.style import FOOT, OKABE_ITO, TAIL
 from nermo_mjx.recording import Recording, RecordingError
 from nermo_mjx.robot.parameters import LIMBS
 from nermo_mjx.robot.quantity import ParameterError
-from nermo_mjx.view.camera import draw_support
 from nermo_mjx.view.recorded import STANDING, spans
 
 #: Matplotlib's pixels per inch, and mean width of a character of a caption [pixels].
@@ -224,24 +222,3 @@ def strips_of(recording: Recording, names: Sequence[str], width: int) -> list[St
     """The strips below the image, from top to bottom."""
     kinds = [OVERLAYS[name][1] for name in names]
     return [Strip(recording, panels(recording), width) for panels in kinds if panels is not None]
-
-
-def scenery_of(
-    recording: Recording, names: Sequence[str], root: int
-) -> Callable[[mujoco.MjvScene, mujoco.MjData, int], None] | None:
-    """The function that adds to the scene of a sample, or None.
-
-    Args:
-        recording: to show.
-        names: of overlays.
-        root: body whose subtree is the robot.
-    """
-    if "support" not in names:
-        return None
-
-    def draw(scene: mujoco.MjvScene, data: mujoco.MjData, sample: int) -> None:
-        tip = mujoco.mj_name2id(data.model, mujoco.mjtObj.mjOBJ_GEOM, "tail_tip")
-        tail = np.array(data.geom_xpos[tip]) if tip >= 0 else None
-        draw_support(scene, recording, sample, np.array(data.subtree_com[root]), tail)
-
-    return draw

@@ -26,6 +26,7 @@ from nermo_mjx.view.camera import (
     CAMERAS,
     STEREO,
     body_radius,
+    draw_support,
     following_camera,
     move_sun_above,
     put_pose,
@@ -39,7 +40,6 @@ from nermo_mjx.view.overlays import (
     blank_strip,
     check_overlays,
     pixels,
-    scenery_of,
     strips_of,
     write_text,
 )
@@ -257,49 +257,37 @@ def draw(
 ) -> tuple[Iterator[UInt8[np.ndarray, "rows width 3"]], int]:
     """The picture of each sample, and their height; `interval` is the simulated time between two of them [s]."""
     strips = strips_of(recording, overlays, width)
-    scenery = scenery_of(recording, overlays, root_body(model))
-    pictures = _robot(recording, model, samples, width, height, camera, interval, scenery)
-    frames = (
-        np.concatenate([picture, *(strip.at(i * interval) for strip in strips)]) for i, picture in enumerate(pictures)
-    )
-    return frames, height + sum(strip.height for strip in strips)
-
-
-def _robot(
-    recording: Recording,
-    model: mujoco.MjModel,
-    samples: Int[np.ndarray, " F"],
-    width: int,
-    height: int,
-    camera: str,
-    interval: float,
-    scenery: Callable[[mujoco.MjvScene, mujoco.MjData, int], None] | None,
-) -> Iterator[UInt8[np.ndarray, "height width 3"]]:
-    """Yield the robot's picture of each sample; a following camera looks at the middle of the body."""
     model = _dressed(model, width, height)
     data, root = mujoco.MjData(model), root_body(model)
-    put_pose(model, data, recording.qpos[samples[0]])
-    centre, radius = body_radius(model, data, root)
-    middle = centre - data.xpos[root]
-    path = smooth_path(root_path(recording, model, data, samples), interval) + middle
-    fovy = float(model.vis.global_.fovy)
-    following = following_camera(camera, radius, fovy, width / height) if camera in CAMERAS else None
-    views: list[Any] = [following] if following else [*EYES] if camera == STEREO else [camera]
-    with _renderer(model, width // len(views), height) as renderer:
-        for sample, point in zip(samples, path, strict=True):
-            put_pose(model, data, recording.qpos[sample])
-            mujoco.mj_camlight(model, data)
-            mujoco.mj_tendon(model, data)
-            if following is not None:
-                following.lookat[:] = point
-            move_sun_above(model, data, point)
-            pictures = []
-            for view in views:
-                renderer.update_scene(data, view)
-                if scenery is not None:
-                    scenery(renderer.scene, data, int(sample))
-                pictures.append(renderer.render())
-            yield np.concatenate(pictures, axis=1)
+    tip = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_GEOM, "tail_tip")
+
+    def frames() -> Iterator[UInt8[np.ndarray, "rows width 3"]]:
+        put_pose(model, data, recording.qpos[samples[0]])
+        # A following camera looks at the middle of the body.
+        centre, radius = body_radius(model, data, root)
+        middle = centre - data.xpos[root]
+        path = smooth_path(root_path(recording, model, data, samples), interval) + middle
+        fovy = float(model.vis.global_.fovy)
+        following = following_camera(camera, radius, fovy, width / height) if camera in CAMERAS else None
+        views: list[Any] = [following] if following else [*EYES] if camera == STEREO else [camera]
+        with _renderer(model, width // len(views), height) as renderer:
+            for i, (sample, point) in enumerate(zip(samples, path, strict=True)):
+                put_pose(model, data, recording.qpos[sample])
+                mujoco.mj_camlight(model, data)
+                mujoco.mj_tendon(model, data)
+                if following is not None:
+                    following.lookat[:] = point
+                move_sun_above(model, data, point)
+                pictures = []
+                for view in views:
+                    renderer.update_scene(data, view)
+                    if "support" in overlays:
+                        tail = data.geom_xpos[tip] if tip >= 0 else None
+                        draw_support(renderer.scene, recording, int(sample), data.subtree_com[root], tail)
+                    pictures.append(renderer.render())
+                yield np.concatenate([np.concatenate(pictures, axis=1), *(strip.at(i * interval) for strip in strips)])
+
+    return frames(), height + sum(strip.height for strip in strips)
 
 
 def _dressed(model: mujoco.MjModel, width: int, height: int) -> mujoco.MjModel:

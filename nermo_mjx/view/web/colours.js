@@ -1,17 +1,17 @@
 // Colours of the page's theme, and the scale of tensions.
 
-/** Names that lines and limbs are drawn in; style.css has their values in light and dark. */
-const NAMES = [
-  "front_left", "front_right", "rear_left", "rear_right", "tail", "first", "second", "third", "ink", "muted", "rule", "surface",
-  "ground", "grid", "grid-strong", "sky", "other", "slack", "accent",
-];
-
 export const LIMBS = ["front_left", "front_right", "rear_left", "rear_right"];
 
-/** The theme's colours by name, as CSS colours. */
+/** The theme's colours by the names that the first rule of style.css gives them, as CSS colours. */
 export function theme() {
-  const style = getComputedStyle(document.documentElement);
-  return Object.fromEntries(NAMES.map((name) => [name, style.getPropertyValue(`--${name}`).trim()]));
+  const probe = document.body.appendChild(document.createElement("i"));
+  const names = [...document.styleSheets[0].cssRules[0].style].filter((name) => name.startsWith("--"));
+  const colours = names.map((name) => {
+    probe.style.color = `var(${name})`;
+    return [name.slice(2), getComputedStyle(probe).color];
+  });
+  probe.remove();
+  return Object.fromEntries(colours);
 }
 
 /** Calls back when the theme changes between light and dark. */

@@ -8,6 +8,8 @@ import { line, round, sheet } from "viewer/drawing.js";
 const [HEIGHT, LEFT, RIGHT, TOP, BOTTOM, BAR] = [104, 40, 14, 6, 18, 15];
 /** Length of the window that follows the time [s]. */
 const WINDOW = 2;
+/** Values that differ by less are shown as constant, in the unit of their plot: their ticks would be long numbers. */
+const CONSTANT = 0.02;
 
 /** The column of plots: their time range, and when each is drawn. */
 export class Plots {
@@ -206,7 +208,8 @@ function range(curves) {
       if (value > high) high = value;
     }
   }
-  if (!(low < high)) [low, high] = Number.isFinite(low) ? [low - 1, low + 1] : [0, 1];
+  if (low > high) [low, high] = [0, 1];
+  if (high - low < CONSTANT) [low, high] = [low - 1, high + 1];
   const margin = 0.06 * (high - low);
   return [low === 0 ? 0 : low - margin, high + margin];
 }

@@ -86,37 +86,26 @@ export class Axis {
  * worst, a value, and the run that stands for it.
  */
 export function cellsOf(across, up, colour, places, of) {
-  const found = new Map();
-  for (const place of places) {
-    const [x, y] = [across.bin(place), up.bin(place)];
-    if (x < 0 || y < 0) continue;
-    const key = y * across.bins + x;
-    if (!found.has(key)) found.set(key, { x, y, places: [] });
-    found.get(key).places.push(place);
-  }
-  for (const cell of found.values()) {
-    const costs = new Map(cell.places.map((place) => [place, colour.isText ? 0 : colour.cost(colour.values[place])]));
-    cell.places.sort((a, b) => costs.get(a) - costs.get(b) || a - b);
-    Object.assign(cell, colour.isText ? commonest(colour, cell.places) : valued(colour, cell.places, of));
-  }
-  return [...found.values()];
+  const inside = Array.from(places).filter((place) => across.bin(place) >= 0 && up.bin(place) >= 0);
+  return [...Map.groupBy(inside, (place) => up.bin(place) * across.bins + across.bin(place))].map(([cell, members]) => {
+    if (!colour.isText) members.sort((a, b) => colour.order(a, b));
+    const at = { x: cell % across.bins, y: Math.floor(cell / across.bins), places: members };
+    return { ...at, ...(colour.isText ? commonest(colour, members) : valued(colour, members, of)) };
+  });
 }
 
 function commonest(colour, places) {
-  const counts = new Map();
-  for (const place of places) counts.set(colour.values[place], (counts.get(colour.values[place]) ?? 0) + 1);
-  const [value] = [...counts].reduce((most, each) => (each[1] > most[1] ? each : most));
-  return { value, place: places.find((place) => colour.values[place] === value) };
+  const groups = [...Map.groupBy(places, (place) => colour.values[place])];
+  const [value, [place]] = groups.reduce((most, each) => (each[1].length > most[1].length ? each : most));
+  return { value, place };
 }
 
 function valued(colour, places, of) {
   const good = places.filter((place) => Number.isFinite(colour.values[place]));
   if (!good.length) return { value: NaN, place: places[0] };
-  if (of !== "mean") {
-    const place = of === "best" ? good[0] : good.at(-1);
-    return { value: colour.values[place], place };
-  }
-  const value = good.reduce((sum, place) => sum + colour.values[place], 0) / good.length;
-  const off = (place) => Math.abs(colour.values[place] - value);
-  return { value, place: good.reduce((best, place) => (off(place) < off(best) ? place : best)) };
+  const mean = good.reduce((sum, place) => sum + colour.values[place], 0) / good.length;
+  const off = (place) => Math.abs(colour.values[place] - mean);
+  if (of === "mean") return { value: mean, place: good.reduce((best, place) => (off(place) < off(best) ? place : best)) };
+  const place = of === "best" ? good[0] : good.at(-1);
+  return { value: colour.values[place], place };
 }

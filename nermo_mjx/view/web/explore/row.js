@@ -19,7 +19,7 @@ export class RowPanel {
 
   #lists(places, colour) {
     const ranked = Array.from(places);
-    if (!colour.isText) ranked.sort((a, b) => colour.cost(colour.values[a]) - colour.cost(colour.values[b]) || a - b);
+    if (!colour.isText) ranked.sort((a, b) => colour.order(a, b));
     const kept = ranked.filter((place) => this.recorded.has(place));
     const best = colour.isText ? "Runs" : `${colour.best[0].toUpperCase()}${colour.best.slice(1)} by ${colour.title}`;
     return [

@@ -89,6 +89,12 @@ export class Field {
     return this.better === "low" ? value : this.better === "zero" ? Math.abs(value) : -value;
   }
 
+  /** Compares two runs, of which the better one is first. */
+  order(a, b) {
+    const [one, other] = [this.cost(this.values[a]), this.cost(this.values[b])];
+    return one === other ? a - b : one < other ? -1 : 1;
+  }
+
   /** Name of the best direction of its values. */
   get best() {
     return this.better ? "best" : "highest";
