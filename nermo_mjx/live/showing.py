@@ -50,7 +50,7 @@ class Shown:
     def document(self, about: dict[str, Any]) -> str:
         """The page; `about` is what its driving part has to know."""
         live = {"points": self._points, "slots": SLOTS, **about}
-        return document("page.html", "Nermo: drive", self._header | {"live": live}, [self._packer], ("", "live"))
+        return document("viewer", "Nermo: drive", self._header | {"live": live}, [self._packer], ("", "live"))
 
     def row(self) -> bytes:
         """The present moment, as floats: time, root, followed point; place and rotation of each moving body; of each

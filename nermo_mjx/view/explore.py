@@ -29,7 +29,7 @@ from nermo_mjx.sweep.figures import thinned
 from nermo_mjx.sweep.spec import OBJECTIVES, sides_in
 from nermo_mjx.sweep.table import LEADING, Results, SweepRecord, meta
 from nermo_mjx.view.clip import COMPACT, Models, Packer, clip_of
-from nermo_mjx.view.page import Page, document, text
+from nermo_mjx.view.page import Page, document, template
 
 #: Roles of the columns that are shown, in this order; seeds and codes are not informative.
 ROLES: Final = ("varied", "randomized", "metric", "status", "index")
@@ -326,10 +326,10 @@ def explore(
         "commands": commands_of(path, runs),
         "models": headers,
         "recordings": clips,
-        "viewer": text("page.html") if clips else "",
+        "viewer": template("viewer") if clips else "",
     }
     title = f"Nermo: {name}, {'an' if runs.kind == 'atlas' else 'a'} {runs.kind}"
-    html = document("explore.html", title, header, [table, models, *parts], ("", "explore"))
+    html = document("explore", title, header, [table, models, *parts], ("", "explore"))
     return Page(html, height, rows=len(runs.rows), recordings=len(clips))
 
 

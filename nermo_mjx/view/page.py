@@ -61,31 +61,39 @@ class Page:
         return f"Page({len(self.html) / 1e6:.1f} MB, {held})"
 
 
+def template(kind: str) -> str:
+    """The document of a `viewer` or an `explore` page, with places for what it shows."""
+    main = "main.js" if kind == "viewer" else f"{kind}/main.js"
+    return _filled(text("frame.html"), {"kind": kind, "main": main, "body": text(f"{kind}.html").rstrip()})
+
+
+def _filled(document: str, content: Mapping[str, str]) -> str:
+    return _PLACE.sub(lambda place: content.get(place[1], place[0]), document)
+
+
 def document(
-    template: str, title: str, header: Mapping[str, Any], parts: Sequence[Packer], folders: Sequence[str] = ("",)
+    kind: str, title: str, header: Mapping[str, Any], parts: Sequence[Packer], folders: Sequence[str] = ("",)
 ) -> str:
-    """The template with everything inserted.
+    """A whole page.
 
     Args:
-        template: a file of `web/`.
+        kind: `viewer` or `explore`.
         title: of the window.
         header: JSON header of the page.
         parts: packed arrays that the header points into.
         folders: of `web/` whose modules and style the page has.
     """
     styles = [name for each in folders if (_WEB / (name := f"{each}/style.css".lstrip("/"))).is_file()]
+    data = [f'<script type="text/plain" data-part="{part.part}">{part.text()}</script>' for part in parts]
     content = {
         "title": html.escape(title),
         "style": "\n".join(map(text, styles)),
+        "own_style": text("explore.css") if kind == "explore" else "",
         "imports": as_json({"imports": _modules(folders)}),
         "header": as_json(header),
-        "data": "\n".join(
-            f'<script type="text/plain" data-part="{part.part}">{part.text()}</script>' for part in parts
-        ),
+        "data": "\n".join(data),
     }
-    if (own := _WEB / template.replace(".html", ".css")).is_file():
-        content["own_style"] = own.read_text(encoding="utf-8")
-    return _PLACE.sub(lambda place: content[place[1]], text(template))
+    return _filled(template(kind), content)
 
 
 def text(name: str) -> str:
@@ -155,4 +163,4 @@ def show(
     header = clips_of(loaded, names, packer)
     samples = max(clip["time"]["shape"][0] for clip in header["clips"])
     title = " and ".join(dict.fromkeys(clip["title"] for clip in header["clips"]))
-    return Page(document("page.html", f"Nermo: {title}", header, [packer]), height or 480, samples)
+    return Page(document("viewer", f"Nermo: {title}", header, [packer]), height or 480, samples)

@@ -31,9 +31,9 @@ export function togglePanel(id, open = find(id).hidden) {
   if (open) find(id).querySelector("button")?.focus();
 }
 
-/** Wires a panel's buttons, `ID-toggle` and `ID-close`. */
+/** Wires a panel's buttons, `ID-toggle`, which is shown then, and `ID-close`. */
 export function wirePanel(id) {
-  find(`${id}-toggle`).addEventListener("click", () => togglePanel(id));
+  Object.assign(find(`${id}-toggle`), { hidden: false, onclick: () => togglePanel(id) });
   find(`${id}-close`).addEventListener("click", () => togglePanel(id, false));
 }
 

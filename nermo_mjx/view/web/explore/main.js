@@ -19,9 +19,8 @@ async function start() {
   const table = new Table(header, { table: await unpack(packed) });
   const recorded = new Set(Object.keys(header.recordings).map((row) => table.placeOf.get(Number(row))));
   const view = { ...header.start, fit: false, logs: new Set(table.differing().filter((field) => field.wantsLog).map((field) => field.name)) };
-  const [title, ...figures] = [header.title, ...headOf(header, table)];
-  find("title").textContent = title;
-  find("figures").replaceChildren(...figures.map((text) => element("span", text)));
+  const figures = headOf(header, table).map((text) => element("span", text));
+  find("runs").append(element("div", [element("h1", header.title), element("p", figures, "figures")], "run"));
 
   const explorer = new Explorer(header, table, recorded, view);
   wirePanel("help");

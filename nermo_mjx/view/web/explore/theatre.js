@@ -38,7 +38,7 @@ export class Theatre {
   #document(header, part) {
     const data = ["models", part].map((name) => document.querySelector(`[data-part="${name}"]`).outerHTML);
     const content = {
-      title: "", style: find("style").textContent, imports: find("imports").textContent,
+      title: "", own_style: "", style: find("style").textContent, imports: find("imports").textContent,
       header: JSON.stringify(header).replaceAll("<", "\\u003c"), data: data.join("\n"),
     };
     return this.header.viewer.replace(/<!--(\w+)-->/g, (_, name) => content[name]);
