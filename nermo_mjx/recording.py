@@ -8,10 +8,10 @@ import hashlib
 import io
 import json
 import os
-import tempfile
-from collections.abc import Iterator, Mapping
+import secrets
+from collections.abc import Mapping
 from pathlib import Path
-from typing import IO, Any, Final
+from typing import Any, Final
 
 import mujoco
 import numpy as np
@@ -109,10 +109,7 @@ class Recording:
         Raises:
             RecordingError: the file cannot be written.
         """
-        path = Path(path)
-        with whole_file(path, "the recording") as file:
-            file.write(self.content())
-        return path
+        return write_whole(Path(path), "the recording", self.content())
 
     def content(self) -> bytes:
         """What `save` writes."""
@@ -171,30 +168,27 @@ class Recording:
             )
 
 
-@contextlib.contextmanager
-def whole_file(path: Path, what: str) -> Iterator[IO[bytes]]:
-    """A file to write into that appears under its name when complete; its folder is created if missing.
+def write_whole(path: Path, what: str, content: bytes) -> Path:
+    """Write a file that appears under its name when complete; its folder is created if missing.
 
     Args:
         path: of the file.
         what: it holds, for the message.
+        content: of the file.
 
     Raises:
         RecordingError: it cannot be written; what was there is still there.
     """
-    temporary = None
+    temporary = path.parent / f".{path.name}.{secrets.token_hex(8)}"
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=path.parent, prefix=f".{path.name}.", delete=False) as file:
-            temporary = Path(file.name)
-            yield file
-        temporary.chmod(0o666 & ~_umask())
-        temporary.replace(path)
+        temporary.write_bytes(content)
+        return temporary.replace(path)
     except OSError as error:
         raise RecordingError(f"{path}: {what} cannot be written ({error.strerror or error}).") from None
     finally:
-        if temporary is not None:
-            temporary.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            temporary.unlink()
 
 
 def model_hash(model: mujoco.MjModel) -> str:
@@ -227,9 +221,3 @@ def recording_of(trace: Any, model: mujoco.MjModel, *, world: int = 0, metadata:
     sensors = {name: pick(values) for name, values in trace.sensors.items()}
     arrays = (np.asarray(trace.time), pick(trace.qpos), pick(trace.qvel), pick(trace.ctrl))
     return Recording(*arrays, sensors=sensors, model_hash=model_hash(model), metadata=metadata)
-
-
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask

@@ -89,10 +89,11 @@ def test_a_failed_save_keeps_the_old_file(tmp_path: Path, monkeypatch: pytest.Mo
     path = some_recording().save(tmp_path / "walk.npz")
     before = path.read_bytes()
 
-    def no_space(*_: object, **__: object) -> None:
+    def no_space(path: Path, _: bytes) -> None:
+        path.touch()
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(np, "savez_compressed", no_space)
+    monkeypatch.setattr(Path, "write_bytes", no_space)
     with pytest.raises(RecordingError, match="No space left"):
         some_recording(metadata={"other": 1}).save(path)
     assert path.read_bytes() == before

@@ -19,7 +19,7 @@ from nermo_mjx.view.recorded import motion_of
 #: What must be within reach in any window.
 CONTROLS = ["play", "scrub", "speed", "loop", "plots-toggle", "help-toggle", "canvas", "plot-list", "view"]
 #: The last change has been drawn as well as stills are.
-RESTING = "!viewer.stage.stale && !viewer.stage.quality.unsettled"
+RESTING = "!viewer.stage.stale && viewer.stage.quality.shown === viewer.stage.quality.still"
 
 
 @pytest.fixture(scope="module")
@@ -83,19 +83,19 @@ def test_the_page_has_all_it_needs_and_complains_of_nothing(tab: chromium.Tab, o
 def test_bodies_are_where_mujoco_puts_them(tab: chromium.Tab, one: Path, pair: tuple[Recording, Recording]) -> None:
     """Between samples they are between."""
     opened(tab, one)
-    walk, shown = pair[0], "viewer.stage.bodyPosition(0, {!r})"
+    walk, bodies = pair[0], "viewer.stage.actors[0].robot.bodies"
     for sample in (0, 77, 150, 199):
         data = posed(walk, sample)
         tab.evaluate(f"viewer.player.seek({walk.time[sample]})")
         for body in ("torso", "head", "spine_hip", "front_left_foot", "rear_right_foot", "rear_left_pulley"):
-            place = tab.evaluate(shown.format(body))
+            shown = f"{bodies}[{data.body(body).id}]"
+            place, (x, y, z, w) = tab.evaluate(f"[{shown}.position.toArray(), {shown}.quaternion.toArray()]")
             np.testing.assert_allclose(place, data.body(body).xpos, atol=1e-4, err_msg=f"{body} at sample {sample}")
-            turn = f"viewer.stage.actors[0].robot.bodies[{data.body(body).id}].quaternion"
-            x, y, z, w = tab.evaluate(f"{turn}.toArray()")
             assert abs(np.dot([w, x, y, z], data.body(body).xquat)) == pytest.approx(1, abs=1e-7), body
     tab.evaluate(f"viewer.player.seek({walk.time[100:102].mean()})")
     places = [posed(walk, sample).body("front_right_foot").xpos for sample in (100, 101)]
-    np.testing.assert_allclose(tab.evaluate(shown.format("front_right_foot")), np.mean(places, axis=0), atol=1e-4)
+    place = tab.evaluate(f"{bodies}[{data.body('front_right_foot').id}].position.toArray()")
+    np.testing.assert_allclose(place, np.mean(places, axis=0), atol=1e-4)
 
 
 def test_tensions_and_forces_arrive_as_they_were(
@@ -254,8 +254,9 @@ def test_two_recordings_are_shown_in_step(tab: chromium.Tab, two: Path, pair: tu
     tab.evaluate(f"viewer.player.seek({pair[0].time[150]})")
     places = []
     for clip, walk in enumerate(pair):
-        place = tab.evaluate(f"viewer.stage.bodyPosition({clip}, 'torso')")
-        np.testing.assert_allclose(place, posed(walk, 150).body("torso").xpos, atol=1e-4)
+        torso = posed(walk, 150).body("torso")
+        place = tab.evaluate(f"viewer.stage.actors[{clip}].robot.bodies[{torso.id}].position.toArray()")
+        np.testing.assert_allclose(place, torso.xpos, atol=1e-4)
         places.append(place)
     assert tab.evaluate("document.querySelectorAll('#runs .mark').length") == 2
     over = stage_picture(tab)

@@ -44,7 +44,7 @@ def measure(browser: chromium.Browser, page: Path, width: int, height: int) -> d
         ready = time.monotonic() - begin
         if tab.evaluate("'explorer' in window"):
             return {"ready_s": round(ready, 2)} | explored(tab, begin)
-        tab.wait("!viewer.stage.stale && !viewer.stage.quality.unsettled")
+        tab.wait("!viewer.stage.stale && viewer.stage.quality.shown === viewer.stage.quality.still")
         tab.picture()
         still = time.monotonic() - begin
         whole, later = tab.evaluate(COUNT)

@@ -435,14 +435,13 @@ def replay_command(
 def _replay_drive(path: Path, record: Path | None, video: Path | None, sweep: Path | None, camera: str) -> Outcome:
     """Drive a recording again, and compare."""
     from nermo_mjx.live.driving import as_sweep, difference, replayed
-    from nermo_mjx.recording import RecordingError, whole_file
+    from nermo_mjx.recording import RecordingError, write_whole
     from nermo_mjx.sweep import Sweep
 
     recording = load_recording(path)
     try:
         if sweep is not None:
-            with whole_file(sweep, "the sweep file") as file:
-                file.write(Sweep.from_dict(as_sweep(recording)).to_yaml(sweep.parent).encode())
+            write_whole(sweep, "the sweep file", Sweep.from_dict(as_sweep(recording)).to_yaml(sweep.parent).encode())
         with Progress("replay", compiles=True):
             again = replayed(recording)
     except RecordingError as error:

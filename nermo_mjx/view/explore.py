@@ -381,35 +381,26 @@ def start_of(runs: Runs) -> dict[str, Any]:
     """
     repeat = runs.columns.get("repeat")
     runs_of_cell = "mean" if repeat is not None and len(repeat.distinct) > 1 else "best"
-    gain = f"{runs.leading}_gain"
-    if gain in runs.columns and runs.grid:
-        differ = [each for each in runs.of("varied") if len(each.distinct) <= MOST_CELLS]
-        wanted = [each for each in differ if each.name in runs.gain_over]
-        ordered = sorted([*wanted, *(each for each in differ if each not in wanted)][:2], key=lambda each: each.is_text)
-        if len(ordered) == 2:
-            return {"x": ordered[0].name, "y": ordered[1].name, "colour": gain, "cells": True, "of": "mean"}
-    return _start(runs) | {"of": runs_of_cell}
-
-
-def _start(runs: Runs) -> dict[str, Any]:
-    varied, metrics = runs.of("varied"), runs.of("metric")
-    numbers = [each for each in [*varied, *runs.of("randomized")] if not each.is_text]
+    varied, metrics, gain = runs.of("varied"), runs.of("metric"), f"{runs.leading}_gain"
     gridded = [each for each in varied if len(each.distinct) <= MOST_CELLS]
+    if gain in runs.columns and runs.grid and len(gridded) > 1:
+        wanted = sorted(gridded, key=lambda each: each.name not in runs.gain_over)[:2]
+        x, y = (each.name for each in sorted(wanted, key=lambda each: each.is_text))
+        return {"x": x, "y": y, "colour": gain, "cells": True, "of": "mean"}
     if runs.atlas is not None:
         measures = [each["metric"] for each in runs.atlas["measures"]]
         x, y = [*measures, runs.leading][:2]
-        return {"x": x, "y": y, "colour": runs.leading, "cells": len(measures) > 1}
+        return {"x": x, "y": y, "colour": runs.leading, "cells": len(measures) > 1, "of": runs_of_cell}
     if runs.grid and len(gridded) > 1:
         # A number across, and structures above each other.
         steps, names = ([each.name for each in gridded if each.is_text == is_text] for is_text in (False, True))
         x, y = (steps[:1] + names[:1] + steps[1:] + names[1:])[:2]
-        return {"x": x, "y": y, "colour": runs.leading, "cells": True}
-    directed = [each.name for each in metrics if each.better and each.name != runs.leading]
-    order = [name for name in OBJECTIVES if name in directed]
-    directed = [*order, *(name for name in directed if name not in order)]
-    others = [*[each.name for each in [*numbers, *varied, *metrics]], runs.leading]
-    across = next(name for name in others if name != runs.leading or name == others[-1])
-    return {"x": across, "y": runs.leading, "colour": (directed or [runs.leading])[0], "cells": False}
+        return {"x": x, "y": y, "colour": runs.leading, "cells": True, "of": runs_of_cell}
+    directed = {each.name for each in metrics if each.better and each.name != runs.leading}
+    colour = next((name for name in (*OBJECTIVES, *runs.columns) if name in directed), runs.leading)
+    numbers = [each for each in [*varied, *runs.of("randomized")] if not each.is_text]
+    others = [each.name for each in [*numbers, *varied, *metrics] if each.name != runs.leading]
+    return {"x": [*others, runs.leading][0], "y": runs.leading, "colour": colour, "cells": False, "of": runs_of_cell}
 
 
 def _clips(files: dict[int, Path], shapes: Packer, notes: list[str]) -> tuple[dict[str, Any], list[Any], list[Packer]]:

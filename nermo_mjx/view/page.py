@@ -13,7 +13,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any, Final
 
-from nermo_mjx.recording import Recording, whole_file
+from nermo_mjx.recording import Recording, write_whole
 from nermo_mjx.view.clip import Packer
 
 _WEB: Final = resources.files("nermo_mjx.view") / "web"
@@ -44,10 +44,7 @@ class Page:
         Raises:
             RecordingError: it cannot be written.
         """
-        path = Path(path)
-        with whole_file(path, "the page") as file:
-            file.write(self.html.encode())
-        return path
+        return write_whole(Path(path), "the page", self.html.encode())
 
     def _repr_html_(self) -> str:
         """Notebook output: the page in an iframe, stored with the notebook."""

@@ -55,11 +55,6 @@ export class Quality {
   get pixelRatio() {
     return Math.min(Math.min(devicePixelRatio, MOST) * (this.shown?.share ?? 1), MOST);
   }
-
-  /** Whether the same picture should be drawn again. */
-  get unsettled() {
-    return this.shown !== this.still;
-  }
 }
 
 /** Whether WebGL runs on the processor. */

@@ -202,12 +202,4 @@ export class Stage {
     // Shadows are blended into encoded pixels, for which a gamma of 2.2 is near enough.
     return { light, shade: 1 - (1 - sun.g / light.g) ** (1 / 2.2) };
   }
-
-  /** World position of a clip's body [m]. */
-  bodyPosition(clip, name) {
-    const actor = this.actors[clip];
-    const body = actor.robot.bodies[actor.clip.model.bodies.indexOf(name)];
-    actor.group.updateMatrixWorld(true);
-    return body.getWorldPosition(new Vector3()).sub(actor.group.position).toArray();
-  }
 }
