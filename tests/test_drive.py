@@ -14,11 +14,10 @@ import chromium
 import firefox
 import numpy as np
 import pytest
-from click.testing import CliRunner
+from command import call, json_of
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
-from nermo_mjx.cli import main
 from nermo_mjx.control.controller import published_controller
 from nermo_mjx.control.schedule import Switch
 from nermo_mjx.live.driving import Driving, difference, replayed
@@ -37,14 +36,15 @@ def running() -> Driving:
     return Driving(Setup(pilot="open_loop"), {"frequency": 0.8})
 
 
-def walked(driving: Driving, ticks: int, commands=()) -> tuple[np.ndarray, np.ndarray]:
-    """Positions (ticks, nq) and servo targets (ticks, n_servos) under commands."""
+def walked(driving: Driving, ticks: int, commands=(), after=lambda: None) -> tuple[np.ndarray, np.ndarray]:
+    """Positions (ticks, nq) and servo targets (ticks, n_servos) under commands; `after` is called after each tick."""
     driving.reset()
     for tick in range(ticks):
         for at, switch in commands:
             if at == tick:
                 driving.command(switch)
         driving.tick()
+        after()
     made = driving.recording()
     return made.qpos, made.ctrl
 
@@ -89,17 +89,15 @@ def test_commands_within_a_blend_are_continuous_and_make_the_run_again_bit_for_b
 def test_a_command_beside_a_longer_one_leaves_it_its_length(running):
     """A slider that is moved while the gait changes: the gait is that of the gait's command alone, tick by tick."""
     gait, stride = Switch(0, gait="lat", blend=1.0), Switch(0, values={"stride": 0.8}, blend=0.1)
-    seen = {}
+
+    def now(driving: Driving) -> list[float]:
+        values = dict(values_of(driving.control))
+        return [float(np.asarray(values[name])[0]) for name in ("duty", "stride")]
+
+    seen: dict[str, list[list[float]]] = {}
     for name, commands in {"gait": [(20, gait)], "both": [(20, gait), (50, stride), (60, stride)]}.items():
         seen[name] = []
-        running.reset()
-        for tick in range(200):
-            for at, switch in commands:
-                if at == tick:
-                    running.command(switch)
-            running.tick()
-            now = dict(values_of(running.control))
-            seen[name].append([float(np.asarray(now[each])[0]) for each in ("duty", "stride")])
+        walked(running, 200, commands, lambda name=name: seen[name].append(now(running)))
     duty, stride = np.array(seen["both"]).T
     np.testing.assert_allclose(duty, np.array(seen["gait"])[:, 0], atol=1e-6)
     assert duty[20] == 0.5 < duty[82] < 0.6 < duty[-1] == pytest.approx(0.68)
@@ -257,18 +255,15 @@ def test_a_drive_is_made_again_bit_for_bit(tmp_path):
     recording = Recording.load(driving.recording().save(tmp_path / "drive.npz"))
     again = replayed(recording)
     assert difference(recording, again) is None
-    answer = CliRunner().invoke(main, ["replay", str(tmp_path / "drive.npz"), "--json"])
-    assert json.loads(answer.stdout)["equal"], answer.output
+    assert json_of("replay", tmp_path / "drive.npz")["equal"]
     # What happened mattered.
     calm = dict(recording.metadata["driven"]) | {"pushes": []}
     other = Recording(**{**vars(recording), "metadata": {**recording.metadata, "driven": calm}})
     assert difference(recording, replayed(other)) == pytest.approx(0.71)
     with pytest.raises(RecordingError, match="not of a drive"):
         replayed(Recording(**{**vars(recording), "metadata": {}}))
-    table = CliRunner().invoke(
-        main, ["servos", "--recording", str(tmp_path / "drive.npz"), "--out", str(tmp_path / "t.csv"), "--json"]
-    )
-    assert json.loads(table.stdout)["rows"] > 50, table.output
+    table = json_of("servos", "--recording", tmp_path / "drive.npz", "--out", tmp_path / "t.csv")
+    assert table["rows"] > 50
 
 
 def test_a_sweep_walks_as_was_driven(tmp_path):
@@ -282,7 +277,7 @@ def test_a_sweep_walks_as_was_driven(tmp_path):
         driving.tick()
     file, recorded = tmp_path / "drive.npz", driving.recording()
     recorded.save(file)
-    answer = CliRunner().invoke(main, ["replay", str(file), "--sweep", str(tmp_path / "drive.yaml"), "--quiet"])
+    answer = call("replay", file, "--sweep", tmp_path / "drive.yaml", "--quiet")
     assert answer.exit_code == 0, answer.output
     sweep = Sweep.from_file(tmp_path / "drive.yaml")
     walked = Simulator(sweep.setup, "c").run(sweep.constants, sweep.run, record=True).recording()
@@ -294,19 +289,18 @@ def test_a_sweep_walks_as_was_driven(tmp_path):
         "commands": [[9 * k, {"at": 0.0, "set": {"stride": 0.9}}] for k in range(9)]
     }
     Recording(**{**vars(recorded), "metadata": {**recorded.metadata, "driven": many}}).save(file)
-    refused = CliRunner().invoke(main, ["replay", str(file), "--sweep", str(tmp_path / "none.yaml")])
+    refused = call("replay", file, "--sweep", tmp_path / "none.yaml")
     assert (refused.exit_code, "schedule has 9 switches: allowed are 8" in refused.stderr) == (2, True), refused.output
     assert not (tmp_path / "none.yaml").exists()
 
 
 def test_the_command_prints_its_address_and_waits_for_a_page(tmp_path):
-    given = ["drive", "--no-browser", "--seconds", "0.1", "--record", str(tmp_path / "d.npz"), "--json"]
-    answer = CliRunner().invoke(main, given)
+    answer = call("drive", "--no-browser", "--seconds", "0.1", "--record", tmp_path / "d.npz", "--json")
     assert answer.exit_code == 0, answer.output
     assert "drive: http://127.0.0.1:" in answer.stderr
     assert json.loads(answer.stdout) == {"files": [], "seconds": 0.0, "factor": 1.0, "delay": None, "delay_95": None}
     assert not (tmp_path / "d.npz").exists()
-    wrong = CliRunner().invoke(main, ["replay", str(tmp_path)])
+    wrong = call("replay", tmp_path)
     assert (wrong.exit_code, "Give --row N" in wrong.stderr) == (2, True)
 
 

@@ -11,10 +11,9 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 import wires
-from click.testing import CliRunner
+from command import call, json_of
 
 from nermo_mjx import Setup, servo_table
-from nermo_mjx.cli import main
 from nermo_mjx.hardware import connected, play
 from nermo_mjx.hardware.live import SendError
 from nermo_mjx.robot import LIMBS, ParameterError
@@ -153,11 +152,9 @@ def test_a_missing_package_is_named(monkeypatch) -> None:
 
 
 def test_the_command_sends_and_says_how_it_went(broker) -> None:
-    words = ["servos", "--channels", "published", "--send", f"mqtt://127.0.0.1:{broker}", "--seconds", "0.19", "--json"]
-    done = CliRunner().invoke(main, words)
-    assert done.exit_code == 0, done.output
-    sent = json.loads(done.stdout)["sent"]
+    send = ("--send", f"mqtt://127.0.0.1:{broker}", "--seconds", "0.19")
+    sent = json_of("servos", "--channels", "published", *send)["sent"]
     assert sent["messages"] + sent["skipped"] == 6
-    refused = CliRunner().invoke(main, ["servos", "--frequency", "0.8"])
+    refused = call("servos", "--frequency", "0.8")
     assert refused.exit_code == 2
     assert "Give --out FILE.csv, --send URL, or both." in refused.stderr

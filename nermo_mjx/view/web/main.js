@@ -41,7 +41,7 @@ async function start() {
   };
   paint();
   onThemeChange(paint);
-  player.onChange(() => {
+  player.addEventListener("change", () => {
     stage?.setTime(player.time);
     plots.setTime(player.time);
   });

@@ -4,8 +4,10 @@ import { find } from "viewer/dialogs.js";
 
 const SPEEDS = [0.05, 0.1, 0.25, 0.5, 1, 2, 4];
 
-export class Player {
+/** It fires `change` when the time or any other state has changed. */
+export class Player extends EventTarget {
   constructor(clips) {
+    super();
     this.begin = Math.min(...clips.map((clip) => clip.begin));
     this.end = Math.max(...clips.map((clip) => clip.end));
     const longest = clips.reduce((a, b) => (b.time.length > a.time.length ? b : a));
@@ -14,16 +16,10 @@ export class Player {
     this.speed = 1;
     this.loop = true;
     this.playing = false;
-    this.listeners = [];
-  }
-
-  /** Calls back when the time or any other state has changed. */
-  onChange(call) {
-    this.listeners.push(call);
   }
 
   #changed() {
-    for (const call of this.listeners) call(this);
+    this.dispatchEvent(new Event("change"));
   }
 
   seek(time) {
@@ -96,6 +92,6 @@ export function wireTransport(player) {
     find("loop").setAttribute("aria-pressed", String(player.loop));
     speed.value = String(player.speed);
   };
-  player.onChange(update);
+  player.addEventListener("change", update);
   update();
 }
