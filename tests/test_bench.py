@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import importlib
+import json
+import math
+import re
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import mujoco
 import pytest
-from click.testing import CliRunner
+from command import call, json_of
 
 from nermo_mjx.bench import CASES, Benchmark, Option, apart, plan, run_bench
 from nermo_mjx.bench.results import COLUMNS, RESULTS, append, draw_page
-from nermo_mjx.cli import main
 from nermo_mjx.cli.choices import BENCH_CASES
 from nermo_mjx.runs import RunDirectory
 
@@ -31,8 +35,6 @@ def test_each_combination_is_measured_and_what_is_not_given_has_its_default() ->
 
 
 def test_every_case_can_be_imported_and_has_columns() -> None:
-    import importlib
-
     assert tuple(CASES) == tuple(COLUMNS) == BENCH_CASES
     for case in CASES.values():
         module, _, name = case.place.partition(":")
@@ -65,6 +67,48 @@ def test_a_walk_is_measured(engine: str) -> None:
     assert result["date"] < "3"
 
 
+@pytest.fixture
+def measured(monkeypatch: pytest.MonkeyPatch) -> Mock:
+    """Instead of measuring, keeps one run, with what went well and what failed."""
+    run = run_of("2026-11-21", walk_of(10_000.0, plain_steps_per_second=math.nan), FAILED | {"engine": "mjx"})
+    made = Mock(side_effect=lambda *_, keep: keep(run) or run)
+    monkeypatch.setattr("nermo_mjx.bench.run_bench", made)
+    return made
+
+
+def test_bench_passes_its_options_on_and_keeps_the_run(measured: Mock, tmp_path: Path) -> None:
+    """A failed measurement is reported with the others; DIR gets a line per run, and their page."""
+    result = json_of("bench", "--engine", "c", "--worlds", "4", "--worlds", "8", "--into", tmp_path)
+    assert result["cases"][0]["plain_steps_per_second"] is None
+    cases, given, _ = measured.call_args[0]
+    assert (cases, given["engine"], given["worlds"]) == (("throughput",), ("c",), (4, 8))
+    assert not any((given["mode"], given["cycles"]))
+    shown = call("bench", "throughput", "--into", tmp_path).stdout
+    assert "10,000" in shown
+    assert "throughput (engine mjx, worlds 64) failed: no memory" in shown
+    runs = [json.loads(line) for line in (tmp_path / "results.jsonl").read_text().splitlines()]
+    assert [run["cases"] for run in runs] == [result["cases"]] * 2
+    page = (tmp_path / "results.md").read_text()
+    assert page.count("10,000") == 1
+    for figure in re.findall(r"\]\((plots/.*?)\)", page):
+        assert (tmp_path / figure).stat().st_size > 1000
+    (tmp_path / "results.md").write_text("a user's remarks")
+    assert f"moved aside in {tmp_path}, to results.md.aside-1." in call("bench", "--into", tmp_path).stderr
+    assert (tmp_path / "results.md.aside-1").read_text() == "a user's remarks"
+
+
+def test_a_benchmark_that_is_stopped_says_what_it_has_kept(measured: Mock, tmp_path: Path) -> None:
+    def stopped(*_: Any, keep: Any) -> None:
+        keep(run_of("2026-11-21"))
+        raise KeyboardInterrupt
+
+    measured.side_effect = stopped
+    result = call("bench", "--into", tmp_path)
+    assert result.exit_code == 1
+    assert result.stderr.endswith(f"nermo-mjx: stopped; 1 measurement is kept in {tmp_path / 'results.jsonl'}.\n")
+    assert len((tmp_path / "results.jsonl").read_text().splitlines()) == 1
+
+
 def add_run(folder: Path, run: dict[str, Any]) -> None:
     """Add a run and draw the page, as `bench --into` does."""
     append(folder / RESULTS, run)
@@ -72,16 +116,13 @@ def add_run(folder: Path, run: dict[str, Any]) -> None:
 
 
 def test_the_page_shows_the_newest_of_each_kind_by_machine(tmp_path) -> None:
-    def run(device: str, date: str, *lines: dict[str, Any]) -> dict[str, Any]:
-        return run_of(date, *lines, hardware=HARDWARE | {"device": device})
-
-    walk = walk_of
+    gpu, walk = HARDWARE | {"device": "1 x gpu"}, walk_of
     start = {"case": "startup", "engine": "c", "worlds": 64, "cold_s": 5.5, "warm_s": 3.5,
              "cold": {"import_s": 1.25, "training_s": 30.5}, "warm": {"import_s": 1.0, "training_s": 2.5}}  # fmt: skip
-    add_run(tmp_path, run("1 x cpu", "2026-01-01", walk(11111.0), walk(22222.0, worlds=128)))
-    add_run(tmp_path, run("1 x cpu", "2026-02-02", walk(33333.0), start))
-    add_run(tmp_path, run("1 x gpu", "2026-03-03", {"case": "gradient", "mode": "reverse", "worlds": 16, "cycles": 1.0,
-                                                    "error": "no memory"}))  # fmt: skip
+    gradient = {"case": "gradient", "mode": "reverse", "worlds": 16, "cycles": 1.0, "error": "no memory"}
+    add_run(tmp_path, run_of("2026-01-01", walk(11111.0), walk(22222.0, worlds=128)))
+    add_run(tmp_path, run_of("2026-02-02", walk(33333.0), start))
+    add_run(tmp_path, run_of("2026-03-03", gradient, hardware=gpu))
     page = (tmp_path / "results.md").read_text()
     assert len((tmp_path / "results.jsonl").read_text().splitlines()) == 3
     assert "11,111" not in page
@@ -108,29 +149,24 @@ def walk_of(rate: float, **more: Any) -> dict[str, Any]:
 FAILED = {"case": "throughput", "engine": "c", "worlds": 64, "error": "no memory"}
 
 
-def test_a_failed_newest_run_stands_beside_the_last_good_figures_and_says_when(tmp_path) -> None:
-    add_run(tmp_path, run_of("2026-01-01", walk_of(11111.0)))
-    add_run(tmp_path, run_of("2026-02-02", FAILED))
-    page = (tmp_path / "results.md").read_text()
-    assert "| c | 64 | 11,111 |" in page
-    assert (
-        "- throughput (engine c, worlds 64) failed: no memory. That was on 2026-02-02, commit abc, mujoco 3, jax 0, "
-        "python 3; the figures are of 2026-01-01.\n" in page
+def test_a_failed_newest_run_stands_beside_the_last_good_figures_and_says_when(tmp_path: Path) -> None:
+    """Also one that ended before it knew its machine; what goes well again is no failure any more."""
+    failure, when = (
+        "- throughput (engine c, worlds 64) failed: no memory. That was on 2026-02-02, commit abc",
+        "2026-02-02",
     )
+    add_run(tmp_path, run_of("2026-01-01", walk_of(11111.0)))
+    add_run(tmp_path, run_of(when, FAILED))
+    add_run(tmp_path, run_of(when, FAILED, hardware=None))
+    page = (tmp_path / "results.md").read_text()
+    assert f"{failure}, mujoco 3, jax 0, python 3; the figures are of 2026-01-01.\n" in page
+    places = [page.index(text) for text in ("| c | 64 | 11,111 |", "## Unknown machine", f"{failure}.\n")]
+    assert places == sorted(places)
     assert (tmp_path / "plots" / "throughput_1.png").exists()
     add_run(tmp_path, run_of("2026-03-03", walk_of(22222.0)))
     page = (tmp_path / "results.md").read_text()
     assert "22,222" in page
-    assert "failed" not in page, "what went well again is no failure any more"
-
-
-def test_a_run_that_ended_before_it_knew_its_machine_is_shown(tmp_path) -> None:
-    add_run(tmp_path, run_of("2026-01-01", walk_of(11111.0)))
-    add_run(tmp_path, run_of("2026-02-02", FAILED, hardware=None))
-    page = (tmp_path / "results.md").read_text()
-    assert "11,111" in page
-    failed = page.index("failed: no memory. That was on 2026-02-02, commit abc.")
-    assert page.index("11,111") < page.index("## Unknown machine") < failed
+    assert page.count("failed") == 1, "of the unknown machine"
 
 
 def test_lines_that_cannot_be_read_are_kept_and_mentioned(tmp_path) -> None:
@@ -160,10 +196,10 @@ def test_a_good_line_without_a_figure_costs_only_that_figure(tmp_path) -> None:
 def test_two_runs_into_one_directory_do_not_meet(tmp_path) -> None:
     """The second is refused before it measures anything, as is a directory of another kind."""
     with RunDirectory(tmp_path / "a", "benchmarks"):
-        result = CliRunner().invoke(main, ["bench", "--into", str(tmp_path / "a")])
+        result = call("bench", "--into", tmp_path / "a")
     assert result.exit_code == 1
     assert f"another process works in {tmp_path / 'a'}" in result.stderr
     (tmp_path / "run.json").write_text('{"kind": "tuning"}')
-    result = CliRunner().invoke(main, ["bench", "--into", str(tmp_path)])
+    result = call("bench", "--into", tmp_path)
     assert result.exit_code == 2
     assert "holds a tuning, and not benchmarks" in result.stderr

@@ -12,11 +12,9 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from unittest.mock import Mock
 
-import click
 import mujoco
 import numpy as np
 import pytest
@@ -25,18 +23,14 @@ from command import call, json_of
 from experiment_fake import Fake, pretend
 
 from nermo_mjx import Recording, load_robot
-from nermo_mjx.cli import choices, main, options
+from nermo_mjx.cli import choices, main
 from nermo_mjx.cli.progress import COMPILING, Progress, duration
-from nermo_mjx.runs import RunDirectory, job
+from nermo_mjx.runs import RunDirectory
 from nermo_mjx.runs.text import plain
 from nermo_mjx.version import __version__
 
 pytestmark = pytest.mark.usefixtures("shared_simulators")
 
-COMMANDS = (
-    "sweep", "merge", "replay", "compare", "sensitivity", "tune", "train", "landscape", "experiment", "identify",
-    "walk", "render", "view", "play", "plot", "status", "schema", "servos", "model", "bench", "completion",
-)  # fmt: skip
 #: A walk as short as a walk can be.
 SHORT = ("walk", "--engine", "c", "--duration", "0.3", "--warmup", "0.1")
 
@@ -53,30 +47,26 @@ def refused(*arguments: str | Path) -> str:
 # --- help
 
 
-@pytest.mark.parametrize("command", [(), *((name,) for name in COMMANDS)])
+@pytest.mark.parametrize("command", [(), *((name,) for name in main.commands)])
 def test_help_fits_80_columns_and_ends_with_an_example(command: tuple[str, ...]) -> None:
     text = call(*command, "--help").stdout
     assert max(map(len, text.splitlines())) <= 80
     assert "  nermo-mjx " in text[text.index("Options:") :]
 
 
-def test_help_imports_nothing_heavy() -> None:
-    script = (
-        "import sys\nfrom nermo_mjx.cli import main\n"
-        "try:\n    main(['walk', '--help'])\nexcept SystemExit:\n    pass\n"
-        "assert not {'jax', 'mujoco', 'scipy', 'pyarrow', 'matplotlib'} & set(sys.modules), 'heavy'\n"
-    )
-    subprocess.run([sys.executable, "-c", script], check=True, capture_output=True)
-
-
 @pytest.mark.process
-def test_a_walk_imports_neither_splines_nor_tables() -> None:
-    """Together they take a quarter of a walk's import time, and only courses and result tables need them."""
-    script = (
-        "import sys\nimport nermo_mjx.rollout, nermo_mjx.runs\n"
-        "from nermo_mjx.rollout import Setup\nSetup().load()\n"
-        "assert not {'scipy.interpolate', 'pyarrow'} & set(sys.modules), 'not needed'\n"
-    )
+@pytest.mark.parametrize(
+    ("script", "heavy"),
+    [
+        ("from nermo_mjx.cli import main; main(['walk', '--help'], standalone_mode=False)",
+         {"jax", "mujoco", "scipy", "pyarrow", "matplotlib"}),
+        # Together they take a quarter of a walk's import time, and only courses and result tables need them.
+        ("import nermo_mjx.rollout, nermo_mjx.runs; nermo_mjx.rollout.Setup().load()",
+         {"scipy.interpolate", "pyarrow"}),
+    ],
+)  # fmt: skip
+def test_what_is_not_needed_is_not_imported(script: str, heavy: set[str]) -> None:
+    script = f"{script}\nimport sys\nassert not {heavy} & set(sys.modules)"
     subprocess.run([sys.executable, "-c", script], check=True, capture_output=True)
 
 
@@ -86,17 +76,14 @@ def test_the_package_is_a_command_too() -> None:
 
 
 def test_examples_in_the_help_are_valid_commands() -> None:
-    for name in COMMANDS:
-        command = main.commands[name]
+    for name, command in main.commands.items():
         lines = re.findall(r"^  nermo-mjx (.*)$", command.epilog or "", re.MULTILINE)
         assert lines
         for line in lines:
-            words = line.split()
-            assert words[0] == name
             # Files need not exist for the check of names and values.
-            files = ("walk.npz", "other.npz", "front.csv")
-            words = [word if word not in files else os.fspath(Path(__file__)) for word in words]
-            command.make_context(name, words[1:])
+            first, *words = re.sub(r"\b(walk|other|front)\.(npz|csv)", __file__, line).split()
+            assert first == name
+            command.make_context(name, words)
 
 
 # --- wrong use
@@ -106,12 +93,9 @@ def test_examples_in_the_help_are_valid_commands() -> None:
     ("arguments", "sentence"),
     [
         (["wlak"], "Did you mean 'walk'"),
-        (["walk", "--frequncy", "1"], "--frequency"),
         (["sweep", "--list-parameter"], "--list-parameters"),
         (["walk", "--gait", "canter"], "'trt', 'trt1', 'lat'"),
-        (["walk", "--frequency", "fast"], "not a valid float"),
         (["walk", "--frequency", "50"], "frequency is 50: allowed is (0, 5] Hz."),
-        (["walk", "--frequency", "nan"], "frequency is nan"),
         (["walk", "--scene", "moon"], "scene is 'moon': allowed is 'balance_stand' or 'flat'"),
         (["walk", "--spine-amplitude", "0.2"], "--spine-amplitude has no effect with --spine none"),
         (["walk", "--turn-rate", "0.2", "--pilot", "arc"], "--turn-rate has no effect with --pilot arc"),
@@ -126,25 +110,11 @@ def test_examples_in_the_help_are_valid_commands() -> None:
         (["sweep"], "A sweep needs SPEC.yaml or --rows FILE, and --out DIR"),
         (["sweep", "missing.yaml", "--out", "runs"], "missing.yaml: there is no such file."),
         (["sweep", "a.yaml", "--out", "b", "--shard", "4/4"], "I from 0 to N - 1"),
-        (["experiment", "turning"], "Missing option '--out'"),
         (["experiment", "turnin", "--out", "a"], "not one of 'straight-line', 'turning', 'balance', 'maze', 'body', "),
-        (["experiment", "maze", "--out", "a", "--repeats", "0"], "x>=1"),
-        (["experiment", "maze", "--out", "a", "--profile", "exakt"], "'all', 'exact', 'as_published', 'as_built'"),
-        (["experiment", "maze", "--out", "a", "--set", "contact.fricton=1"], "did you mean contact.friction?"),
-        (
-            ["experiment", "maze", "--out", "a", "--set", "frequency=1"],
-            "frequency cannot be set for maze",
-        ),
+        (["experiment", "maze", "--out", "a", "--set", "frequency=1"], "frequency cannot be set for maze"),
         (["experiment", "maze", "--out", "a", "--set", "servo.kp"], "expected NAME=VALUE, such as frequency=0.67"),
-        (
-            ["experiment", "maze", "--out", "a", "--set", "contact.friction=9"],
-            "contact.friction is 9: allowed is [0.05, 5].",
-        ),
+        (["experiment", "maze", "--out", "a", "--set", "contact.friction=9"], "friction is 9: allowed is [0.05, 5]."),
         (["experiment", "maze", "--out", "/sys/kernel/nermo"], "cannot write in /sys/kernel/nermo: "),
-        (["identify", "--out", "a", "--population", "3"], "x>=4"),
-        (["render", "missing.npz", "--out", "a.mp4"], "does not exist"),
-        (["model", "--tail", "bushy"], "'rigid', 'articulated'"),
-        (["bench", "--worlds", "0"], "x>=1"),
     ],
 )
 def test_wrong_use_is_exit_code_2_and_one_sentence(arguments: list[str], sentence: str) -> None:
@@ -152,14 +122,9 @@ def test_wrong_use_is_exit_code_2_and_one_sentence(arguments: list[str], sentenc
         assert sentence in " ".join(refused(*arguments).split())
 
 
-@pytest.mark.parametrize(
-    "command",
-    [["render", "--out", "walk.mp4"], ["view", "--no-open", "--out", "walk.html"], ["plot", "--out", "plots"],
-     ["play", "--xml", "walk.xml"]],
-    ids=lambda command: command[0],
-)  # fmt: skip
-def test_what_is_no_recording_or_an_old_one_is_refused_with_the_remedy(command: list[str], tmp_path: Path) -> None:
-    name, *options = command
+@pytest.mark.parametrize("command", ["render --out a.mp4", "view --out a.html", "plot --out plots", "play --xml a.xml"])
+def test_what_is_no_recording_or_an_old_one_is_refused_with_the_remedy(command: str, tmp_path: Path) -> None:
+    name, *options = command.split()
     time, states = np.arange(1, 4) * 0.01, np.zeros((3, load_robot().model.nq))
     old = Recording(time, states, np.zeros((3, 3)), np.zeros((3, 11)), model_hash="0123456789abcdef")
     (tmp_path / "text.npz").write_text("no recording")
@@ -172,11 +137,10 @@ def test_what_is_no_recording_or_an_old_one_is_refused_with_the_remedy(command: 
     there = sorted(tmp_path.iterdir())
     with contextlib.chdir(tmp_path):
         for path, sentence in cases.items():
-            result = call(name, path, *options)
-            assert result.exit_code == 2, path
-            assert result.stderr.startswith(f"nermo-mjx: {path}: ")
-            assert sentence in result.stderr
-            assert len(result.stderr.splitlines()) == 1
+            error = refused(name, path, *options)
+            assert error.startswith(f"nermo-mjx: {path}: ")
+            assert sentence in error
+            assert error.count("\n") == 1
     assert sorted(tmp_path.iterdir()) == there
 
 
@@ -207,33 +171,15 @@ def test_what_the_environment_wants_and_the_machine_has_not_is_a_sentence(
 # --- failed, stopped
 
 
-def test_a_failure_is_exit_code_1_and_one_sentence(tmp_path: Path) -> None:
+def test_a_failure_is_exit_code_1_and_one_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also Ctrl-C, which says what to do."""
     result = call("model", "--xml", tmp_path / "missing" / "robot.xml")
-    assert result.exit_code == 1
-    assert len(result.stderr.splitlines()) == 1
+    assert (result.exit_code, result.stderr.count("\n")) == (1, 1)
     assert "cannot be written" in result.stderr
-
-
-def test_ctrl_c_is_exit_code_1_and_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
-    def interrupted(**_: object) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("nermo_mjx.cli.walk.plan", interrupted)
+    monkeypatch.setattr("nermo_mjx.cli.walk.plan", Mock(side_effect=KeyboardInterrupt))
     result = call("walk")
     assert result.exit_code == 1
     assert result.stderr.startswith("nermo-mjx: stopped; ")
-
-
-def test_a_benchmark_that_is_stopped_says_what_it_has_kept(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    def stopped(*_: object, keep: Callable[[dict[str, Any]], None], **__: object) -> None:
-        keep({"hardware": {}, "cases": []})
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("nermo_mjx.bench.run_bench", stopped)
-    result = call("bench", "--into", tmp_path)
-    assert result.exit_code == 1
-    assert result.stderr.endswith(f"nermo-mjx: stopped; 1 measurement is kept in {tmp_path / 'results.jsonl'}.\n")
-    assert len((tmp_path / "results.jsonl").read_text().splitlines()) == 1
 
 
 @pytest.mark.slow
@@ -284,14 +230,13 @@ def test_options_reach_the_simulation(tmp_path: Path) -> None:
     more = ("--gait", "lat", "--offset-compensation", "--turn-rate", "0.4", "--steering", "mix", "--physics", "fast")
     last = ("--tail", "articulated", "--profile", "as_published", "--seed", "3")
     report = json_of(*SHORT, *options, *more, *last)
-    parameters, setup = report["parameters"], report["setup"]
-    assert (parameters["spine.amplitude"], parameters["spine.phase"], parameters["stride"]) == (0.3, 0.5, 0.8)
-    assert (parameters["spine.offset_compensation"], parameters["pilot.turn_rate"]) == (1.0, 0.4)
-    assert (parameters["turning.leg"], parameters["turning.spine"]) == (1.0, 1.0)
-    assert parameters["tracking.foot_gain"] < 1.0
-    assert parameters["start.x"] != 0.0
-    assert (setup["gait"], setup["pilot"], setup["tail"]) == ("lat", "open_loop", "articulated")
-    assert (setup["physics"], setup["timestep"]) == ("fast", pytest.approx(0.01 / 3))
+    expected = {"spine.amplitude": 0.3, "spine.phase": 0.5, "stride": 0.8, "spine.offset_compensation": 1.0,
+                "pilot.turn_rate": 0.4, "turning.leg": 1.0, "turning.spine": 1.0}  # fmt: skip
+    assert expected.items() <= report["parameters"].items()
+    assert report["parameters"]["tracking.foot_gain"] < 1.0
+    assert report["parameters"]["start.x"] != 0.0
+    setup = {"gait": "lat", "pilot": "open_loop", "tail": "articulated", "physics": "fast", "timestep": 0.01 / 3}
+    assert {name: report["setup"][name] for name in setup} == pytest.approx(setup)
 
 
 def test_the_seed_decides_the_start() -> None:
@@ -301,26 +246,17 @@ def test_the_seed_decides_the_start() -> None:
 
 
 @pytest.mark.compiles
-def test_walk_sums_up_in_millimetres_and_degrees() -> None:
-    result = call(*SHORT)
+@pytest.mark.parametrize(
+    ("options", "theory"),
+    [((), r"80\.4"), (("--spine", "stride_extension"), r"101\.[5-7]"), (("--set", "duty=0.8"), r"50\.[23]")],
+)
+def test_walk_sums_up_in_millimetres_and_degrees(options: tuple[str, ...], theory: str) -> None:
+    """In theory (5.33): 0.67 Hz, two strides of 60 mm, with the spine of 75.8 mm; 1 / 0.8 of 60 mm (erratum 20)."""
+    result = call(*SHORT, *options)
     assert result.exit_code == 0
-    assert re.search(r"^speed +-?[\d.]+ +mm/s$", result.stdout, re.MULTILINE)
-    assert re.search(r"^speed in theory +80\.4 +mm/s$", result.stdout, re.MULTILINE), "0.67 Hz, 2 strides of 60 mm"
-    assert re.search(r"^roll( +-?[\d.]+){4}$", result.stdout, re.MULTILINE)
-
-
-@pytest.mark.compiles
-def test_the_theory_of_a_walk_has_the_spine_and_the_duty_factor_in_it() -> None:
-    """(5.33): 0.67 Hz, two strides of 60 + 15.8 mm; and 1 / 0.8 strides of 60 mm a cycle (erratum 20)."""
-    result = call(*SHORT, "--spine", "stride_extension")
-    assert re.search(r"^speed in theory +101\.[5-7] +mm/s$", result.stdout, re.MULTILINE)
-    result = call(*SHORT, "--set", "duty=0.8")
-    assert re.search(r"^speed in theory +50\.[23] +mm/s$", result.stdout, re.MULTILINE)
-
-
-@pytest.mark.compiles
-def test_quiet_says_nothing(tmp_path: Path) -> None:
-    result = call(*SHORT, "--quiet")
+    for line in (r"speed +-?[\d.]+ +mm/s", rf"speed in theory +{theory} +mm/s", r"roll( +-?[\d.]+){4}"):
+        assert re.search(rf"^{line}$", result.stdout, re.MULTILINE)
+    result = call(*SHORT, *options, "--quiet")
     assert (result.exit_code, result.stdout, result.stderr) == (0, "", "")
 
 
@@ -330,9 +266,6 @@ def test_a_recorded_walk_can_be_rendered(tmp_path: Path) -> None:
     record, video = tmp_path / "walk.npz", tmp_path / "walk.gif"
     report = json_of(*SHORT, "--record", record, "--tail", "articulated")
     assert report["metrics"]["status"] == "ok"
-    from nermo_mjx.robot import load_robot
-    from nermo_mjx.view import Recording
-
     recording = Recording.load(record)
     model = load_robot(tail="articulated").model
     recording.check_model(model)
@@ -441,35 +374,28 @@ def test_experiments_in_use_or_of_other_code_are_refused_by_exit_code(
 
 
 @pytest.fixture
-def identified(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
-    """An identification that returns its start; records its arguments."""
+def identified(monkeypatch: pytest.MonkeyPatch) -> Mock:
+    """An identification that returns its start at once."""
     from nermo_mjx.experiments import ensemble, identification
     from nermo_mjx.rollout import Setup
 
-    asked: dict[str, Any] = {}
-
-    def identify(
-        wanted: identification.Search, engine: str, memory: Any, watch: job.Watch, workers: Any
-    ) -> identification.Identified:
-        asked.update(vars(wanted))
-        watch.progress(job.Progress(1.0))
-        defaults = Setup().defaults()
-        names = [name for free in ensemble.FREE_IN["exact"].values() for name in free.names]
-        figures = dict.fromkeys(identification.TARGETS, (1.1, 0.5))
-        return identification.Identified({n: defaults[n] for n in names}, 0.5, 0.9, figures, figures, (0.9, 10.0, 0.5))
-
-    monkeypatch.setattr("nermo_mjx.experiments.identification.identify", identify)
-    return asked
+    defaults = Setup().defaults()
+    names = [name for free in ensemble.FREE_IN["exact"].values() for name in free.names]
+    figures = dict.fromkeys(identification.TARGETS, (1.1, 0.5))
+    found = identification.Identified({n: defaults[n] for n in names}, 0.5, 0.9, figures, figures, (0.9, 10.0, 0.5))
+    made = Mock(return_value=found)
+    monkeypatch.setattr("nermo_mjx.experiments.identification.identify", made)
+    return made
 
 
-def test_identify_writes_its_result_and_a_report(identified: dict[str, Any], tmp_path: Path) -> None:
+def test_identify_writes_its_result_and_a_report(identified: Mock, tmp_path: Path) -> None:
     from nermo_mjx.experiments.ensemble import FREE
     from nermo_mjx.experiments.identification import TARGETS
 
     out = tmp_path / "out"
     result = json_of("identify", "--out", out, "--samples", "3", "--seed", "4", "--engine", "c")
-    assert identified["samples"] == 3
-    assert identified["seed"] == 4
+    wanted = identified.call_args[0][0]
+    assert (wanted.samples, wanted.seed) == (3, 4)
     assert result["objective"]["end"] == 0.5 < result["objective"]["start"]
     assert set(result["targets"]) == set(TARGETS)
     assert set(result["free"]) == set(FREE)
@@ -486,7 +412,7 @@ def test_identify_writes_its_result_and_a_report(identified: dict[str, Any], tmp
 
 
 @pytest.mark.compiles
-def test_what_identify_prints_can_be_pasted(identified: dict[str, Any], tmp_path: Path) -> None:
+def test_what_identify_prints_can_be_pasted(identified: Mock, tmp_path: Path) -> None:
     from nermo_mjx.sweep import Sweep
 
     text = call("identify", "--out", tmp_path).stdout
@@ -508,8 +434,6 @@ def test_list_parameters_shows_names_with_unit_default_and_range() -> None:
 
 
 def test_model_sums_up_masses_and_writes_one_file(tmp_path: Path) -> None:
-    import mujoco
-
     summary = json_of("model", "--xml", tmp_path / "robot.xml")
     mass = summary["mass"]
     assert mass["front"] + mass["rear"] == pytest.approx(mass["total"])
@@ -520,51 +444,9 @@ def test_model_sums_up_masses_and_writes_one_file(tmp_path: Path) -> None:
     assert "total" in call("model").stdout
 
 
-def test_bench_passes_its_options_on_and_keeps_the_run(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """A failed measurement is reported with the others; DIR gets a line per run, and their page."""
-    figures = {"steps_per_second": 1e4, "plain_steps_per_second": math.nan, "ratio": 0.5, "peak_bytes": 1e9}
-    good = {"case": "throughput", "engine": "c", "worlds": 4, **figures}
-    bad = {"case": "throughput", "engine": "mjx", "worlds": 4, "error": "no memory"}
-    about = {"device": "1 x cpu", "cores": 2, "cpu": "some", "mujoco": "3", "jax": "0", "python": "3"}
-    asked: list[Any] = []
-
-    def run_bench(cases: Any, given: dict[str, Any], progress: Any, keep: Any) -> dict[str, Any]:
-        asked.append((cases, {name: values for name, values in given.items() if values}))
-        progress(1, 1)
-        run = {"date": "2026-11-21T00:00:00", "commit": "abc", "hardware": about, "cases": [good, bad]}
-        keep(run)
-        return run
-
-    import nermo_mjx.bench
-
-    monkeypatch.setattr(nermo_mjx.bench, "run_bench", run_bench)
-    result = json_of("bench", "--engine", "c", "--worlds", "4", "--worlds", "8", "--into", tmp_path)
-    assert result["cases"][0]["plain_steps_per_second"] is None
-    assert asked == [(("throughput",), {"engine": ("c",), "worlds": (4, 8)})]
-    shown = call("bench", "throughput", "--into", tmp_path).stdout
-    assert "10,000" in shown
-    assert "throughput (engine mjx, worlds 4) failed: no memory" in shown
-    runs = [json.loads(line) for line in (tmp_path / "results.jsonl").read_text().splitlines()]
-    assert [run["cases"] for run in runs] == [result["cases"]] * 2
-    page = (tmp_path / "results.md").read_text()
-    assert page.count("10,000") == 1
-    for figure in re.findall(r"\]\((plots/.*?)\)", page):
-        assert (tmp_path / figure).stat().st_size > 1000
-    (tmp_path / "results.md").write_text("a user's remarks")
-    assert f"moved aside in {tmp_path}, to results.md.aside-1." in call("bench", "--into", tmp_path).stderr
-    assert (tmp_path / "results.md.aside-1").read_text() == "a user's remarks"
-
-
 def test_what_libraries_print_does_not_reach_json(monkeypatch: pytest.MonkeyPatch) -> None:
-    import nermo_mjx.robot
-
-    load = nermo_mjx.robot.load_robot
-
-    def noisy(**arguments: Any) -> Any:
-        print("hello from a library")
-        return load(**arguments)
-
-    monkeypatch.setattr(nermo_mjx.robot, "load_robot", noisy)
+    noisy = Mock(side_effect=lambda **config: print("hello from a library") or load_robot(**config))
+    monkeypatch.setattr("nermo_mjx.robot.load_robot", noisy)
     assert json_of("model")["robot"] == "nermo_lite"
 
 
@@ -582,18 +464,15 @@ class Terminal(io.StringIO):
 
 
 def test_progress_without_a_terminal_is_a_line_now_and_then() -> None:
-    stream = io.StringIO()
-    with Progress("sweep", "runs", every=0.0, stream=stream) as progress:
-        progress.share(0.5, 50, 100)
-        progress.share(1.0, 100, 100)
-    lines = stream.getvalue().splitlines()
-    assert lines[0] == "sweep: 50%, 50 of 100 runs"
+    often, seldom = io.StringIO(), io.StringIO()
+    for every, stream in ((0.0, often), (60.0, seldom)):
+        with Progress("sweep", "runs", every=every, stream=stream) as progress:
+            for done in (50, 75, 100):
+                progress.count(done, 100)
+    lines = often.getvalue().splitlines()
+    assert (len(lines), lines[0]) == (3, "sweep: 50%, 50 of 100 runs")
     assert re.fullmatch(r"sweep: 100%, 100 of 100 runs, \S+ runs/s", lines[-1])
-    stream = io.StringIO()
-    with Progress("sweep", "runs", every=60.0, stream=stream) as progress:
-        for done in range(101):
-            progress.count(done, 100)
-    assert len(stream.getvalue().splitlines()) == 1, "only the last line, so shortly after the start"
+    assert len(seldom.getvalue().splitlines()) == 1, "only the last line, so shortly after the start"
 
 
 def test_progress_on_a_terminal_is_a_bar_and_quiet_is_nothing() -> None:
@@ -607,25 +486,13 @@ def test_progress_on_a_terminal_is_a_bar_and_quiet_is_nothing() -> None:
 def test_compilation_is_named_only_while_nothing_moves(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("nermo_mjx.cli.progress.PATIENCE", 0.05)
     slow, quick = io.StringIO(), io.StringIO()
-    with Progress("walk", compiles=True, stream=slow) as progress:
-        progress.share(0.0)
-        time.sleep(0.3)
-    with Progress("walk", compiles=True, stream=quick) as progress:
-        progress.share(0.0)
-        progress.share(0.1)
-        time.sleep(0.3)
-    assert slow.getvalue() == f"walk: {COMPILING}\n"
-    assert quick.getvalue() == ""
+    for stream, moves in ((slow, False), (quick, True)):
+        with Progress("walk", compiles=True, stream=stream) as progress:
+            progress.share(0.0)
+            progress.share(0.1 * moves)
+            time.sleep(0.3)
+    assert (slow.getvalue(), quick.getvalue()) == (f"walk: {COMPILING}\n", "")
 
 
 def test_durations_in_words() -> None:
     assert [duration(s) for s in (0.4, 59.6, 200, 7500)] == ["0 s", "1 min 0 s", "3 min 20 s", "2 h 5 min"]
-
-
-def test_an_option_without_default_shows_none() -> None:
-    @click.command()
-    @options.number("--size", "Size.")
-    def command(size: float | None) -> None:
-        """A command."""
-
-    assert "default" not in CliRunner().invoke(command, ["--help"]).stdout

@@ -14,7 +14,7 @@ import click
 
 from nermo_mjx.cli import options
 from nermo_mjx.cli.choices import EXPERIMENT_PROFILES, EXPERIMENTS
-from nermo_mjx.cli.options import LISTED, FileKind, assigned
+from nermo_mjx.cli.options import FileKind, assigned
 from nermo_mjx.cli.output import Outcome, WrongUse, columns, command, is_json, is_quiet, print_table, say
 from nermo_mjx.cli.progress import Stages, duration
 
@@ -672,7 +672,7 @@ def experiment_command(
         from nermo_mjx.rollout.setup import WorldParameters
 
         # Their ranges are checked with the other settings.
-        values = assigned(assignments, dict(quantities(WorldParameters)), LISTED)
+        values = assigned(assignments, dict(quantities(WorldParameters)))
         profiles = EXPERIMENT_PROFILES if profile == "all" else (profile,)
         result = run_experiments(
             EXPERIMENTS if name == ALL else [name], out, profiles=profiles, values=values, video=not no_video,

@@ -22,10 +22,12 @@ from nermo_mjx.cli.choices import (
     PARAMETERS,
     PHYSICS,
     PROFILES,
+    ROBOTS,
     SCENES,
     SPINE_MODES,
     STEERINGS,
     TAIL_MOTIONS,
+    TAILS,
     TRAJECTORIES,
     VIEWS,
 )
@@ -40,22 +42,13 @@ if TYPE_CHECKING:
 Completer = Callable[[click.Context, click.Parameter, str], list[CompletionItem]]
 
 
-def names(*known: str) -> Completer:
-    """Completes one of these names."""
+def names(*known: str, end: str = "") -> Completer:
+    """Completes one of these names, and what follows each of them."""
 
     def complete(context: click.Context, parameter: click.Parameter, incomplete: str) -> list[CompletionItem]:
-        return [CompletionItem(name) for name in known if name.startswith(incomplete)]
-
-    return complete
-
-
-def assignment_names(*known: str) -> Completer:
-    """Completes the name in NAME=X."""
-
-    def complete(context: click.Context, parameter: click.Parameter, incomplete: str) -> list[CompletionItem]:
-        found = [f"{name}=" for name in known if name.startswith(incomplete)]
+        found = [name + end for name in known if name.startswith(incomplete)]
         # A shell adds a space after a single offer; a second one prevents that before the value.
-        return [CompletionItem(each) for each in (found if len(found) != 1 else [*found, f"{found[0]}X"])]
+        return [CompletionItem(each) for each in (found if len(found) != 1 or not end else [*found, f"{found[0]}X"])]
 
     return complete
 
@@ -93,58 +86,37 @@ def offered(incomplete: str, endings: tuple[str, ...]) -> list[str]:
     return sorted(folders + files)
 
 
-LISTED = "is not a parameter; `nermo-mjx sweep --list-parameters` prints all."
-
-
-def assigned(texts: Iterable[str], known: Mapping[str, Quantity], unknown: str) -> dict[str, float]:
+def assigned(texts: Iterable[str], known: Mapping[str, Quantity]) -> dict[str, float]:
     """Names and values of every NAME=X, where NAME may be a pattern; ranges are not checked. The last one wins.
 
     Args:
         texts: as given.
-        known, unknown: see `_assignment`.
+        known: the parameters that may be named.
 
     Raises:
         WrongUse: a text is something else.
     """
+    from nermo_mjx.robot.quantity import nearest
     from nermo_mjx.specs.walk import is_pattern, matches
 
     values: dict[str, float] = {}
     for text in texts:
-        pattern, equals, number = text.partition("=")
-        names = matches(pattern.strip(), known) if equals and is_pattern(pattern) else [pattern]
-        if not names:
-            raise WrongUse(
-                f"--set {text}: {pattern.strip()} matches no parameter; `nermo-mjx sweep --list-parameters` prints all."
-            )
-        values |= dict(_assignment(name + equals + number, known, unknown) for name in names)
+        name, equals, number = (part.strip() for part in text.partition("="))
+        if not equals:
+            example, about = next(iter(known.items()))
+            raise WrongUse(f"--set {text}: expected NAME=VALUE, such as {example}={about.default:g}.")
+        found = matches(name, known) if is_pattern(name) else [name] if name in known else []
+        if not found:
+            near = None if is_pattern(name) else nearest(name, known)
+            what = "matches no parameter" if is_pattern(name) else "is not a parameter"
+            hint = f"did you mean {near}?" if near else "`nermo-mjx sweep --list-parameters` prints all."
+            raise WrongUse(f"--set {text}: {name} {what}; {hint}")
+        try:
+            values |= dict.fromkeys(found, float(number))
+        except ValueError:
+            allowed = known[found[0]].allowed()
+            raise WrongUse(f"--set {text}: {number!r} is not a number; allowed is {allowed}.") from None
     return values
-
-
-def _assignment(text: str, known: Mapping[str, Quantity], unknown: str) -> tuple[str, float]:
-    """Name and number of NAME=X; its range is not checked.
-
-    Args:
-        known: the parameters that may be named.
-        unknown: the message for another name if none is similar: what it is not, and what is allowed, joined by ";".
-
-    Raises:
-        WrongUse: the text is something else.
-    """
-    name, equals, number = text.partition("=")
-    name = name.strip()
-    if not equals:
-        example = next(iter(known.items()))
-        raise WrongUse(f"--set {text}: expected NAME=VALUE, such as {example[0]}={example[1].default:g}.")
-    if name not in known:
-        from nermo_mjx.robot.quantity import nearest
-
-        near = nearest(name, known)
-        what, _, hint = unknown.partition("; ")
-        raise WrongUse(f"--set {text}: {name} {what}; {f'did you mean {near}?' if near else hint}")
-    try:
-        return name, float(number)
-    except ValueError:
-        raise WrongUse(f"--set {text}: {number!r} is not a number; allowed is {known[name].allowed()}.") from None
 
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -217,6 +189,7 @@ threads = number("--threads", "Number of CPU cores for the engine c; by default 
 accept_new_code = click.option("--accept-new-code", is_flag=True,
                                help="Resume a directory made by other code or another engine; the column code "
                                "distinguishes its rows.")  # fmt: skip
+robot, tail = choice("--robot", ROBOTS), choice("--tail", TAILS)
 physics = choice("--physics", PHYSICS, "fast: 1.6 to 2 times the speed, speeds within 1.5 %.")
 scene = click.option("--scene", default="flat", metavar="NAME", show_default=True, shell_complete=names(*SCENES),
                      help="A scene of mjcf/scenes, or the path of an MJCF file.")  # fmt: skip
@@ -255,9 +228,19 @@ def crew(kind: str, address: str | None, say: Callable[[str], None] | None) -> A
 
 
 def set_option(about: str) -> Callable[[F], F]:
-    """`--set`."""
+    """`--set`; see `assigned`."""
     return click.option("--set", "assignments", multiple=True, metavar="NAME=X", help=about,
-                        shell_complete=assignment_names(*PARAMETERS))  # fmt: skip
+                        shell_complete=names(*PARAMETERS, end="="))  # fmt: skip
+
+
+set_any = set_option("Any parameter that `sweep --list-parameters` prints; repeatable.")
+controller = click.option("--controller", metavar="FILE", help="Custom controller: FILE.py:NAME, or a policy FILE.npz.")
+
+
+def produced(function: F) -> F:
+    """What a walk is saved as."""
+    record = file("--record", ".npz", "Save the whole run.")
+    return record(file("--video", ".mp4", "Render it; MP4, GIF or WebP.")(camera(function)))
 
 
 def gait(function: F) -> F:

@@ -51,23 +51,20 @@ class CommandGroup(click.Group):
 
     def main(self, *args: Any, **kwargs: Any) -> Any:
         """As click does it; a log on a full disk stops no job, but output that is lost is a failure."""
-        before = sys.stdout, sys.stderr
-        out, errors = _Lossy(sys.stdout or io.StringIO()), _Lossy(sys.stderr or io.StringIO())
-        sys.stdout, sys.stderr = out, errors
-        try:
+        out, errors = (_Lossy(stream or io.StringIO()) for stream in (sys.stdout, sys.stderr))
+        with contextlib.redirect_stdout(out), contextlib.redirect_stderr(errors):
             try:
-                return super().main(*args, **kwargs)
-            finally:
-                out.flush()
-                errors.flush()
-        except SystemExit as ending:
-            if out.lost is None or ending.code:
-                raise
-            sentence = f"nermo-mjx: done, but standard output cannot be written: {out.lost.strerror}."
-            click.echo(sentence, err=True)
-            raise SystemExit(1) from None
-        finally:
-            sys.stdout, sys.stderr = before
+                try:
+                    return super().main(*args, **kwargs)
+                finally:
+                    out.flush()
+                    errors.flush()
+            except SystemExit as ending:
+                if out.lost is None or ending.code:
+                    raise
+                sentence = f"nermo-mjx: done, but standard output cannot be written: {out.lost.strerror}."
+                click.echo(sentence, err=True)
+                raise SystemExit(1) from None
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """As click does it, for texts that files, tables and pages can hold."""
@@ -80,24 +77,26 @@ class CommandGroup(click.Group):
 
     def invoke(self, ctx: click.Context) -> Any:
         TELL.set(lambda sentence: click.echo(f"nermo-mjx: {sentence}", err=True))
-        with _terminate_as_interrupt(), _seldom_collected():
-            try:
-                return super().invoke(ctx)
-            except KeyboardInterrupt as error:
-                # Sweeps and tunings say themselves how to resume; commands without state simply stop.
-                raise Failure(str(error) or "stopped; nothing was kept, run the same command again.") from None
-            except (click.ClickException, click.Abort, click.exceptions.Exit):
-                raise
-            except MemoryError:
-                raise Failure(
-                    "this does not fit into memory: ask for less at once; what is finished is kept."
-                ) from None
-            except RecursionError:
-                raise Failure(
-                    "lists or mappings of a file, or calls of code that it names, are nested too deep."
-                ) from None
-            except Exception as error:
-                _translate(error)
+        gc.set_threshold(*COLLECTIONS)
+        in_main = threading.current_thread() is threading.main_thread()
+        # Batch systems send SIGTERM.
+        before = signal.signal(signal.SIGTERM, signal.default_int_handler) if in_main else None
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt as error:
+            # Sweeps and tunings say themselves how to resume; commands without state simply stop.
+            raise Failure(str(error) or "stopped; nothing was kept, run the same command again.") from None
+        except (click.ClickException, click.Abort, click.exceptions.Exit):
+            raise
+        except MemoryError:
+            raise Failure("this does not fit into memory: ask for less at once; what is finished is kept.") from None
+        except RecursionError:
+            raise Failure("lists or mappings of a file, or calls of code that it names, are nested too deep.") from None
+        except Exception as error:
+            _translate(error)
+        finally:
+            if before is not None:
+                signal.signal(signal.SIGTERM, before)
 
     def resolve_command(self, ctx: click.Context, args: list[str]) -> Any:
         """As click does it, with the nearest command's name."""
@@ -144,16 +143,6 @@ class _Lossy:
             self.lost = self.lost or error
 
 
-@contextlib.contextmanager
-def _seldom_collected() -> Iterator[None]:
-    before = gc.get_threshold()
-    gc.set_threshold(*COLLECTIONS)
-    try:
-        yield
-    finally:
-        gc.set_threshold(*before)
-
-
 def _translate(error: Exception) -> NoReturn:
     """Turn one of the package's errors into a user error; anything else is a bug and keeps its traceback."""
     if isinstance(error, RuntimeError) and "invalid value for environment variable MUJOCO_GL" in str(error):
@@ -173,35 +162,13 @@ def _translate(error: Exception) -> NoReturn:
     if isinstance(error, OSError) and error.filename is not None:
         raise Failure(f"{error.filename}: {error.strerror}.") from None
     if "jax" in sys.modules and os.environ.get("JAX_PLATFORMS"):
-        _blame_platform()
+        from nermo_mjx.runtime import BackendUnavailable, start_jax
+
+        try:
+            start_jax()
+        except BackendUnavailable as unavailable:
+            raise Failure(str(unavailable)) from None
     raise error
-
-
-def _blame_platform() -> None:
-    """Raise a one-sentence error if JAX cannot use the requested platform."""
-    from nermo_mjx.runtime import BackendUnavailable, start_jax
-
-    try:
-        start_jax()
-    except BackendUnavailable as unavailable:
-        raise Failure(str(unavailable)) from None
-
-
-@contextlib.contextmanager
-def _terminate_as_interrupt() -> Iterator[None]:
-    """SIGTERM, as sent by batch systems, ends a command like Ctrl-C."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-
-    def interrupt(*_: object) -> NoReturn:
-        raise KeyboardInterrupt
-
-    before = signal.signal(signal.SIGTERM, interrupt)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import sys
 import threading
 import time
@@ -37,15 +36,15 @@ class Progress:
         self, what: str, unit: str = "", *, quiet: bool | None = None, compiles: bool = False, every: float = 10.0,
         stream: IO[str] | None = None,
     ) -> None:  # fmt: skip
-        quiet = is_quiet() if quiet is None else quiet
-        self._what, self._unit, self._quiet, self._every = what, unit, quiet, every
-        self._stream = stream or sys.stderr
+        self._what, self._unit, self._every, self._stream = what, unit, every, stream or sys.stderr
+        self._quiet = is_quiet() if quiet is None else quiet
         self._bar: Any = None
-        self._timer = threading.Timer(PATIENCE, self._name_compilation) if compiles and not quiet else None
-        self._compiling = False
+        self._timer = threading.Timer(PATIENCE, self._name_compilation)
+        self._timer.daemon = True
+        self._waits, self._compiling = compiles and not self._quiet, False
         # When this process began to count, and at which fraction; and the same for its rate, without the compilation.
         self._start: tuple[float, float] | None = None
-        self._pace_start: tuple[float, float] | None = None
+        self._pace_start = (0.0, 0.0)
         self._last_line = time.monotonic()
 
     def __enter__(self) -> Progress:
@@ -53,13 +52,12 @@ class Progress:
             self._bar = _bar(self._stream)
             self._bar.start()
             self._task = self._bar.add_task(self._what, total=1.0, note="")
-        if self._timer is not None:
-            self._timer.daemon = True
+        if self._waits:
             self._timer.start()
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._stop_waiting()
+        self._timer.cancel()
         if self._bar is not None:
             self._bar.stop()
 
@@ -77,45 +75,34 @@ class Progress:
         if self._start is None:
             self._start = self._pace_start = (now, fraction)
         if fraction > self._start[1]:
-            self._stop_waiting()
+            self._timer.cancel()
             if self._compiling:
                 self._compiling, self._pace_start = False, (now, fraction)
-        if self._quiet:
-            return
         counted = "" if done is None or total is None else f", {done:,} of {total:,} {self._unit}"
-        known = f", {detail}" if detail else ""  # last: a narrow terminal cuts it off
-        text = f"{fraction:.0%}{counted}{self._pace(now, fraction, total)}{known}"
+        # The detail is last: a narrow terminal cuts it off.
+        text = f"{fraction:.0%}{counted}{self._pace(now, fraction, total)}{detail and f', {detail}'}"
         finished = fraction >= 1.0 > self._start[1] and done == total
         if self._bar is not None:
-            self._bar.update(self._task, completed=fraction, note=text)
-        elif now - self._last_line >= self._every or finished:
-            self._last_line = now
-            self._line(text)
-
-    def note(self, text: str) -> None:
-        """Show what is happening in addition to the count."""
-        if self._quiet:
+            self._bar.update(self._task, completed=fraction)
+        elif now - self._last_line < self._every and not finished:
             return
+        self._last_line = now
+        self._note(text)
+
+    def _note(self, text: str) -> None:
+        """Show what is happening, behind the bar or on a line."""
         if self._bar is not None:
             self._bar.update(self._task, note=text)
-        else:
-            self._line(text)
+        elif not self._quiet:
+            self._stream.write(f"{self._what}: {text}\n")
+            self._stream.flush()
 
     def _name_compilation(self) -> None:
         self._compiling = True
-        self.note(COMPILING)
-
-    def _stop_waiting(self) -> None:
-        if self._timer is not None:
-            self._timer.cancel()
-
-    def _line(self, text: str) -> None:
-        self._stream.write(f"{self._what}: {text}\n")
-        self._stream.flush()
+        self._note(COMPILING)
 
     def _pace(self, now: float, fraction: float, total: int | None) -> str:
         """Rate and time left, from what this process did."""
-        assert self._pace_start is not None
         seconds, share = now - self._pace_start[0], fraction - self._pace_start[1]
         if seconds <= 0 or share <= 0:
             return ""
@@ -125,7 +112,7 @@ class Progress:
 
 
 class Stages:
-    """The display of a job, and of its parts one after another; a context manager.
+    """The display of a job, and of its parts one after another; to be closed at its end.
 
     Args:
         name: of the job.
@@ -142,36 +129,31 @@ class Stages:
         details: Callable[[JobProgress], str] = lambda _: "",
     ) -> None:
         self._name, self._unit, self._compiles, self._details = name, unit, compiles, details
-        self._what = ""
-        self._shown = contextlib.ExitStack()
+        self._what, self._progress = "", Progress("")
 
     def __enter__(self) -> Stages:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.close()
+        self._progress.__exit__()
+        self._what = ""
 
     def show(self, done: JobProgress) -> None:
         """Show how far the job is, or its part, in a display that is begun where another one was shown."""
         what = done.what or self._name
         if what != self._what:
-            self.close()
+            self.__exit__()
             self._what = what
-            shown = Progress(what, "" if done.what else self._unit, compiles=self._compiles(what))
-            self._progress = self._shown.enter_context(shown)
+            unit = "" if done.what else self._unit
+            self._progress = Progress(what, unit, compiles=self._compiles(what)).__enter__()
         count = done.done if done.done is None or done.total is None else min(done.done, done.total)
         self._progress.share(done.fraction, count, done.total, self._details(done))
 
     def say(self, sentence: str) -> None:
         """A sentence on a line of its own."""
-        self.close()
+        self.__exit__()
         if not is_quiet():
             click.echo(f"{self._name}: {sentence}", err=True)
-
-    def close(self) -> None:
-        """The end of what is shown."""
-        self._shown.close()
-        self._what = ""
 
 
 def duration(seconds: float) -> str:
@@ -189,11 +171,7 @@ def _bar(stream: IO[str]) -> Any:
     from rich.progress import BarColumn, SpinnerColumn, TextColumn
     from rich.progress import Progress as RichProgress
 
-    columns = (
-        SpinnerColumn(),
-        TextColumn("{task.description}", markup=False),
-        BarColumn(bar_width=24),
-        TextColumn("{task.fields[note]}", markup=False),
-    )
+    name, note = (TextColumn(f"{{task.{field}}}", markup=False) for field in ("description", "fields[note]"))
     # The bar moves the cursor, which the stream of a command escapes in texts.
-    return RichProgress(*columns, console=Console(file=getattr(stream, "terminal", stream)), transient=True)
+    console = Console(file=getattr(stream, "terminal", stream))
+    return RichProgress(SpinnerColumn(), name, BarColumn(bar_width=24), note, console=console, transient=True)

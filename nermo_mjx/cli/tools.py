@@ -12,7 +12,7 @@ import click
 from click.shell_completion import get_completion_class
 
 from nermo_mjx.cli import options
-from nermo_mjx.cli.choices import BENCH_CASES, ENGINES, GRADIENT_MODES, ROBOTS, TAILS
+from nermo_mjx.cli.choices import BENCH_CASES, ENGINES, GRADIENT_MODES
 from nermo_mjx.cli.output import Failure, Outcome, columns, command, plain_command, print_table, say, stdout_reserved
 from nermo_mjx.cli.progress import Progress
 
@@ -21,9 +21,9 @@ if TYPE_CHECKING:
 
 
 @command("model")
-@options.choice("--robot", ROBOTS)
+@options.robot
 @options.scene
-@options.choice("--tail", TAILS)
+@options.tail
 @options.physics
 @options.file("--xml", ".xml", "Write one self-contained MJCF file.")
 def model_command(xml: Path | None, **config: Any) -> Outcome:

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from nermo_mjx.cli import options
-from nermo_mjx.cli.choices import ENGINES, PILOTS, ROBOTS, TAILS
-from nermo_mjx.cli.options import LISTED, assigned
+from nermo_mjx.cli.choices import ENGINES, PILOTS, ROBOTS
+from nermo_mjx.cli.options import assigned
 from nermo_mjx.cli.output import Failure, Outcome, WrongUse, columns, command, is_quiet, print_table, say
 from nermo_mjx.cli.progress import Progress
 from nermo_mjx.cli.view import check_video, load_recording, save_run
@@ -94,7 +94,7 @@ def plan(
                 f"{flag} has no effect with --{needs[0]} {getattr(setup, needs[0])}: add --{needs[0]} {needs[1]}."
             )
         values[name] = options[option]
-    values |= assigned(assignments, known, LISTED)
+    values |= assigned(assignments, known)
     for name, value in values.items():
         known[name].check(name, value)
     parameters = {name: float(value) for name, value in values_of(setup.world(values))}
@@ -196,25 +196,23 @@ def _number(value: float | None, factor: float) -> str:
 
 @command("walk")
 @options.gait
-@click.option("--controller", metavar="FILE", help="Custom controller: FILE.py:NAME, or a policy FILE.npz.")
+@options.controller
 @click.option("--metrics", multiple=True, metavar="FILE.py[:NAME]", help="Custom metrics; repeatable.")
 @options.choice("--pilot", PILOTS, "Default: straight, or open_loop with --turn-rate.", default=None)
 @options.number("--cycles", "Duration in gait cycles, by default 8.", options.POSITIVE)
 @options.number("--duration", "Duration in seconds, instead of --cycles.", options.POSITIVE)
 @options.number("--warmup", "Unmeasured start, in the same unit; by default 2.", click.FloatRange(0))
-@options.choice("--robot", ROBOTS)
+@options.robot
 @options.scene
-@options.choice("--tail", TAILS)
+@options.tail
 @options.physics
-@options.set_option("Any parameter that `sweep --list-parameters` prints; repeatable.")
+@options.set_any
 @click.option("--switch", "switches", multiple=True, metavar="AT,NAME=X...",
               help="From AT seconds on another gait, spine, steering, head, tail_motion or parameter; blend=X cycles; "
                    "repeatable.")  # fmt: skip
 @options.number("--seed", "Shift the start slightly, like the repeats of a sweep.", click.IntRange(0))
 @options.engine
-@options.file("--record", ".npz", "Save the whole run.")
-@options.file("--video", ".mp4", "Render it; MP4, GIF or WebP.")
-@options.camera
+@options.produced
 def walk_command(engine: str, record: Path | None, video: Path | None, camera: str, **chosen: Any) -> Outcome:
     """Simulate one walk, and summarize it.
 
@@ -266,12 +264,12 @@ DRIVE_NEEDS = {
 
 @command("drive")
 @options.gait
-@click.option("--controller", metavar="FILE", help="Custom controller: FILE.py:NAME, or a policy FILE.npz.")
+@options.controller
 @options.choice("--pilot", PILOTS, "Default: open_loop, which turns as you steer.", default=None)
 @options.scene
-@options.choice("--tail", TAILS)
+@options.tail
 @options.physics
-@options.set_option("Any parameter that `sweep --list-parameters` prints; repeatable.")
+@options.set_any
 @options.file("--record", ".npz", "Save what was driven; after a reset what follows goes to FILE-2.npz, ...")
 @options.number("--port", "Of the page; by default any that is free.", click.IntRange(1, 65535))
 @options.number("--seconds", "Duration; by default until Ctrl-C.", options.POSITIVE)
@@ -380,10 +378,8 @@ def drive_command(
 @click.argument("out", metavar="DIR|FILE.npz", type=click.Path(path_type=Path))
 @options.number("--row", "Row of the table, from 0; not with a FILE.npz.", int, metavar="N")
 @options.choice("--engine", ENGINES, "By default the directory's own.", default=None)
-@options.file("--record", ".npz", "Save the whole run.")
-@options.file("--video", ".mp4", "Render it; MP4, GIF or WebP.")
+@options.produced
 @options.file("--sweep", ".yaml", "Write a sweep file that walks as was driven, of a FILE.npz.")
-@options.camera
 def replay_command(
     out: Path, row: int | None, engine: str | None, record: Path | None, video: Path | None, sweep: Path | None,
     camera: str,
@@ -472,9 +468,9 @@ def _print_replay(found: SweepRow, wanted: Plan, replay: Replay, report: dict[st
 @click.option("--channels", metavar="FILE.yaml", type=options.SPEC,
               help="Channel, direction, zero and limits of each servo; published: the author's order, whole degrees "
                    "at 30 Hz.")  # fmt: skip
-@options.choice("--robot", ROBOTS)
-@options.choice("--tail", TAILS)
-@options.set_option("Any parameter that `sweep --list-parameters` prints; repeatable.")
+@options.robot
+@options.tail
+@options.set_any
 @click.option("--recording", metavar="FILE.npz", type=options.RECORDING,
               help="Instead of a gait: what was commanded in a recorded walk, such as that of a policy.")  # fmt: skip
 @options.file("--out", ".csv", "File for the table.")
