@@ -1,7 +1,10 @@
-"""The documentation: the site is built without a warning, its examples work, its commands are those that exist."""
+"""README, documentation and docstrings: examples work, commands and links are valid, the site has all of them."""
 
 from __future__ import annotations
 
+import doctest
+import importlib
+import inspect
 import os
 import re
 import shlex
@@ -10,21 +13,24 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import chromium
 import pytest
+from command import call
 
+import nermo_mjx
 from nermo_mjx import Recording
 from nermo_mjx.cli import main
+from nermo_mjx.version import __version__
 from nermo_mjx.view import robot_of
 
-pytestmark = [pytest.mark.process, pytest.mark.usefixtures("shared_simulators")]
+pytestmark = pytest.mark.usefixtures("shared_simulators")
 
 ROOT = Path(__file__).parents[1]
+README = ROOT / "README.md"
+#: Pages of the site. The examples of one need a sweep, a recording and a servo table: tests/test_tables.py has them.
 PAGES = sorted((ROOT / "docs").rglob("*.md"))
-#: Its examples need a sweep, a recording and a servo table: tests/test_tables.py has them.
-FILES = ROOT / "docs" / "files.md"
+TRIED = [README, *(page for page in PAGES if page != ROOT / "docs" / "files.md")]
 
 
 def blocks(page: Path, language: str) -> list[str]:
@@ -33,13 +39,13 @@ def blocks(page: Path, language: str) -> list[str]:
 
 
 EXAMPLES = [
-    pytest.param(page, text, id=f"{page.relative_to(ROOT / 'docs')}-{i}")
-    for page in PAGES
-    if page != FILES
+    pytest.param(page, text, id=f"{page.relative_to(ROOT)}-{i}", marks=pytest.mark.slow if page == README else ())
+    for page in TRIED
     for i, text in enumerate(blocks(page, "python"))
 ]
-COMMANDS = [
-    pytest.param(line, id=f"{page.relative_to(ROOT / 'docs')}: {line}")
+LISTED = README.read_text(encoding="utf-8") + (ROOT / "docs" / "reference" / "commands.md").read_text(encoding="utf-8")
+COMMANDS = re.findall(r"`(nermo-mjx [^`\n]+)`", LISTED) + [
+    line
     for page in PAGES
     for block in blocks(page, "sh")
     for line in block.splitlines()
@@ -58,26 +64,22 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-def test_the_site_has_every_name_that_a_user_may_write(site: Path) -> None:
-    import nermo_mjx
+@pytest.mark.process
+def test_the_site_has_each_page_and_every_name_that_a_user_may_write(site: Path) -> None:
+    """Pages under their own names and titles: Sphinx writes pages such as search.html itself."""
     from nermo_mjx.robot.quantity import gathered
 
-    text = {page: (site / "reference" / f"{page}.html").read_text() for page in ("python", "parameters", "metrics")}
+    text = {page.stem: page.read_text(encoding="utf-8") for page in (site / "reference").glob("*.html")}
     for name in nermo_mjx.__all__:
         known = re.search(rf"nermo_mjx\.{name}\b", text["python"])
         assert known or name in ("LIMBS", "METRICS", "SERVOS", "ParameterError", "__version__", "kinematics"), name
-    for names, _ in gathered(nermo_mjx.all_parameters()):  # of a row of numbers the first and the last one
-        for name in names.split(" ... "):
-            assert f">{name}<" in text["parameters"], name
-    for name in nermo_mjx.METRICS:
-        assert f">{name}<" in text["metrics"], name
-    commands = (site / "reference" / "commands.html").read_text()
-    for name in main.commands:
-        assert f'id="nermo-mjx-{name}"' in commands, name
-
-
-def test_each_page_is_in_the_site(site: Path) -> None:
-    """Under its own name and with its own title: Sphinx writes pages such as search.html itself."""
+    # Of a row of numbers the first and the last one.
+    parameters = [name for names, _ in gathered(nermo_mjx.all_parameters()) for name in names.split(" ... ")]
+    marks = {"parameters": [f">{name}<" for name in parameters], "metrics": [f">{name}<" for name in nermo_mjx.METRICS],
+             "commands": [f'id="nermo-mjx-{name}"' for name in main.commands]}  # fmt: skip
+    assert {page: [mark for mark in known if mark not in text[page]] for page, known in marks.items()} == {
+        page: [] for page in marks
+    }
     for page in PAGES:
         title = re.search(r"^# (.+)$", page.read_text(encoding="utf-8"), re.MULTILINE)
         assert title is not None, page
@@ -86,14 +88,7 @@ def test_each_page_is_in_the_site(site: Path) -> None:
         assert re.sub(r"<[^>]+>", "", heading) == re.sub(r"[`*]", "", title[1]), page
 
 
-def test_recordings_of_the_pages_are_of_the_robot_that_there_is() -> None:
-    paths = sorted((ROOT / "docs").rglob("walks/*/*.npz"))
-    assert len(paths) > 10
-    for path in paths:
-        recording = Recording.load(path)
-        recording.check_model(robot_of(recording).model)
-
-
+@pytest.mark.process
 def test_a_displayed_formula_has_room(site: Path, browser: chromium.Browser) -> None:
     """Else Chromium scrolls it up and down, with arrows beside it."""
     with browser.tab() as tab:
@@ -106,9 +101,13 @@ def test_a_displayed_formula_has_room(site: Path, browser: chromium.Browser) -> 
     assert [(needed, there) for needed, there in heights if needed > there] == []
 
 
-def test_examples_were_found() -> None:
-    assert len(EXAMPLES) >= 4
-    assert len(COMMANDS) >= 8
+@pytest.mark.process
+def test_recordings_of_the_pages_are_of_the_robot_that_there_is() -> None:
+    paths = sorted((ROOT / "docs").rglob("walks/*/*.npz"))
+    assert len(paths) > 10
+    for path in paths:
+        recording = Recording.load(path)
+        recording.check_model(robot_of(recording).model)
 
 
 @pytest.fixture
@@ -123,29 +122,37 @@ def beside(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[Path], 
     return work
 
 
+@pytest.mark.process
 @pytest.mark.parametrize(("page", "example"), EXAMPLES)
 def test_an_example_works(page: Path, example: str, beside: Callable[[Path], None]) -> None:
+    """That of the README at a small size."""
     beside(page)
-    names: dict[str, Any] = {}
-    exec(compile(example, "example", "exec"), names)
+    short = example.replace("25)", "3)").replace("Run(cycles=6)", "Run(cycles=1, warmup_cycles=0)")
+    assert (short != example) == (page == README)
+    exec(compile(short, "example", "exec"), {})
 
 
-@pytest.mark.parametrize("line", COMMANDS)
+@pytest.mark.parametrize("line", sorted(set(COMMANDS)))
 def test_a_command_is_valid(line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Its options and their values; files that a reader would have by then are put in its place."""
     name, *words = shlex.split(line, comments=True)[1:]
     monkeypatch.chdir(tmp_path)
     for word in words:
-        if re.fullmatch(r"[\w/.-]+\.(yaml|npz)", word):
+        if re.fullmatch(r"[\w/.-]+\.(yaml|npz|csv)", word):
             Path(word).parent.mkdir(parents=True, exist_ok=True)
             Path(word).touch()
     words = ["maze" if (name, word) == ("experiment", "NAME") else word for word in words]
     assert main.commands[name].make_context(name, words) is not None
 
 
-@pytest.mark.parametrize(
-    "page", [page for page in PAGES if page != FILES and blocks(page, "yaml")], ids=lambda page: page.stem
-)
+def test_the_pages_name_every_command_and_no_other_option() -> None:
+    assert {line.split()[1] for line in COMMANDS} == set(main.commands)
+    helps = "".join(call(name, "--help").stdout for name in main.commands)
+    for option in re.findall(r"`(--[a-z-]+)", LISTED):
+        assert option in helps, option
+
+
+@pytest.mark.parametrize("page", [page for page in TRIED if blocks(page, "yaml")], ids=lambda page: page.stem)
 def test_a_spec_file_is_valid(page: Path, beside: Callable[[Path], None]) -> None:
     """One of a search has an objective."""
     from nermo_mjx.optimize import Search
@@ -159,3 +166,72 @@ def test_a_spec_file_is_valid(page: Path, beside: Callable[[Path], None]) -> Non
             assert Search.from_text(text).names
         else:
             assert Sweep.from_text(text).variants > 1
+
+
+# --- docstrings
+
+PACKAGE = Path(nermo_mjx.__file__).parent
+WITH_EXAMPLES = sorted(
+    ".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts)
+    for path in PACKAGE.rglob("*.py")
+    if ">>> " in path.read_text(encoding="utf-8")
+)
+#: What runs for minutes, needs a directory or a GPU, or draws: notebooks and pages run them.
+ELSEWHERE = {
+    "read_history", "read_table", "render", "run_experiment", "run_experiments", "run_landscape", "run_tuning", "show",
+}  # fmt: skip
+
+
+@pytest.mark.compiles
+@pytest.mark.parametrize("name", WITH_EXAMPLES)
+def test_the_examples_of_a_module_run(name: str) -> None:
+    failed, attempted = doctest.testmod(importlib.import_module(name))
+    assert attempted > 0
+    assert failed == 0
+
+
+def test_every_public_function_has_an_example() -> None:
+    public = {name: getattr(nermo_mjx, name) for name in nermo_mjx.__all__}
+    # The tests' shared simulators stand in for a class here.
+    functions = {name: each for name, each in public.items() if inspect.isfunction(each) and "nermo" in each.__module__}
+    without = {name for name, each in functions.items() if ">>> " not in (each.__doc__ or "")}
+    assert without - {"quantity"} == ELSEWHERE  # `parameter_tree` shows both
+
+
+# --- README
+
+
+def test_ci_runs_the_two_commands_that_a_fresh_machine_needs() -> None:
+    from nermo_mjx.sweep import Sweep
+
+    lines = README.read_text(encoding="utf-8").splitlines()
+    script = (ROOT / ".ci" / "run").read_text(encoding="utf-8")
+    patterns = dict(re.findall(r"^(job|tests)=\$\(grep -E '(.*)' README\.md\)$", script, re.MULTILINE))
+    fresh = [line for line in "".join(blocks(README, "sh")).splitlines() if line.startswith("python3 -m venv")]
+    chosen = [[line for line in lines if re.search(patterns[name], line)] for name in ("job", "tests")]
+    assert chosen == [[line] for line in fresh]
+    assert fresh[0].endswith("nermo-mjx sweep sweeps/quickstart.yaml --out runs/quickstart")
+    assert fresh[1].endswith("-m pytest")
+    for line in ('eval "$tests"', 'eval "${job/python3/$python}"', "\n.ci/wheel\n.ci/size\n"):
+        assert line in script
+    for name in ("run", "wheel", "size"):
+        subprocess.run(["bash", "-n", str(ROOT / ".ci" / name)], check=True)
+    assert Sweep.from_file(ROOT / "sweeps" / "quickstart.yaml").variants == 240
+    (example,) = blocks(README, "yaml")
+    sweep = Sweep.from_text(example)
+    assert (sweep.variants, sweep.repeats) == (9 * 13 * 3, 3)
+
+
+def test_the_readme_is_short_and_its_links_lead_somewhere() -> None:
+    text = README.read_text(encoding="utf-8")
+    assert len(text.split()) <= 1300
+    headings = re.findall(r"^## (.*)$", text, re.MULTILINE)
+    anchors = {"#" + re.sub(r"[^\w -]", "", heading).lower().replace(" ", "-") for heading in headings}
+    for target in (*re.findall(r"\]\((?!https?:)([^)]+)\)", text), *re.findall(r"blob/main/([^)\s]+)", text)):
+        assert target in anchors or (ROOT / target).exists(), target
+    assert [anchor for anchor in anchors if f"]({anchor})" not in text] == []
+
+
+def test_one_version_everywhere() -> None:
+    assert f"\nversion: {__version__}\n" in (ROOT / "CITATION.cff").read_text()
+    assert f"## {__version__}" in (ROOT / "CHANGELOG.md").read_text()

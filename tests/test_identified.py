@@ -31,30 +31,19 @@ def test_every_body_is_within_the_bounds_and_the_tolerance():
     np.testing.assert_array_equal(ensemble.values["damping.knee"], ensemble.values["damping.ankle"])
 
 
-def test_the_bodies_are_distinct_and_weighed():
+def test_bodies_are_distinct_weighed_and_chosen_without_repeats_and_by_seed():
     ensemble = identified.bodies()
-    assert len(np.unique(np.array(list(ensemble.values.values())), axis=1).T) == len(ensemble) >= 8
     assert ensemble.weights.min() > 0
     assert ensemble.weights.sum() == pytest.approx(1.0)
-
-
-def test_bodies_are_chosen_without_repeats_and_by_seed():
-    few = len(identified.bodies()) // 2
-    chosen, again, other = identified.choose(few, 1), identified.choose(few, 1), identified.choose(few, 2)
-    rows = np.array(list(chosen.values())).T
-    assert rows.shape == (few, len(names(ALL)))
-    assert len(np.unique(rows, axis=0)) == few
-    np.testing.assert_array_equal(rows, np.array(list(again.values())).T)
-    assert not np.array_equal(rows, np.array(list(other.values())).T)
-    known = set(map(tuple, np.array(list(identified.bodies().values.values())).T))
-    assert set(map(tuple, rows)) <= known
-
-
-def test_all_bodies_are_chosen_in_their_order():
-    ensemble = identified.bodies()
-    chosen = identified.choose(len(ensemble), 5)
-    for name, column in ensemble.values.items():
-        np.testing.assert_array_equal(chosen[name], column)
+    rows = {}
+    for n, seed in ((len(ensemble), 5), (len(ensemble) // 2, 1), (len(ensemble) // 2, 2)):
+        rows[seed] = np.array(list(identified.choose(n, seed).values())).T
+        assert rows[seed].shape == (n, len(names(ALL)))
+        assert len(np.unique(rows[seed], axis=0)) == n >= 4
+        np.testing.assert_array_equal(rows[seed], np.array(list(identified.choose(n, seed).values())).T)
+    np.testing.assert_array_equal(rows[5].T, list(ensemble.values.values()))  # all, in their order
+    assert not np.array_equal(rows[1], rows[2])
+    assert set(map(tuple, rows[1])) <= set(map(tuple, rows[5]))
 
 
 @pytest.mark.parametrize("n", [0, 100_000])
@@ -70,14 +59,10 @@ servo.kp,contact.friction,objective,weight
 """
 
 
-def test_even_shares_draw_bodies_by_weight():
+def test_even_shares_draw_bodies_by_weight_and_comments_do_not_count():
     """A quarter of the weight: the first quarter of the shares."""
     ensemble = identified.read_ensemble(FILE.splitlines())
     np.testing.assert_array_equal(ensemble.at(np.array([0.0, 0.2499, 0.25, 0.999999])), [0, 0, 1, 1])
     assert ensemble.take(np.array([1, 1]))["servo.kp"].tolist() == [6.0, 6.0]
-
-
-def test_the_fingerprint_is_of_the_bodies_and_not_of_the_comments():
-    first = identified.read_ensemble(FILE.splitlines())
-    assert identified.read_ensemble(FILE.splitlines()[1:]).fingerprint == first.fingerprint
-    assert identified.read_ensemble(FILE.replace("6.0", "6.1").splitlines()).fingerprint != first.fingerprint
+    assert identified.read_ensemble(FILE.splitlines()[1:]).fingerprint == ensemble.fingerprint
+    assert identified.read_ensemble(FILE.replace("6.0", "6.1").splitlines()).fingerprint != ensemble.fingerprint

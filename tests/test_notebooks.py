@@ -55,9 +55,7 @@ def test_a_notebook_shows_what_its_code_gave_and_installs_as_the_others_do(path:
     notebook = nbformat.read(path, as_version=4)
     nbformat.validate(notebook)
     assert notebook.cells[1].source == INSTALL
-    assert notebook.metadata.get("code_digest") == CODE_DIGEST(notebook), (
-        "run docs/notebooks.py, and look at the outputs"
-    )
+    assert notebook.metadata.get("code_digest") == CODE_DIGEST(notebook), "run docs/notebooks.py, look at the outputs"
     outputs = [output for cell in notebook.cells if cell.cell_type == "code" for output in cell.outputs]
     assert any("image/png" in output.get("data", {}) for output in outputs)
     assert {output.output_type for output in outputs} <= {"stream", "execute_result", "display_data"}
@@ -66,67 +64,39 @@ def test_a_notebook_shows_what_its_code_gave_and_installs_as_the_others_do(path:
     assert not re.search(r"/(tmp|home|root|work)/", "".join(json.dumps(output.get("text", "")) for output in outputs))
 
 
-class Shell:
-    """Records the commands that an install cell would run."""
-
-    def __init__(self) -> None:
-        self.names: dict[str, Any] = {"get_ipython": lambda: self}
-        self.ran: list[str] = []
-
-    def run_line_magic(self, name: str, line: str) -> None:
-        assert name == "pip"
-        self.ran.append(line.format(**self.names))
-
-    def system(self, line: str) -> None:
-        self.ran.append(line)
-
-    def run(self, source: str = "") -> list[str]:
-        """Run the cell with a `SOURCE`."""
-        cell = INSTALL.replace('SOURCE = ""', f'SOURCE = "{source}"')
-        exec(TransformerManager().transform_cell(cell), self.names)
-        return self.ran
+def installed(source: str = "") -> list[str]:
+    """The commands that an install cell with a `SOURCE` would run."""
+    ran: list[str] = []
+    names: dict[str, Any] = {}
+    shell = types.SimpleNamespace(
+        run_line_magic=lambda name, line: ran.append(f"{name} {line.format(**names)}"), system=ran.append
+    )
+    names["get_ipython"] = lambda: shell
+    cell = INSTALL.replace('SOURCE = ""', f'SOURCE = "{source}"')
+    exec(TransformerManager().transform_cell(cell), names)
+    return ran
 
 
-@pytest.fixture
-def missing(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The package is not installed."""
-    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-
-
-def test_an_install_cell_does_nothing_where_the_package_is_there() -> None:
-    assert Shell().run("git+https://example.org/a") == []
-
-
-@pytest.mark.usefixtures("missing")
-def test_a_notebook_installs_the_checkout_it_stands_in_before_anything_else(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(ROOT / "notebooks")
-    assert Shell().run("git+https://example.org/a") == [f'install -q "{ROOT}"']
-
-
-@pytest.mark.usefixtures("missing")
-def test_elsewhere_a_notebook_installs_its_source_or_says_what_is_missing(
+def test_a_notebook_installs_its_checkout_or_its_source_or_says_what_is_missing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    source = "git+https://example.org/a"
+    assert installed(source) == [], "the package is there"
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    monkeypatch.chdir(ROOT / "notebooks")
+    assert installed(source) == [f'pip install -q "{ROOT}"']
     monkeypatch.chdir(tmp_path)
-    assert Shell().run("git+https://example.org/a") == ['install -q "git+https://example.org/a"']
+    assert installed(source) == [f'pip install -q "{source}"']
     with pytest.raises(RuntimeError, match="nermo_mjx is not installed: set SOURCE above, or open the notebook in a"):
-        Shell().run()
-
-
-@pytest.mark.usefixtures("missing")
-def test_in_colab_a_wheel_is_chosen_in_the_file_dialogue(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
+        installed()
+    # In Colab a wheel is chosen in the file dialogue.
     colab = types.ModuleType("google.colab")
     colab.files = types.SimpleNamespace(upload=lambda: {"nermo_mjx-0.1.0-py3-none-any.whl": b""})
     monkeypatch.setitem(sys.modules, "google", types.ModuleType("google"))
     monkeypatch.setitem(sys.modules, "google.colab", colab)
     draw = "apt-get -qq install -y libosmesa6 > /dev/null"
-    assert Shell().run() == ['install -q "nermo_mjx-0.1.0-py3-none-any.whl"', draw]
-    assert Shell().run("https://example.org/a.whl") == ['install -q "https://example.org/a.whl"', draw]
+    assert installed() == ['pip install -q "nermo_mjx-0.1.0-py3-none-any.whl"', draw]
+    assert installed("https://example.org/a.whl") == ['pip install -q "https://example.org/a.whl"', draw]
     colab.files.upload = dict  # the dialogue was closed
     with pytest.raises(RuntimeError, match="set SOURCE"):
-        Shell().run()
-
-
-def test_there_is_a_notebook() -> None:
-    assert NOTEBOOKS
+        installed()

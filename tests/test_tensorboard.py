@@ -8,24 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
+from command import call
 from sweep_fake import SPEC, FakeSimulator
 
 from nermo_mjx import read_table, run_sweep
-from nermo_mjx.cli import main
 from nermo_mjx.runs import Interrupted
-
-
-def two_sessions(out: Path) -> dict[str, float]:
-    """A sweep that is stopped and resumed; the numbers in its final table."""
-    with pytest.raises(Interrupted):
-        run_sweep(SPEC, out, chunk=9, simulator=FakeSimulator(stop_at=2, falls_above=0.1), tensorboard=True)
-    run_sweep(SPEC, out, chunk=9, simulator=FakeSimulator(falls_above=0.1), tensorboard=True)
-    table = read_table(out)
-    well = np.array(table.column("status").to_pylist()) == "ok"
-    speed = table.column("speed").to_numpy()[well]
-    return {"best/speed": speed.max(), "mean/speed": speed.mean(), "rows": 36, "best/roll_std": 0.1,
-            "status/ok": well.sum(), "status/fell": (~well).sum()}  # fmt: skip
 
 
 def test_tensorboard_reads_each_chunk_of_both_sessions(tmp_path: Path) -> None:
@@ -33,7 +20,14 @@ def test_tensorboard_reads_each_chunk_of_both_sessions(tmp_path: Path) -> None:
     pytest.importorskip("tensorboardX")
     from tensorboardX.proto.event_pb2 import Event
 
-    known = two_sessions(tmp_path)
+    with pytest.raises(Interrupted):
+        run_sweep(SPEC, tmp_path, chunk=9, simulator=FakeSimulator(stop_at=2, falls_above=0.1), tensorboard=True)
+    run_sweep(SPEC, tmp_path, chunk=9, simulator=FakeSimulator(falls_above=0.1), tensorboard=True)
+    table = read_table(tmp_path)
+    well = np.array(table.column("status").to_pylist()) == "ok"
+    speed = table.column("speed").to_numpy()[well]
+    known = {"best/speed": speed.max(), "mean/speed": speed.mean(), "rows": 36, "best/roll_std": 0.1,
+             "status/ok": well.sum(), "status/fell": (~well).sum()}  # fmt: skip
     found: dict[str, dict[int, float]] = {}
     for path in sorted((tmp_path / "tensorboard").iterdir()):
         content = path.read_bytes()
@@ -56,8 +50,7 @@ def test_a_missing_package_is_named_before_anything_is_made(tmp_path: Path, monk
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == "tensorboardX" else found(name))
     (tmp_path / "sweep.yaml").write_text(json.dumps(SPEC))
     out = tmp_path / "out"
-    asked = ["sweep", str(tmp_path / "sweep.yaml"), "--out", str(out), "--tensorboard", "--engine", "c"]
-    run = CliRunner().invoke(main, asked)
+    run = call("sweep", tmp_path / "sweep.yaml", "--out", out, "--tensorboard", "--engine", "c")
     assert run.exit_code == 2
     assert "tensorboard needs the package tensorboardX: install it with pip" in run.stderr
     assert not out.exists()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from typing import Any
 
 import jax
@@ -46,7 +45,6 @@ ALL_JOINTS = """
 """
 
 
-@functools.cache
 def after(kind: str, sparse: bool) -> tuple[mujoco.MjModel, mujoco.MjData, Any]:
     """A model, C's data of a state with velocities, and ours in float64."""
     model = mujoco.MjModel.from_xml_string(ALL_JOINTS) if kind == "all joints" else load_robot(tail=kind).physical
@@ -71,36 +69,23 @@ def after(kind: str, sparse: bool) -> tuple[mujoco.MjModel, mujoco.MjData, Any]:
     return model, data, found
 
 
-CASES = [("all joints", False), ("all joints", True), ("rigid", False), ("articulated", True)]
-
-
-@pytest.mark.parametrize(("kind", "sparse"), CASES)
 @pytest.mark.parametrize(
-    "field",
-    [
+    ("kind", "sparse"), [("all joints", False), ("all joints", True), ("rigid", False), ("articulated", True)]
+)
+def test_what_goes_along_the_tree_is_as_in_c(kind: str, sparse: bool) -> None:
+    """Places, axes, inertias and velocities; and how a point on each body moves with each velocity."""
+    model, data, (found, bodies, joints) = after(kind, sparse)
+    for field in (
         "qpos", "xpos", "xquat", "xmat", "xipos", "ximat", "xanchor", "xaxis", "geom_xpos", "geom_xmat", "site_xpos",
         "site_xmat", "subtree_com", "cdof", "cvel", "cdof_dot", "qfrc_bias",
-    ],
-)  # fmt: skip
-def test_what_goes_along_the_tree_is_as_in_c(kind: str, sparse: bool, field: str) -> None:
-    _, data, (found, _, _) = after(kind, sparse)
-    right, ours = np.asarray(getattr(data, field)), getattr(found, field)
-    np.testing.assert_allclose(ours.reshape(right.shape), right, rtol=1e-9, atol=1e-12 * (1.0 + np.abs(right).max()))
-
-
-@pytest.mark.parametrize(("kind", "sparse"), CASES)
-def test_inertias_are_as_in_c(kind: str, sparse: bool) -> None:
-    model, data, (_, bodies, joints) = after(kind, sparse)
-    right = np.zeros((model.nv, model.nv))
-    mujoco.mj_fullM(model, data, right)
-    np.testing.assert_allclose(joints, right, rtol=1e-9, atol=1e-14)
+    ):  # fmt: skip
+        right, ours = np.asarray(getattr(data, field)), getattr(found, field)
+        scale = 1e-12 * (1.0 + np.abs(right).max())
+        np.testing.assert_allclose(ours.reshape(right.shape), right, rtol=1e-9, atol=scale, err_msg=field)
+    inertia = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, inertia)
+    np.testing.assert_allclose(joints, inertia, rtol=1e-9, atol=1e-14)
     np.testing.assert_allclose(bodies[1:], data.cinert[1:], rtol=1e-9, atol=1e-14)
-
-
-@pytest.mark.parametrize(("kind", "sparse"), CASES)
-def test_points_move_as_in_c(kind: str, sparse: bool) -> None:
-    """A point on each body, with each velocity."""
-    model, data, (found, _, _) = after(kind, sparse)
     ours = mjx.put_model(model)
     for body in range(model.nbody):
         point = data.xipos[body] + 0.1

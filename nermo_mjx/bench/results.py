@@ -7,8 +7,9 @@ import json
 import shlex
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 from pydantic import BaseModel, ConfigDict
@@ -30,72 +31,66 @@ _COLOURS: Final = {"c": MUTED, "mjx": LINE, "warp": BEST}
 _STEPS: Final = [step * 10.0**power for power in range(-4, 12) for step in (1, 2, 5)]
 
 
-class Column(NamedTuple):
-    """A column of a measurement's table: heading, key of the figure, its format, and a factor."""
-
-    heading: str
-    key: str
-    shape: str = "{}"
-    scale: float = 1.0
-
-    def cell(self, line: Mapping[str, Any]) -> str:
-        """The text of a line's cell."""
-        value = line.get(self.key)
-        if value is None:
-            return "-"
-        return self.shape.format(value if isinstance(value, str) or self.scale == 1.0 else value * self.scale)
-
-
-_ENGINE, _WORLDS = Column("engine", "engine"), Column("worlds", "worlds", "{:,}")
-_RATIO = Column("ratio", "ratio", "{:.2f}")
-_SECONDS: Final = "{:.1f}"
-_COMPILING = (Column("trace [s]", "trace_s", _SECONDS), Column("compile [s]", "compile_s", _SECONDS))
-_PEAK = Column("peak [MB]", "peak_bytes", "{:,.0f}", 1e-6)
-#: Case -> its columns.
-COLUMNS: Final[dict[str, tuple[Column, ...]]] = {
+#: Figure -> heading of its column, its format, and the factor to the heading's unit.
+_COLUMNS: Final[dict[str, tuple[str, str, float]]] = {
+    "engine": ("engine", "{}", 1.0),
+    "mode": ("mode", "{}", 1.0),
+    "worlds": ("worlds", "{:,}", 1.0),
+    "cache": ("cache", "{}", 1.0),
+    "cycles": ("cycles", "{:g}", 1.0),
+    "steps_per_second": ("steps/s", "{:,.0f}", 1.0),
+    "plain_steps_per_second": ("plain steps/s", "{:,.0f}", 1.0),
+    "gradient_s": ("gradient [s]", "{:.2f}", 1.0),
+    "forward_s": ("walk [s]", "{:.2f}", 1.0),
+    "ratio": ("ratio", "{:.2f}", 1.0),
+    "loop_cost": ("loop's cost", "{:.1%}", 1.0),
+    "seconds_simulated_per_second": ("simulated s/s", "{:,.0f}", 1.0),
+    "trace_s": ("trace [s]", "{:.1f}", 1.0),
+    "compile_s": ("compile [s]", "{:.1f}", 1.0),
+    "plain_compile_s": ("plain [s]", "{:.1f}", 1.0),
+    "temporary_bytes_per_world": ("kB/world", "{:,.0f}", 1e-3),
+    "carry_bytes_per_world": ("carry [B/world]", "{:,}", 1.0),
+    "peak_bytes": ("peak [MB]", "{:,.0f}", 1e-6),
+    "total_s": ("to the first tick [s]", "{:.1f}", 1.0),
+    **{
+        f"{stage}_s": (f"{stage.replace('_', ' ')} [s]", "{:.1f}", 1.0)
+        for stage in ("import", "model", "parameters", "open", "first_tick")
+    },
+    "training_s": ("then a training [s]", "{:.1f}", 1.0),
+}
+_COMPILING: Final = ("trace_s", "compile_s")
+#: Case -> figures of its table.
+COLUMNS: Final[dict[str, tuple[str, ...]]] = {
     "throughput": (
-        _ENGINE,
-        _WORLDS,
-        Column("steps/s", "steps_per_second", "{:,.0f}"),
-        Column("plain steps/s", "plain_steps_per_second", "{:,.0f}"),
-        _RATIO,
-        Column("loop's cost", "loop_cost", "{:.1%}"),
-        Column("simulated s/s", "seconds_simulated_per_second", "{:,.0f}"),
-        *_COMPILING,
-        Column("plain [s]", "plain_compile_s", _SECONDS),
-        Column("carry [B/world]", "carry_bytes_per_world", "{:,}"),
-        _PEAK,
+        *("engine", "worlds", "steps_per_second", "plain_steps_per_second", "ratio", "loop_cost"),
+        *("seconds_simulated_per_second", *_COMPILING, "plain_compile_s", "carry_bytes_per_world", "peak_bytes"),
     ),
     "gradient": (
-        Column("mode", "mode"),
-        _WORLDS,
-        Column("cycles", "cycles", "{:g}"),
-        Column("gradient [s]", "gradient_s", "{:.2f}"),
-        Column("walk [s]", "forward_s", "{:.2f}"),
-        _RATIO,
-        *_COMPILING,
-        Column("kB/world", "temporary_bytes_per_world", "{:,.0f}", 1e-3),
-        _PEAK,
+        *("mode", "worlds", "cycles", "gradient_s", "forward_s", "ratio", *_COMPILING),
+        *("temporary_bytes_per_world", "peak_bytes"),
     ),
     "startup": (
-        _ENGINE,
-        _WORLDS,
-        Column("cache", "cache"),
-        Column("to the first tick [s]", "total_s", _SECONDS),
-        *(
-            Column(f"{stage.replace('_', ' ')} [s]", f"{stage}_s", _SECONDS)
-            for stage in ("import", "model", "parameters", "open", "first_tick")
-        ),
-        Column("then a training [s]", "training_s", _SECONDS),
+        *("engine", "worlds", "cache", "total_s", "import_s", "model_s", "parameters_s", "open_s", "first_tick_s"),
+        "training_s",
     ),
 }
 
 
-def table_of(case: str, lines: Sequence[Mapping[str, Any]]) -> tuple[list[Column], list[list[str]]]:
-    """The columns of a case that have a figure, and the rows of its measurements; those that failed have none."""
+def table_of(case: str, lines: Sequence[Mapping[str, Any]]) -> tuple[list[tuple[str, str]], list[list[str]]]:
+    """(heading, "left" or "right") of each column of a case that has a figure, and the rows; failures have none."""
     found = [row for line in lines for row in _rows(line)]
-    columns = [column for column in COLUMNS[case] if any(row.get(column.key) is not None for row in found)]
-    return columns, [[column.cell(row) for column in columns] for row in found]
+    columns = {key: _COLUMNS[key] for key in COLUMNS[case] if any(row.get(key) is not None for row in found)}
+    words = ("engine", "mode", "cache")
+
+    def cell(value: Any, shape: str, factor: float) -> str:
+        if value is None:
+            return "-"
+        return shape.format(value if isinstance(value, str) or factor == 1.0 else value * factor)
+
+    return (
+        [(heading, "left" if key in words else "right") for key, (heading, _, _) in columns.items()],
+        [[cell(row.get(key), shape, factor) for key, (_, shape, factor) in columns.items()] for row in found],
+    )
 
 
 def _rows(line: Mapping[str, Any]) -> Iterator[Mapping[str, Any]]:
@@ -192,19 +187,18 @@ def read(folder: Path) -> History:
         OSError: the file does not exist or cannot be read.
     """
     found: dict[str, dict[tuple[Any, ...], Measured]] = {}
-    unreadable, remarks, commits, count = list[int](), list[str](), dict[str, None](), 0
+    unreadable, remarks, commits, count = list[str](), list[str](), dict[str, None](), 0
     for number, text in enumerate((folder / RESULTS).read_bytes().splitlines(), 1):
         try:
             run = json_of(text, _Run, RESULTS)
-            about, day, lines = run["hardware"], run["date"][:10], list(run["cases"])
+            about, day = run["hardware"], run["date"][:10]
             machine = f"{about['device']}; {about['cores']} x {about['cpu']}" if about else UNKNOWN
             versions = [f"{name} {about[name]}" for name in ("mujoco", "jax", "python")] if about else []
-            made = ", ".join([day, f"commit {run['commit']}", *versions])
         except (FileError, KeyError):
-            unreadable.append(number)
+            unreadable.append(str(number))
             continue
         commits[str(run["commit"])] = None
-        for line in lines:
+        for line in run["cases"]:
             name = str(line.get("case")) if isinstance(line, dict) else "None"
             try:
                 wrong = "" if name in CASES else "this version does not know"
@@ -218,13 +212,13 @@ def read(folder: Path) -> History:
             # A line from before an option existed was made with the option's first default.
             key = tuple(line.get(name, option.default[0]) for name, option in CASES[name].options.items())
             known = found.setdefault(machine, {}).setdefault((list(CASES).index(name), *key), Measured(name))
-            line = {**line, "made": made, "day": day}
+            line = {**line, "made": ", ".join([day, f"commit {run['commit']}", *versions]), "day": day}
             if "error" in line:
                 known.failed = line
             else:
                 known.good, known.failed = line, None
     if unreadable:
-        *most, last = map(str, unreadable)
+        *most, last = unreadable
         named = f"Lines {', '.join(most)} and {last}" if most else f"Line {last}"
         remarks.insert(0, f"{named} of {RESULTS} cannot be read, and {'are' if most else 'is'} not shown.")
 
@@ -270,7 +264,7 @@ def draw_page(folder: Path, write: Callable[[Path, bytes], None] = replace_file)
             text += [f"- {failure}" for each in own if (failure := each.failure())]
             columns, cells = table_of(case, good)
             if cells:
-                text += ["", table([column.heading for column in columns], cells)]
+                text += ["", table([heading for heading, _ in columns], cells)]
                 text += [f"Measured {'; '.join(dict.fromkeys(line['made'] for line in good))}."]
             text += [""]
         for path in write_figures(_figures(machine, measured, number), folder / "plots", write):
@@ -319,14 +313,13 @@ def _throughput(machine: str, walks: Sequence[Mapping[str, Any]]) -> Figure:
     )
     speed, memory = figure.subplots(1, 2)
     for engine in dict.fromkeys(line["engine"] for line in walks):
-        own = sorted((line for line in walks if line["engine"] == engine), key=lambda line: line["worlds"])
-        worlds, colour = [line["worlds"] for line in own], _COLOURS.get(engine, INK)
-        speed.plot(worlds, [line["steps_per_second"] for line in own], "o-", ms=3, color=colour, label=engine)
-        speed.plot(worlds, [line["plain_steps_per_second"] for line in own], "--", lw=1, color=colour)
-        memory.plot(worlds, [line["peak_bytes"] / 1e9 for line in own], "o-", ms=3, color=colour, label=engine)
+        lines, colour = [line for line in walks if line["engine"] == engine], _COLOURS.get(engine, INK)
+        _curve(speed, lines, "worlds", "steps_per_second", color=colour, label=engine)
+        _curve(speed, lines, "worlds", "plain_steps_per_second", color=colour, marker="", ls="--", lw=1)
+        _curve(memory, lines, "worlds", "peak_bytes", 1e-9, color=colour)
+    sizes = sorted({line["worlds"] for line in walks})
     for ax, label in ((speed, "throughput [physics steps/s]"), (memory, "peak memory [GB]")):
         ax.set(xscale="log", yscale="log", xlabel="batch [worlds]", ylabel=label)
-        sizes = sorted({line["worlds"] for line in walks})
         ax.set_xticks(sizes, [f"{size:,}" for size in sizes])
         ax.xaxis.set_minor_locator(NullLocator())
         ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
@@ -337,6 +330,12 @@ def _throughput(machine: str, walks: Sequence[Mapping[str, Any]]) -> Figure:
         horizontal_grid(ax)
     speed.legend()
     return figure
+
+
+def _curve(ax: Axes, lines: Sequence[Mapping[str, Any]], x: str, y: str, scale: float = 1.0, **look: Any) -> None:
+    """A figure of the lines over one of their options."""
+    lines = sorted(lines, key=lambda line: line[x])
+    ax.plot([line[x] for line in lines], [line[y] * scale for line in lines], **{"marker": "o", "ms": 3} | look)
 
 
 def _compile(machine: str, walks: Sequence[Mapping[str, Any]]) -> Figure:
@@ -359,10 +358,9 @@ def _gradient(machine: str, lines: Sequence[Mapping[str, Any]]) -> Figure:
     figure = page("What a gradient costs over the length of a walk", 7.0, 3.2, f"{machine}.")
     ratio, memory = figure.subplots(1, 2)
     for mode, colour in (("forward", LINE), ("reverse", BEST)):
-        own = sorted((line for line in lines if line["mode"] == mode), key=lambda line: line["cycles"])
-        cycles = [line["cycles"] for line in own]
-        ratio.plot(cycles, [line["ratio"] for line in own], "o-", ms=3, color=colour, label=mode)
-        memory.plot(cycles, [line["temporary_bytes_per_world"] / 1e6 for line in own], "o-", ms=3, color=colour)
+        of_mode = [line for line in lines if line["mode"] == mode]
+        _curve(ratio, of_mode, "cycles", "ratio", color=colour, label=mode)
+        _curve(memory, of_mode, "cycles", "temporary_bytes_per_world", 1e-6, color=colour)
     ratio.set(xlabel="length of the walk [gait cycles]", ylabel="time over the walk's alone [1]", ylim=(0, None))
     memory.set(xlabel="length of the walk [gait cycles]", ylabel="memory of a world [MB]", ylim=(0, None))
     for ax in (ratio, memory):

@@ -16,10 +16,10 @@ import click
 from nermo_mjx.cli import options
 from nermo_mjx.cli.choices import FORMATS, METRICS
 from nermo_mjx.cli.options import FileKind, names
-from nermo_mjx.cli.output import Failure, Outcome, WrongUse, columns, command, print_table, report_of, say
-from nermo_mjx.trust import one_line
+from nermo_mjx.cli.output import Failure, Outcome, WrongUse, columns, command, print_pairs, print_table, say
 
 if TYPE_CHECKING:
+    from nermo_mjx.plotting.files import Figures
     from nermo_mjx.runs.status import Status
     from nermo_mjx.sweep.comparing import Comparison
     from nermo_mjx.sweep.sensitivity import Sensitivity
@@ -122,10 +122,10 @@ def status_command(path: Path) -> Outcome:
         click.echo(f"{path}: {kind.called}, {amount}")
         named = [f"{name}: {code}" for name, code in codes.items()] or [", ".join(status.code) or "not known"]
         made = [("engine", status.engine or "not known"), *(("code", each) for each in named)]
-        for name, text in (*made, *_worked(sessions), *(("note", note) for note in status.notes)):
-            click.echo(f"{name:<8} {one_line(text)}")
-        click.echo(f"{'figures' if status.complete and ' plot ' in status.command else 'resume':<8} {status.command}"
-                   if status.command else "resume   with the command that started it, not recorded here")  # fmt: skip
+        how = "figures" if status.complete and " plot " in status.command else "resume"
+        notes = [("note", note) for note in status.notes]
+        again = status.command or "with the command that started it, not recorded here"
+        print_pairs([*made, *_worked(sessions), *notes, (how, again)])
 
     content = {"kind": kind.name, "rows": status.rows, "rows_done": status.rows_done,
                "code": [*codes] or status.code, "engine": status.engine, "complete": status.complete}  # fmt: skip
@@ -187,7 +187,7 @@ def plot_command(path: Path, out: Path | None, form: str | None, **chosen: str |
     from nermo_mjx.plotting.files import write_figures
 
     figures, folder = kind.load(kind.figures)(path, **given), path / "plots" if out is None else out
-    with _drawing_into(folder), _writing(kind, path, folder, notes) as write:
+    with _drawing(kind, path, folder, notes) as write:
         files = write_figures(figures, folder, write, FORMATS if form is None else (form,))
     if not files:
         raise Failure(f"there is nothing to draw of {path}: {' '.join(notes)}")
@@ -197,34 +197,28 @@ def plot_command(path: Path, out: Path | None, form: str | None, **chosen: str |
 
 
 @contextlib.contextmanager
-def _writing(kind: Kind, path: Path, folder: Path, notes: list[str]) -> Iterator[Callable[[Path, bytes], None]]:
-    """How files are written into a folder: of a directory that knows its own files, others are moved aside."""
-    from nermo_mjx.runs import RunDirectory, Written
-    from nermo_mjx.runs.files import replace_file
+def _drawing(kind: Kind, path: Path, folder: Path, notes: list[str]) -> Iterator[Callable[[Path, bytes], None]]:
+    """How figures are written into a folder, into which no other command draws meanwhile; it is made if it is missing.
 
-    if not kind.tracked or folder != path / "plots":
-        yield replace_file
-        return
-    with RunDirectory(path, kind.name) as held, Written(held) as written:
-        yield written.write
-    notes += filter(None, [written.sentence()])
-
-
-@contextlib.contextmanager
-def _drawing_into(folder: Path) -> Iterator[None]:
-    """Hold a folder of figures, so that two commands do not draw into it at once; it is made if it is missing.
+    In a directory that knows its own files, others are moved aside.
 
     Raises:
-        DirectoryError: another one does, or it cannot be written.
+        DirectoryError: another command draws into it, or it cannot be written.
     """
+    from nermo_mjx.runs import RunDirectory, Written
     from nermo_mjx.runs.directory import hold
-    from nermo_mjx.runs.files import clear_errors, make_writable
+    from nermo_mjx.runs.files import clear_errors, make_writable, replace_file
 
     make_writable(folder)
     with clear_errors(folder):
         held = hold(folder)
     try:
-        yield
+        if not kind.tracked or folder != path / "plots":
+            yield replace_file
+            return
+        with RunDirectory(path, kind.name) as directory, Written(directory) as written:
+            yield written.write
+        notes += filter(None, [written.sentence()])
     finally:
         os.close(held)
 
@@ -263,26 +257,46 @@ def compare_command(
         raise click.UsageError("Give two directories A and B, or one and --by NAME.")
     if base is not None and by is None:
         raise click.UsageError("--base is a value of --by; for two directories, the first one is the base.")
-    chosen = dict(_split(text) for text in where)
+    chosen = {}
+    for text in where:
+        name, equals, value = text.partition("=")
+        if not equals:
+            raise click.UsageError(f"--where {text}: expected NAME=VALUE, such as gait=trt.")
+        chosen[name.strip()] = value.strip()
     from nermo_mjx.sweep.comparing import compare, figures_of
 
     found = compare(a, b, by=by, base=base, groups=groups, where=chosen, drawn=drawn)
     return report_of("comparison", found, figures_of, out, lambda: _print_comparison(found))
 
 
-def _split(text: str) -> tuple[str, str]:
-    name, equals, value = text.partition("=")
-    if not equals:
-        raise click.UsageError(f"--where {text}: expected NAME=VALUE, such as gait=trt.")
-    return name.strip(), value.strip()
+def report_of(
+    kind: str, found: Any, figures: Callable[[Any], Figures], out: Path | None, show: Callable[[], None]
+) -> Outcome:
+    """The end of a command that found a table: it and its figures are written where `out` is given."""
+    files = list[Path]()
+    if out is not None:
+        from nermo_mjx.sweep.table import write_report
+
+        files, moved = write_report(out, kind, found.table, found.about(), figures(found.table))
+        if moved:
+            say(moved)
+    return Outcome({**found.about(), "files": files}, show, files)
 
 
 def _print_comparison(found: Comparison) -> None:
     """Tables for people: every metric over all variants, and the chosen ones by groups."""
-    rest = columns("difference>, 95 % interval, relative>, variants>, ")
+    from nermo_mjx.plotting.shown import shown
+
+    def unit(row: Mapping[str, Any]) -> str:
+        return shown(row["metric"], row["metric_unit"], []).unit or "1"
+
     for other in found.others:
-        numbers = [(found.base, "right"), (other, "right"), *rest]
-        rows = [[row["metric"], _unit(row), *_cells(row)] for row in found.rows(other)]
+        numbers = [
+            (found.base, "right"),
+            (other, "right"),
+            *columns("difference>, 95 % interval, relative>, variants>, "),
+        ]
+        rows = [[row["metric"], unit(row), *_cells(row)] for row in found.rows(other)]
         print_table(f"{other} minus {found.base}", [*columns("metric, unit"), *numbers], rows)
         for metric in found.drawn if found.groups else ():
             lines = [row for row in found.rows(other, grouped=True) if row["metric"] == metric]
@@ -290,11 +304,11 @@ def _print_comparison(found: Comparison) -> None:
             for row in lines:
                 failed = row["failed_base"], row["failed_other"]
                 group = [f"{each:.6g}" if isinstance(each, float) else str(each) for each in map(row.get, found.groups)]
-                lost = "{} and {} fell or were lost".format(*failed) if any(failed) else ""
-                cells.append([*group, *_cells(row), lost])
-            heads = [(name, "right") for name in found.groups]
-            title = f"{metric} [{_unit(lines[0])}]: {other} minus {found.base}" if lines else metric
-            print_table(title, [*heads, *numbers, ("", "left")], cells)
+                cells.append(
+                    [*group, *_cells(row), "{} and {} fell or were lost".format(*failed) if any(failed) else ""]
+                )
+            heads = [*((name, "right") for name in found.groups), *numbers, ("", "left")]
+            print_table(f"{metric} [{unit(lines[0])}]: {other} minus {found.base}" if lines else metric, heads, cells)
     for side, counts in found.status.items():
         click.echo(f"{side}: {', '.join(f'{count:,} {status}' for status, count in counts.items())}")
     for note in found.notes:
@@ -302,27 +316,17 @@ def _print_comparison(found: Comparison) -> None:
     click.echo("* beyond noise; at most 5 % of all marked differences are expected to be false")
 
 
-#: Numbers of a row that have its metric's unit.
-_SHOWN = ("base_mean", "other_mean", "difference", "low", "high")
-
-
 def _cells(row: Mapping[str, Any]) -> list[str]:
     if not row["variants"]:
         return ["", "", "no run has it", "", "", "0", ""]
     from nermo_mjx.plotting.shown import shown
 
-    numbers = shown(row["metric"], row["metric_unit"], [row[name] for name in _SHOWN]).values
-    base, other, difference, low, high = numbers.tolist()
+    values = [row[name] for name in ("base_mean", "other_mean", "difference", "low", "high")]
+    base, other, difference, low, high = shown(row["metric"], row["metric_unit"], values).values.tolist()
     interval = f"[{low:.3g}, {high:.3g}]" if math.isfinite(low) else ""
     relative = f"{row['relative']:+.1%}".replace("%", " %") if math.isfinite(row["relative"]) else ""
     return [f"{base:.4g}", f"{other:.4g}", f"{difference:+.3g}", interval, relative, str(row["variants"]),
             "*" if row["beyond_noise"] else ""]  # fmt: skip
-
-
-def _unit(row: Mapping[str, Any]) -> str:
-    from nermo_mjx.plotting.shown import shown
-
-    return shown(row["metric"], row["metric_unit"], []).unit or "1"
 
 
 @command("sensitivity")

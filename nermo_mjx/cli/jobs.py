@@ -15,7 +15,7 @@ import click
 from nermo_mjx.cli import options
 from nermo_mjx.cli.choices import EXPERIMENT_PROFILES, EXPERIMENTS
 from nermo_mjx.cli.options import FileKind, assigned
-from nermo_mjx.cli.output import Outcome, WrongUse, columns, command, is_json, is_quiet, print_table, say
+from nermo_mjx.cli.output import Outcome, WrongUse, columns, command, is_json, is_quiet, print_pairs, print_table, say
 from nermo_mjx.cli.progress import Stages, duration
 
 if TYPE_CHECKING:
@@ -51,11 +51,9 @@ def _working(
         yield Watch(shown.show, shown.say), crew
 
 
-def _print_places(out: Path, places: Mapping[str, str | Path | None], width: int = 8) -> None:
+def _print_places(out: Path, places: Mapping[str, str | Path | None]) -> None:
     """Where the files are, by what they are: names in `out`, or whole paths; those that were not made are left out."""
-    for name, place in places.items():
-        if place is not None:
-            click.echo(f"{name:<{width}}{place if isinstance(place, Path) else out / place}")
+    print_pairs((name, place and out / place) for name, place in places.items())
 
 
 class Shard(click.ParamType):
@@ -137,7 +135,7 @@ def _print_forecast(cost: Forecast) -> None:
     left = f", of which {cost.rows_left:,} are left to be run" if cost.rows_left < cost.rows else ""
     batches = f"{cost.batches:,} batches to be run, of {cost.structures:,} structures"
     took = "not known" if math.isnan(cost.seconds) else f"{duration(cost.seconds)}, and what compiling takes"
-    for name, text in (
+    print_pairs([
         ("rows", f"{cost.rows:,}{left}"),
         ("chunks", f"{cost.chunks:,}; {batches}"),
         ("engine", cost.engine),
@@ -146,8 +144,7 @@ def _print_forecast(cost: Forecast) -> None:
         ("disk", f"{cost.disk_bytes / 1e6:,.1f} MB for the table; {cost.disk_free / 1e9:,.1f} GB are free"),
         ("memory", f"about {cost.memory_bytes / 1e9:.1f} GB"),
         *(("note", note) for note in cost.notes),
-    ):
-        click.echo(f"{name:<8} {text}")
+    ])  # fmt: skip
 
 
 def sweep_fields(out: Path, result: SweepResult) -> dict[str, Any]:
@@ -187,11 +184,9 @@ def print_sweep(result: SweepResult) -> None:
         print_table("Best variants", columns("metric, best is, value>, , at"), rows)
     places: dict[str, str | Path | None] = {"table": "results", "summary": "summary.json"}
     places |= {name: f"{name}.parquet" for name in ("comparison", "sensitivity") if name in summary}
-    for name, place in (places | {"plots": "plots" if result.plots else None}).items():
-        if place is not None:
-            click.echo(f"{name:<7} {result.out / place}")
+    _print_places(result.out, places | {"plots": "plots" if result.plots else None})
     if result.recordings:
-        click.echo(f"kept    {len(result.recordings)} recordings in {result.recordings[0].parent}")
+        print_pairs([("kept", f"{len(result.recordings)} recordings in {result.recordings[0].parent}")])
 
 
 def _list_parameters(spec: Path | None) -> Outcome:
@@ -702,7 +697,7 @@ def _print_experiments(result: ExperimentsResult) -> None:
         click.echo(sentence)
     made = {name: name if any(getattr(each, name) for each in result.results) else None
             for name in ("plots", "recordings", "videos")}  # fmt: skip
-    _print_places(result.out, {"report": "report.md", "tables": "results", **made}, 11)
+    _print_places(result.out, {"report": "report.md", "tables": "results", **made})
 
 
 def _counted(summary: dict[str, Any]) -> str:
@@ -755,10 +750,10 @@ def _print_identification(content: dict[str, Any], out: Path) -> None:
     print_table("Parameters", list(PARAMETER_HEADINGS), parameter_rows(content))
     objective = content["objective"]
     took = f"{content['candidates']} candidates in {duration(content['wall_seconds'])}, engine {content['engine']}"
-    click.echo(f"objective  {objective['start']:.3f} before, {objective['end']:.3f} after ({took})")
+    lines = [("objective", f"{objective['start']:.3f} before, {objective['end']:.3f} after ({took})")]
     if ensemble := content["ensemble"]:
         share = f"{ensemble['share_of_prior']:.1%} of the prior"
-        click.echo(f"ensemble   {ensemble['size']} bodies within {ensemble['tolerance']:g}, {share}")
-    click.echo(f"report     {out / 'identification.md'}\n")
-    click.echo(f"Options of experiment and walk:\n  {content['options']}\n")
+        lines.append(("ensemble", f"{ensemble['size']} bodies within {ensemble['tolerance']:g}, {share}"))
+    print_pairs([*lines, ("report", out / "identification.md")])
+    click.echo(f"\nOptions of experiment and walk:\n  {content['options']}\n")
     click.echo(f"In a sweep file:\n{content['yaml']}", nl=False)

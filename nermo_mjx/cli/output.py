@@ -14,17 +14,13 @@ import re
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any, Final, NoReturn
+from typing import IO, Any, Final, NoReturn
 
 import click
 
 from nermo_mjx.trust import TELL, FileError, one_line, shown
-
-if TYPE_CHECKING:
-    from nermo_mjx.plotting.files import Figures
-
 
 #: Thresholds of Python's garbage collector while a command runs. Tracing creates millions of long-lived objects,
 #: which the collector would visit again and again by default: a fifth of the time that tracing takes.
@@ -271,18 +267,12 @@ def stdout_reserved() -> Iterator[None]:
         yield
 
 
-def report_of(
-    kind: str, found: Any, figures: Callable[[Any], Figures], out: Path | None, show: Callable[[], None]
-) -> Outcome:
-    """The end of a command that found a table: it and its figures are written where `out` is given."""
-    files = list[Path]()
-    if out is not None:
-        from nermo_mjx.sweep.table import write_report
-
-        files, moved = write_report(out, kind, found.table, found.about(), figures(found.table))
-        if moved:
-            say(moved)
-    return Outcome({**found.about(), "files": files}, show, files)
+def print_pairs(pairs: Iterable[tuple[str, Any]]) -> None:
+    """Lines of a name and a text; those without a text are left out."""
+    lines = [(name, text) for name, text in pairs if text is not None]
+    width = max([8, *(len(name) for name, _ in lines)])
+    for name, text in lines:
+        click.echo(f"{name:<{width}} {one_line(str(text))}")
 
 
 def columns(headings: str) -> list[tuple[str, str]]:

@@ -151,14 +151,30 @@ def bench_command(cases: tuple[str, ...], into: Path | None, **given: tuple[Any,
       nermo-mjx bench gradient --mode reverse --cycles 1 --cycles 4
       nermo-mjx bench throughput startup --into docs/benchmarks
     """
-    from nermo_mjx.bench.results import draw_page
+    from nermo_mjx.bench import run_bench
+    from nermo_mjx.bench.results import RESULTS, append, draw_page
     from nermo_mjx.runs import RunDirectory, Written, session
     from nermo_mjx.runs.files import clear_errors
+    from nermo_mjx.runs.text import plain
+
+    kept = 0
+
+    def keep(run: dict[str, Any]) -> None:
+        """Each measurement as soon as it is made."""
+        nonlocal kept
+        if into is not None:
+            append(into / RESULTS, plain(run))
+            kept += 1
 
     # Held while it measures, so that an hour's results can be written.
     with contextlib.nullcontext() if into is None else RunDirectory(into, "benchmarks") as held:
         with Progress("bench", "measurements", compiles=True) as progress:
-            result = _measured(cases or ("throughput",), given, progress.count, None if held is None else held.out)
+            try:
+                result = run_bench(cases or ("throughput",), given, progress.count, keep=keep)
+            except KeyboardInterrupt:
+                number = "1 measurement is" if kept == 1 else f"{kept} measurements are"
+                sentence = f"stopped; {number} kept in {into / RESULTS}." if into and kept else ""
+                raise KeyboardInterrupt(sentence) from None
         if held is not None:
             held.note_session(session())
             with Written(held) as written, clear_errors(held.out):
@@ -166,29 +182,6 @@ def bench_command(cases: tuple[str, ...], into: Path | None, **given: tuple[Any,
             if written.aside:
                 say(written.sentence())
     return Outcome(result, lambda: _print_bench(result))
-
-
-def _measured(cases: tuple[str, ...], given: dict[str, Any], count: Any, out: Path | None) -> dict[str, Any]:
-    """Run the cases; each measurement is appended to a file of the folder `out` as soon as it is made."""
-    from nermo_mjx.bench import run_bench
-    from nermo_mjx.bench.results import RESULTS, append
-    from nermo_mjx.runs.text import plain
-
-    if out is None:
-        return run_bench(cases, given, count)
-    kept = []
-
-    def keep(run: dict[str, Any]) -> None:
-        append(out / RESULTS, plain(run))
-        kept.append(run)
-
-    try:
-        return run_bench(cases, given, count, keep=keep)
-    except KeyboardInterrupt:
-        if not kept:
-            raise
-        number = "1 measurement is" if len(kept) == 1 else f"{len(kept)} measurements are"
-        raise KeyboardInterrupt(f"stopped; {number} kept in {out / RESULTS}.") from None
 
 
 def _print_bench(result: dict[str, Any]) -> None:
@@ -200,10 +193,8 @@ def _print_bench(result: dict[str, Any]) -> None:
         if failure := failure_of(line):
             click.echo(failure)
     for case in dict.fromkeys(line["case"] for line in result["cases"]):
-        heads, rows = table_of(case, [line for line in result["cases"] if line["case"] == case])
+        headings, rows = table_of(case, [line for line in result["cases"] if line["case"] == case])
         if rows:
-            words = ("engine", "mode", "cache")
-            headings = [(column.heading, "left" if column.key in words else "right") for column in heads]
             print_table(case.capitalize(), headings, rows)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import itertools
 import math
 import webbrowser
 from collections.abc import Mapping
@@ -21,10 +22,7 @@ from nermo_mjx.cli.view import check_video, load_recording, save_run
 
 if TYPE_CHECKING:
     from nermo_mjx.control.schedule import Switch
-    from nermo_mjx.hardware.live import Sent
-    from nermo_mjx.hardware.table import ServoTable
     from nermo_mjx.rollout import Run, Setup
-    from nermo_mjx.sweep.replay import Replay, SweepRow
 
 
 #: Options that set one parameter, and the setup for which the parameter has an effect.
@@ -139,7 +137,6 @@ def _shifted_start(seed: int) -> dict[str, float]:
     return {name: float(random.uniform(-width, width)) for name, width in START_SPREAD.items()}
 
 
-ANGLES = ("roll", "pitch", "yaw")
 #: Other lines of the table: metric, how it is called, its unit, and the factor from SI.
 LINES = (
     ("distance", "distance", "mm", 1e3),
@@ -168,19 +165,18 @@ def print_walk(report: dict[str, Any], plan: Plan) -> None:
     rows = [[title, _number(value, factor), unit] for title, value, unit, factor in lines]
     rows += [[own.name, f"{metrics[own.name]:.4g}", own.unit] for own in plan.setup.own_metrics]
     headings = columns(", >, ")
-    ratio = report["parameters"].get("tracking.clock_ratio", 1.0)
-    if ratio != 1.0:
+    if (ratio := report["parameters"].get("tracking.clock_ratio", 1.0)) != 1.0:
         # Seconds of the controller's clock, in which frequencies are given, before simulated ones.
         scaled = {"mm/s": ratio, "s": 1.0 / ratio}
-        for row, (_, value, unit, factor) in zip(rows, lines, strict=False):
-            row.insert(1, _number(value, factor * scaled.get(unit, 1.0)))
-        for row in rows[len(lines) :]:
-            row.insert(1, "")
+        of_clock = [_number(value, factor * scaled.get(unit, 1.0)) for _, value, unit, factor in lines]
+        rows = [[row[0], first, *row[1:]] for row, first in itertools.zip_longest(rows, of_clock, fillvalue="")]
         headings = columns(", controller's clock>, simulated>, ")
     print_table(f"Nermo walked: {what}", headings, rows)
-    degrees = math.degrees(1.0)
-    parts = ("mean", "std", "min", "max")
-    angles = [[angle, *(_number(metrics.get(f"{angle}_{part}"), degrees) for part in parts)] for angle in ANGLES]
+    parts, degrees = ("mean", "std", "min", "max"), math.degrees(1.0)
+    angles = [
+        [angle, *(_number(metrics.get(f"{angle}_{part}"), degrees) for part in parts)]
+        for angle in ("roll", "pitch", "yaw")
+    ]
     print_table("Orientation [degrees]", columns(", mean>, std>, min>, max>"), angles)
     ending = Ending[metrics["status"]]
     if ending is not Ending.ok:
@@ -236,11 +232,7 @@ def walk_command(engine: str, record: Path | None, video: Path | None, camera: s
     if result.trace is not None:
         save_run(result.recording(), record, video, camera)
     report = result.about()
-    return Outcome(report, lambda: print_walk(report, wanted), _written(record, video))
-
-
-def _written(*files: Path | None) -> list[Path]:
-    return [file for file in files if file is not None]
+    return Outcome(report, lambda: print_walk(report, wanted), [file for file in (record, video) if file])
 
 
 def _address(context: click.Context, parameter: click.Parameter, given: tuple[str, ...]) -> tuple[str, str | None]:
@@ -414,7 +406,7 @@ def replay_command(
 
     found = (find_evaluation if (out / "search.yaml").exists() else find_row)(out, row)
     wanted = Plan(found.walk.setup, found.walk.run, found.values, found.parameters)
-    files = _written(record, video)
+    files = [file for file in (record, video) if file]
     for path in files:
         make_writable(path.parent)
     check_video(wanted.setup, video, camera)
@@ -425,7 +417,18 @@ def replay_command(
         if not len(replay.history.time):
             raise Failure(f"row {row} diverged in its first tick: there is nothing to record or to show.")
         save_run(dataclasses.replace(replay.recording(), metadata=plain(report)), record, video, camera)
-    return Outcome(report, lambda: _print_replay(found, wanted, replay, report), files)
+
+    def show() -> None:
+        values = "".join(f", {name} {label}" for name, label in found.walk.labels.items())
+        values += "".join(f", {name} {value:.4g}" for name, value in found.values.items())
+        click.echo(f"Row {found.row} of {found.out}: variant {report['variant']}, repeat {report['repeat']}{values}\n")
+        print_walk(report, wanted)
+        for flag, what in (("fell", "fell"), ("diverged", "lost its numbers")):
+            if report["metrics"][flag]:
+                click.echo(f"It {what} at {replay.metrics['failure_time']:.2f} s, of {found.span[1]:.2f} s.")
+        click.echo(report["compared"])
+
+    return Outcome(report, show, files)
 
 
 def _replay_drive(path: Path, record: Path | None, video: Path | None, sweep: Path | None, camera: str) -> Outcome:
@@ -448,17 +451,6 @@ def _replay_drive(path: Path, record: Path | None, video: Path | None, sweep: Pa
                 f"Of {samples} those from {differs:.2f} s on differ from the recording's.")  # fmt: skip
     content = {"recording": path, "samples": len(again.time), "equal": differs is None, "differs_from": differs}
     return Outcome(content, lambda: click.echo(sentence))
-
-
-def _print_replay(found: SweepRow, wanted: Plan, replay: Replay, report: dict[str, Any]) -> None:
-    values = "".join(f", {name} {label}" for name, label in found.walk.labels.items())
-    values += "".join(f", {name} {value:.4g}" for name, value in found.values.items())
-    click.echo(f"Row {found.row} of {found.out}: variant {report['variant']}, repeat {report['repeat']}{values}\n")
-    print_walk(report, wanted)
-    for flag, what in (("fell", "fell"), ("diverged", "lost its numbers")):
-        if report["metrics"][flag]:
-            click.echo(f"It {what} at {replay.metrics['failure_time']:.2f} s, of {found.span[1]:.2f} s.")
-    click.echo(report["compared"])
 
 
 @command("servos")
@@ -515,19 +507,38 @@ def servos_command(
         raise WrongUse("Give --out FILE.csv, --send URL, or both.")
     if send is None and seconds is not None:
         raise WrongUse("--seconds limits the duration of --send: give --send URL, too.")
+    from nermo_mjx.hardware import recorded_table, servo_table
+    from nermo_mjx.hardware.live import SendError, connected, play
     from nermo_mjx.runs.files import replace_file
 
     if recording is None:
-        table, words = _of_gait(rate, channels, chosen)
+        cycles = chosen.pop("cycles") or 1
+        wanted = plan(pilot="open_loop", scene="flat", physics="reference", **chosen)
+        table = servo_table(wanted.setup, wanted.values, rate=rate, cycles=cycles, channels=channels)
+        words = [f"{name} {getattr(wanted.setup, name)}" for name in ("gait", "spine", "steering")]
+        words += [f"{name} {value:g}" for name, value in {"frequency": table.frequency, **wanted.values}.items()]
     else:
-        table, words = _of_recording(recording, rate, channels)
+        from nermo_mjx.view import robot_of
+
+        used = ("recording", "rate", "channels", "out", "send", "topic", "seconds", "as_json", "quiet")
+        for name, flag in options.given().items():
+            if name not in used:
+                raise WrongUse(f"{flag} has no effect with --recording, whose walk is over: leave one of them out.")
+        loaded, words = load_recording(recording), [f"walk {recording.name}"]
+        table = recorded_table(loaded, robot_of(loaded), rate=rate, channels=channels)
     if out is not None:
         try:
             out.parent.mkdir(parents=True, exist_ok=True)
             replace_file(out, table.to_csv(", ".join(words)).encode())
         except OSError as error:
             raise Failure(f"{out}: the table cannot be written ({error.strerror}).") from None
-    sent = None if send is None else _sent(table, send, topic, seconds)
+    sent = None
+    if send is not None:
+        try:
+            with connected(send, topic) as robot:
+                sent = play(table, robot, seconds)
+        except SendError as error:  # nobody there is a failure, and not wrong use
+            raise Failure(str(error)) from None
     lows, highs = table.angles.min(axis=0), table.angles.max(axis=0)
     servos = [{"servo": name, "channel": channel.number, "low_deg": low, "high_deg": high, "speed_deg_per_s": speed}
               for name, channel, low, high, speed
@@ -550,39 +561,3 @@ def servos_command(
                        f"{1e3 * sent.latest:.1f} ms late")  # fmt: skip
 
     return Outcome({**content, "servos": servos}, show)
-
-
-def _of_gait(rate: float | None, channels: Path | None, chosen: dict[str, Any]) -> tuple[ServoTable, list[str]]:
-    """The table of a gait, and what it is in words."""
-    from nermo_mjx.hardware import servo_table
-
-    cycles = chosen.pop("cycles") or 1
-    wanted = plan(pilot="open_loop", scene="flat", physics="reference", **chosen)
-    table = servo_table(wanted.setup, wanted.values, rate=rate, cycles=cycles, channels=channels)
-    words = [f"gait {wanted.setup.gait}", f"spine {wanted.setup.spine}", f"steering {wanted.setup.steering}"]
-    named = {"frequency": table.frequency, **wanted.values}
-    return table, words + [f"{name} {value:g}" for name, value in named.items()]
-
-
-def _of_recording(path: Path, rate: float | None, channels: Path | None) -> tuple[ServoTable, list[str]]:
-    """The table of a recorded walk, and what it is in words."""
-    from nermo_mjx.hardware import recorded_table
-    from nermo_mjx.view import robot_of
-
-    kept = ("recording", "rate", "channels", "out", "send", "topic", "seconds", "as_json", "quiet")
-    for name, flag in options.given().items():
-        if name not in kept:
-            raise WrongUse(f"{flag} has no effect with --recording, whose walk is over: leave one of them out.")
-    recording = load_recording(path)
-    return recorded_table(recording, robot_of(recording), rate=rate, channels=channels), [f"walk {path.name}"]
-
-
-def _sent(table: ServoTable, url: str, topic: str, seconds: float | None) -> Sent:
-    """Send the table; nobody there is a failure, and not wrong use."""
-    from nermo_mjx.hardware.live import SendError, connected, play
-
-    try:
-        with connected(url, topic) as send:
-            return play(table, send, seconds)
-    except SendError as error:
-        raise Failure(str(error)) from None
