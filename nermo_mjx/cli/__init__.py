@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import click
 
-from nermo_mjx.cli import directories, jobs, tools, view, walk
-from nermo_mjx.cli.output import CommandGroup
-from nermo_mjx.trust import only_reads
+from nermo_mjx.cli import directories, jobs, tools, view, walk  # noqa: F401 (each makes its commands)
+from nermo_mjx.cli.output import COMMANDS, CommandGroup
 from nermo_mjx.version import __version__
 
 EPILOG = """\b
@@ -30,17 +29,5 @@ def main() -> None:
     """
 
 
-for command in (
-    jobs.merge_command, directories.compare_command, directories.sensitivity_command, directories.plot_command,
-    directories.status_command, view.view_command, view.render_command, view.play_command,
-):  # fmt: skip
-    assert command.callback is not None
-    command.callback = only_reads(command.callback)
-for command in (
-    *(jobs.sweep_command, jobs.merge_command, walk.replay_command, directories.compare_command),
-    *(directories.sensitivity_command, jobs.search_command, jobs.tune_command, jobs.train_command),
-    *(jobs.landscape_command, jobs.experiment_command, jobs.identify_command, walk.walk_command, walk.drive_command),
-    *(view.render_command, view.view_command, view.play_command, directories.plot_command, directories.status_command),
-    *(tools.schema_command, walk.servos_command, tools.model_command, tools.bench_command, tools.completion_command),
-):
+for command in COMMANDS:
     main.add_command(command)

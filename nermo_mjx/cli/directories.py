@@ -96,7 +96,7 @@ def kind_of_directory(path: Path) -> Kind:
     return KINDS[name]
 
 
-@command("status")
+@command("status", reads=True)
 @click.argument("path", metavar="DIR", type=click.Path(path_type=Path))
 def status_command(path: Path) -> Outcome:
     """Show what DIR contains, its progress, what made it, and how to resume.
@@ -147,7 +147,7 @@ def _worked(sessions: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, str]]:
             yield "", str(each["command"])
 
 
-@command("plot")
+@command("plot", reads=True)
 @click.argument("path", metavar="PATH", type=FileKind(".npz"))
 @click.option("--out", metavar="DIR", type=click.Path(file_okay=False, path_type=Path),
               help="Where the figures go; by default PATH/plots.")  # fmt: skip
@@ -226,7 +226,7 @@ def _drawing(kind: Kind, path: Path, folder: Path, notes: list[str]) -> Iterator
 FOLDER = click.Path(path_type=Path)
 
 
-@command("compare")
+@command("compare", reads=True)
 @click.argument("a", metavar="A", type=FOLDER)
 @click.argument("b", metavar="[B]", required=False, type=FOLDER)
 @click.option("--by", metavar="NAME", shell_complete=options.columns, help="Compare the values of a column in A.")
@@ -329,7 +329,7 @@ def _cells(row: Mapping[str, Any]) -> list[str]:
             "*" if row["beyond_noise"] else ""]  # fmt: skip
 
 
-@command("sensitivity")
+@command("sensitivity", reads=True)
 @click.argument("path", metavar="DIR", type=click.Path(path_type=Path))
 @click.option("--metric", metavar="NAME", default="speed", show_default=True, shell_complete=names(*METRICS),
               help="Whose variance.")  # fmt: skip

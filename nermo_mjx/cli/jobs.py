@@ -211,7 +211,7 @@ def _list_parameters(spec: Path | None) -> Outcome:
     return Outcome({"parameters": listed, "structures": structures}, show)
 
 
-@command("merge")
+@command("merge", reads=True)
 @options.out
 @click.argument("sources", metavar="DIR DIR...", nargs=-1, required=True, type=click.Path(path_type=Path))
 @options.accept_new_code

@@ -134,23 +134,10 @@ def choice(name: str, names: tuple[str, ...], about: str | None = None, **more: 
     return click.option(name, type=click.Choice(names), help=about, **settings)
 
 
-class _SpineModes(click.ParamType):
-    """Names joined by "+", in any order."""
-
-    name = "modes"
-
-    def convert(self, value: str, param: click.Parameter | None, ctx: click.Context | None) -> str:
-        """The same names in the order of `SPINE_MODES`."""
-        given = value.split("+")
-        for each in given:
-            if each not in SPINE_MODES:
-                self.fail(f"{each!r} is not one of {', '.join(map(repr, SPINE_MODES))}.", param, ctx)
-        return "+".join(mode for mode in SPINE_MODES[1:] if mode in given) or "none"
-
-    def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
-        """The last name, with those before it."""
-        before, plus, last = incomplete.rpartition("+")
-        return [CompletionItem(before + plus + mode) for mode in SPINE_MODES if mode.startswith(last)]
+def _modes(context: click.Context, parameter: click.Parameter, incomplete: str) -> list[CompletionItem]:
+    """Completes the last of several names joined by "+"."""
+    before, plus, last = incomplete.rpartition("+")
+    return [CompletionItem(before + plus + mode) for mode in SPINE_MODES if mode.startswith(last)]
 
 
 def number(name: str, about: str, kind: Any = float, **more: Any) -> Callable[[F], F]:
@@ -249,7 +236,7 @@ def gait(function: F) -> F:
         choice("--gait", GAITS, "Trot, walking trot, lateral walk, bound, rotary gallop."),
         number("--frequency", "Gait cycles per second [Hz]."),
         number("--stride", "Stride length, as a fraction of the maximum."),
-        click.option("--spine", type=_SpineModes(), default="none", show_default=True, metavar="NAME[+NAME]",
+        click.option("--spine", default="none", show_default=True, metavar="NAME[+NAME]", shell_complete=_modes,
                      help=f"{', '.join(SPINE_MODES[1:])}; several joined by +. The last two bend the vertical joints "
                      "of nermo_41."),
         number("--spine-amplitude", "Servo amplitude of the stride extension [rad]."),

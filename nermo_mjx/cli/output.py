@@ -20,7 +20,7 @@ from typing import IO, Any, Final, NoReturn
 
 import click
 
-from nermo_mjx.trust import TELL, FileError, one_line, shown
+from nermo_mjx.trust import TELL, FileError, one_line, only_reading, shown
 
 #: Thresholds of Python's garbage collector while a command runs. Tracing creates millions of long-lived objects,
 #: which the collector would visit again and again by default: a fifth of the time that tracing takes.
@@ -186,10 +186,18 @@ class Outcome:
     always: bool = False
 
 
-def command(name: str) -> Callable[[Callable[..., Outcome | None]], click.Command]:
+#: All of them, in the order in which their modules are imported.
+COMMANDS: Final[list[click.Command]] = []
+
+
+def command(name: str, *, reads: bool = False) -> Callable[[Callable[..., Outcome | None]], click.Command]:
     """A command of a function that does the work, and returns how it ended; its `--json` and `--quiet` are added.
 
     Its docstring is the help, whose examples come after the options. Prints of libraries go to standard error.
+
+    Args:
+        name: as it is typed.
+        reads: it runs no Python that files name.
     """
 
     def make(function: Callable[..., Outcome | None]) -> click.Command:
@@ -208,14 +216,11 @@ def command(name: str) -> Callable[[Callable[..., Outcome | None]], click.Comman
             if outcome.failure:
                 raise Failure(outcome.failure)
 
-        decorated: Any = run
-        decorated.__click_params__ = [
-            click.Option(["--quiet", "-q"], is_flag=True, help="Print errors only, no progress or summary."),
-            click.Option(
-                ["--json", "as_json"], is_flag=True, help="Print one JSON object on standard output, nothing else."
-            ),
-            *getattr(function, "__click_params__", ()),
-        ]
+        decorated: Any = only_reading()(run) if reads else run
+        quietly = click.Option(["--quiet", "-q"], is_flag=True, help="Print errors only, no progress or summary.")
+        about = "Print one JSON object on standard output, nothing else."
+        as_json = click.Option(["--json", "as_json"], is_flag=True, help=about)
+        decorated.__click_params__ = [quietly, as_json, *getattr(function, "__click_params__", ())]
         return plain_command(name)(decorated)
 
     return make
@@ -226,7 +231,9 @@ def plain_command(name: str) -> Callable[[Callable[..., None]], click.Command]:
 
     def make(function: Callable[..., None]) -> click.Command:
         text, *lists = re.split(r"\n\n(?=(?:Examples|Cases):\n)", inspect.getdoc(function) or "")
-        return click.command(name, help=text, epilog="\n\n".join(f"\b\n{each}" for each in lists))(function)
+        made = click.command(name, help=text, epilog="\n\n".join(f"\b\n{each}" for each in lists))(function)
+        COMMANDS.append(made)
+        return made
 
     return make
 

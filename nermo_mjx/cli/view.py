@@ -6,7 +6,7 @@ import os
 import sys
 import tempfile
 import webbrowser
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -52,7 +52,7 @@ def figures(path: Path, *, notify: Callable[[str], None]) -> Figures:
     return figures_of(load_recording(path), notify)
 
 
-@command("render")
+@command("render", reads=True)
 @click.argument("recordings", metavar="FILE.npz...", nargs=-1, required=True, type=options.RECORDING)
 @options.file("--out", ".mp4", "MP4 (H.264), GIF or WebP.", required=True)
 @options.camera
@@ -73,10 +73,7 @@ def render_command(recordings: tuple[Path, ...], out: Path, **drawn: Any) -> Out
       nermo-mjx render walk.npz other.npz --out both.mp4 --overlay gait
     """
     loaded = [load_recording(path) for path in recordings]
-    if len(loaded) == 1:
-        render_video(loaded[0], out, **drawn)
-    else:
-        _render_side_by_side([path.stem for path in recordings], loaded, out, **drawn)
+    render_video(loaded, out, [path.stem for path in recordings], **drawn)
     seconds = min(each.duration for each in loaded) / drawn["speed"]
     content = {"video": out, "seconds": seconds, **{name: drawn[name] for name in ("width", "height", "fps")}}
     return Outcome(content, files=[out])
@@ -95,35 +92,32 @@ def save_run(recording: Recording, record: Path | None, video: Path | None, came
     if record is not None:
         recording.save(record)
     if video is not None:
-        render_video(recording, video, camera=camera)
+        render_video([recording], video, camera=camera)
 
 
-def render_video(recording: Recording, path: Path, **drawn: Any) -> None:
-    """Render with a progress bar; the robot is built from the recording's own setup."""
+def render_video(recordings: Sequence[Recording], path: Path, names: Sequence[str] = ("",), **drawn: Any) -> None:
+    """Render with a progress bar; several side by side, each below its name, its title and its figures.
+
+    Robots are built from the recordings' own setups.
+    """
     from nermo_mjx.view import render, robot_of, shown_model
-
-    model = shown_model(recording, robot_of(recording))
-    with Progress("video", "frames") as progress:
-        render(recording, model, path, progress=progress.count, **drawn)
-
-
-def _render_side_by_side(names: list[str], recordings: list[Recording], path: Path, **drawn: Any) -> None:
-    """Render several recordings of one robot, each below the name of its file, its title and its figures."""
-    from nermo_mjx.view import robot_of, shown_model
     from nermo_mjx.view.recorded import headline_of, title_of
     from nermo_mjx.view.video import Pane, render_side_by_side
 
-    panes = []
-    for name, each in zip(names, recordings, strict=True):
-        figures = ", ".join(" ".join(row) for row in headline_of(each))
-        lines = [line for line in (title_of(each), figures) if line]
-        panes.append(Pane(each, name, lines, shown_model(each, robot_of(each))))
-    robot = robot_of(recordings[0])
+    robots = [robot_of(each) for each in recordings]
+    models = [shown_model(*each) for each in zip(recordings, robots, strict=True)]
     with Progress("video", "frames") as progress:
-        render_side_by_side(panes, robot.model, path, progress=progress.count, **drawn)
+        if len(recordings) == 1:
+            render(recordings[0], models[0], path, progress=progress.count, **drawn)
+            return
+        panes = []
+        for each, name, model in zip(recordings, names, models, strict=True):
+            figures = ", ".join(" ".join(row) for row in headline_of(each))
+            panes.append(Pane(each, name, list(filter(None, (title_of(each), figures))), model))
+        render_side_by_side(panes, robots[0].model, path, progress=progress.count, **drawn)
 
 
-@command("play")
+@command("play", reads=True)
 @click.argument("recording", metavar="FILE.npz", type=options.RECORDING)
 @options.number("--speed", "1 is real time, 0.25 a quarter of it.", options.POSITIVE, default=1.0)
 @click.option("--once", is_flag=True, help="Stop at the end instead of looping.")
@@ -152,7 +146,7 @@ def play_command(recording: Path, speed: float, once: bool, xml: Path | None, ra
     return Outcome(content, lambda: None if xml is None else click.echo(f"wrote {xml}, with {keys} keyframes"))
 
 
-@command("view")
+@command("view", reads=True)
 @click.argument("path", metavar="PATH", type=FileKind(".npz"))
 @click.argument("other", metavar="[OTHER.npz]", required=False, type=options.RECORDING)
 @options.file("--out", ".html", "Write the page to this file.")

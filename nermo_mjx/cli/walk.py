@@ -25,15 +25,11 @@ if TYPE_CHECKING:
     from nermo_mjx.rollout import Run, Setup
 
 
-#: Options that set one parameter, and the setup for which the parameter has an effect.
-PARAMETER_OPTIONS: dict[str, tuple[str, tuple[str, str] | None]] = {
-    "frequency": ("frequency", None),
-    "stride": ("stride", None),
-    "spine_amplitude": ("spine.amplitude", ("spine", "stride_extension")),
-    "spine_phase": ("spine.phase", ("spine", "stride_extension")),
-    "turn_rate": ("pilot.turn_rate", ("pilot", "open_loop")),
-    "offset_compensation": ("spine.offset_compensation", None),
-}
+#: Options that set one parameter.
+PARAMETER_OPTIONS = {
+    "frequency": "frequency", "stride": "stride", "spine_amplitude": "spine.amplitude", "spine_phase": "spine.phase",
+    "turn_rate": "pilot.turn_rate", "offset_compensation": "spine.offset_compensation",
+}  # fmt: skip
 SETUP_OPTIONS = ("robot", "scene", "tail", "physics", "gait", "spine", "steering", "profile", "trajectory",
                  "head", "tail_motion", "controller", "metrics")  # fmt: skip
 DEFAULT_CYCLES, DEFAULT_WARMUP = 8.0, 2.0
@@ -72,25 +68,26 @@ def plan(
     cycles: float | None = None, duration: float | None = None, warmup: float | None = None, **options: Any,
 ) -> Plan:  # fmt: skip
     """Join and check the options; raises `WrongUse` or `ParameterError`."""
+    from nermo_mjx.control.spine_modes import mode_names
     from nermo_mjx.robot.quantity import values_of
     from nermo_mjx.rollout import Setup, all_parameters
     from nermo_mjx.specs.walk import unread
 
     pilot = pilot or ("straight" if options["turn_rate"] is None else "open_loop")
     chosen = {name: options[name] for name in SETUP_OPTIONS if options.get(name) is not None}
+    chosen["spine"] = "+".join(mode_names(chosen["spine"])) or "none"
     setup = Setup(pilot=pilot, schedule=tuple(map(_switch, switches)), **chosen)
     known = all_parameters(setup)
     values: dict[str, float] = {} if seed is None else _shifted_start(seed)
-    for option, (name, needs) in PARAMETER_OPTIONS.items():
+    for option, name in PARAMETER_OPTIONS.items():
         if options[option] is None:
             continue
         flag = f"--{option.replace('_', '-')}"
         if name not in known:
             raise WrongUse(f"{flag} sets {name}, which is not a parameter of {setup.controller}.")
-        if needs is not None and unread(setup, name):
-            raise WrongUse(
-                f"{flag} has no effect with --{needs[0]} {getattr(setup, needs[0])}: add --{needs[0]} {needs[1]}."
-            )
+        if needed := unread(setup, name):
+            choice, wanted = needed
+            raise WrongUse(f"{flag} has no effect with --{choice} {getattr(setup, choice)}: add --{choice} {wanted}.")
         values[name] = options[option]
     values |= assigned(assignments, known)
     for name, value in values.items():
