@@ -64,16 +64,10 @@ def compare(ours: Callable[[], object], plain: Callable[[], object], rounds: int
     """(seconds of `ours`, seconds of `plain`, plain over ours), medians over rounds in which both ran, alternately."""
     pairs = []
     for i in range(rounds):
-        if i % 2:
-            plain_seconds, our_seconds = seconds(plain), seconds(ours)
-        else:
-            our_seconds, plain_seconds = seconds(ours), seconds(plain)
-        pairs.append((our_seconds, plain_seconds))
-    return (
-        statistics.median(our for our, _ in pairs),
-        statistics.median(plain for _, plain in pairs),
-        statistics.median(plain / our for our, plain in pairs),
-    )
+        took = {work: seconds(work) for work in ((ours, plain) if i % 2 == 0 else (plain, ours))}
+        pairs.append((took[ours], took[plain]))
+    ours_s, plain_s = (statistics.median(times) for times in zip(*pairs, strict=True))
+    return ours_s, plain_s, statistics.median(plain / our for our, plain in pairs)
 
 
 class Compiled(NamedTuple):

@@ -14,7 +14,7 @@ import re
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import IO, Any, Final, NoReturn
 
@@ -203,12 +203,14 @@ def command(name: str, *, reads: bool = False) -> Callable[[Callable[..., Outcom
     def make(function: Callable[..., Outcome | None]) -> click.Command:
         @functools.wraps(function)
         def run(as_json: bool, quiet: bool, **chosen: Any) -> None:
-            with stdout_reserved():
+            with contextlib.redirect_stdout(sys.stderr):
                 outcome = function(**chosen)
             if outcome is None:
                 return
             if as_json:
-                print_json(outcome.content)
+                from nermo_mjx.runs.text import plain
+
+                click.echo(json.dumps(plain(outcome.content), indent=2, allow_nan=False, ensure_ascii=False))
             elif not quiet or outcome.always:
                 outcome.show()
                 for file in outcome.files:
@@ -257,21 +259,6 @@ def say(sentence: str) -> None:
     """Print a sentence about the present command's work on standard error, unless it is quiet."""
     if not is_quiet():
         click.echo(f"{click.get_current_context().info_name}: {sentence}", err=True)
-
-
-def print_json(value: Any) -> None:
-    """Write one JSON object to standard output."""
-    from nermo_mjx.runs.text import plain
-
-    sys.stdout.write(json.dumps(plain(value), indent=2, allow_nan=False, ensure_ascii=False) + "\n")
-    sys.stdout.flush()
-
-
-@contextlib.contextmanager
-def stdout_reserved() -> Iterator[None]:
-    """While a command runs, redirect anything that libraries print to standard error."""
-    with contextlib.redirect_stdout(sys.stderr):
-        yield
 
 
 def print_pairs(pairs: Iterable[tuple[str, Any]]) -> None:

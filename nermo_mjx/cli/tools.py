@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import importlib
 import json
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -13,7 +14,7 @@ from click.shell_completion import get_completion_class
 
 from nermo_mjx.cli import options
 from nermo_mjx.cli.choices import BENCH_CASES, ENGINES, GRADIENT_MODES
-from nermo_mjx.cli.output import Failure, Outcome, columns, command, plain_command, print_table, say, stdout_reserved
+from nermo_mjx.cli.output import Failure, Outcome, columns, command, plain_command, print_table, say
 from nermo_mjx.cli.progress import Progress
 
 if TYPE_CHECKING:
@@ -113,7 +114,7 @@ def schema_command(kind: str, out: Path | None) -> None:
     With "# yaml-language-server: $schema=tune.schema.json" as its first line, a
     file next to it is completed and checked as you type.
     """
-    with stdout_reserved():
+    with contextlib.redirect_stdout(sys.stderr):
         from nermo_mjx.runs.files import replace_file
         from nermo_mjx.specs.fields import schema_of
 
