@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import collections
 import dataclasses
-from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -12,7 +11,6 @@ import pytest
 from mujoco import mjx
 
 from nermo_mjx.robot import LIMBS, assemble, assemble_leg, assemble_spine, load_robot
-from nermo_mjx.robot import parts as parts_module
 from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.meshes.body import leg_shapes, lower, mesh_texts, upper
 from nermo_mjx.robot.meshes.shapes import MM, TENDON
@@ -61,10 +59,9 @@ def test_the_files_are_what_the_script_makes():
 
 
 def test_the_files_are_small_and_all_in_use():
-    """315 kB in all; every file is named in the MJCF, or in what Nermo 4.1 adds to it."""
+    """315 kB in all; every file is named in the MJCF."""
     assert sum(path.stat().st_size for path in FILES) < 320_000
-    sources = (*mjcf_directory().glob("*.xml"), Path(parts_module.__file__))
-    mjcf = "".join(path.read_text() for path in sources)
+    mjcf = "".join(path.read_text() for path in mjcf_directory().glob("*.xml"))
     assert [path.name for path in FILES if f'file="{path.name}"' not in mjcf] == []
 
 

@@ -8,10 +8,8 @@ relies on.
 from __future__ import annotations
 
 import functools
-import itertools
 import math
-import xml.etree.ElementTree as ET
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
 
@@ -74,27 +72,9 @@ def scene_files() -> tuple[str, ...]:
     return tuple(sorted(path.stem for path in (mjcf_directory() / "scenes").glob("*.xml")))
 
 
-#: Changes the tree of an MJCF file.
-Edit = Callable[[ET.Element], None]
-
-
-def load_file(name: str, edit: Edit | None = None) -> mujoco.MjSpec:
-    """The specification in `mjcf/NAME.xml`, editable, with its meshes inside.
-
-    Args:
-        name: of the file.
-        edit: changes the tree of the file before it is compiled.
-    """
-    path = mjcf_directory() / f"{name}.xml"
-    if edit is None:
-        spec = mujoco.MjSpec.from_file(str(path))
-    else:
-        root = ET.parse(path).getroot()
-        edit(root)
-        included = {
-            each.get("file", ""): (path.parent / each.get("file", "")).read_bytes() for each in root.iter("include")
-        }
-        spec = mujoco.MjSpec.from_string(ET.tostring(root, encoding="unicode"), include=included)
+def load_file(name: str) -> mujoco.MjSpec:
+    """The specification in `mjcf/NAME.xml`, editable, with its meshes inside."""
+    spec = mujoco.MjSpec.from_file(str(mjcf_directory() / f"{name}.xml"))
     # Meshes become part of the specification: an assembled or exported model compiles anywhere, without files.
     for mesh in spec.meshes:
         vertices, faces = read_obj(mjcf_directory() / spec.meshdir / mesh.file)
@@ -234,9 +214,9 @@ def load_part(name: str, geometry: Geometry, robot: str = "nermo_lite") -> mujoc
     Args:
         name: `torso`, `head`, `spine`, `hip`, `front_leg`, `rear_leg` (left ones) or `tail`.
         geometry: leaves of shape ().
-        robot: that the part belongs to; see `nermo_41`.
+        robot: that the part belongs to.
     """
-    spec = load_file(name, EDITS.get(name) if robot == "nermo_41" else None)
+    spec = load_file(f"{name}_41" if robot == "nermo_41" and name in ("spine", "head") else name)
     if name in _PLACED:
         _PLACED[name](spec, geometry)
     return spec
@@ -369,9 +349,7 @@ def stance_height(geometry: Geometry) -> float:
 # ---
 # The additional parts of Nermo 4.1: vertical joints in the spine with their servo, and a head that tilts.
 #
-# Both robots come from the same MJCF files; here the parts that only 4.1 has are added to the trees of `spine.xml` and
-# `head.xml`. Each vertical row of Table 5.3, a fixed frame in Nermo-Lite, gets a body with a hinge, which makes eight
-# joints with alternating axes.
+# Both robots share all MJCF files but `spine_41.xml` and `head_41.xml`.
 #
 # The thesis gives the chain, the mass, the length and the number of servos of Nermo 4.1, but not how its tendons run.
 # Servo, guide and tilt axis are those of the author's later model (github.com/a-rohr/mouse_controller, commit 22caf00,
@@ -396,147 +374,33 @@ TILT_AXIS: Final = (0.0, -0.0106, 0.0144)
 #: the author's model, and 405 mm in front of the tip of the tail, as published.
 HEAD_FORWARD: Final = 0.0160
 
-_COUNT: Final = len(SPINE.vertical_joints)
-#: The side of a joint on which the sites of the upper and lower tendon lie; a vertical joint's z is left.
-_SIGNS: Final = {"above": 1.0, "below": -1.0, "left": 1.0, "right": -1.0}
-
-
-def _add_vertical_spine(root: ET.Element) -> None:
-    """Give `spine.xml` vertical joints, with the pulley and the two tendons that bend them."""
-    world, asset, tendon = (_found(root, name) for name in ("worldbody", "asset", "tendon"))
-    for parent in list(root.iter()):
-        for geom in parent.findall("geom[@mesh]"):
-            if geom.get("mesh", "").startswith(("vertebra", "front")):
-                parent.remove(geom)
-        if parent.get("name", "").startswith("vertebra") and parent.tag == "body":
-            parent.append(_geom("segment"))
-    for number, row in enumerate(SPINE.vertical_joints, 1):
-        _add_joint(root, _found(root, f".//frame[@name='row_{row}']"), number)
-    _add_pulley(world)
-    ET.SubElement(asset, "mesh", name="segment", file="spine_segment.obj")
-    ET.SubElement(asset, "mesh", name="servo", file="servo.obj")
-    for side in ("left", "right"):
-        _lead(_found(tendon, f"spatial[@name='{side}']"), side)
-    tendon.extend([_vertical_tendon("above", "right"), _vertical_tendon("below", "left")])
-
-
-def _add_joint(root: ET.Element, frame: ET.Element, number: int) -> None:
-    """The vertical joint `number` (from 1), in the frame of its row: x back, y up, z left, so that a positive angle
-    lifts the hip.
-
-    In the neutral spine the tendons run straight across it, though the spine bends there.
-    """
-    link = ET.Element("body", name=f"link_{number}")
-    link.append(ET.Element("joint", {"name": f"vertical_{number}", "class": "spine", "axis": "0 0 1"}))
-    link.extend([_geom("segment"), _geom("flexure", "rubber", euler="90 0 0")])
-    link.extend(_site(f"{name}_{2 * number - 1}") for name in ("above", "below"))
-    for child in list(frame):
-        frame.remove(child)
-        link.append(child)
-    frame.extend(_site(f"{name}_{2 * number - 2}") for name in ("above", "below"))
-    if number > 1:
-        frame.extend(_site(f"{name}_axis_{number}") for name in ("left", "right"))
-    frame.append(link)
-    if number < _COUNT:
-        lateral = _found(root, f".//site[@name='left_{2 * number - 2}']/..")
-        lateral.extend(_site(f"{name}_axis_{number}") for name in ("above", "below"))
-
-
-def _add_pulley(world: ET.Element) -> None:
-    world.extend(_site(name) for name in ("vertical_left_side", "vertical_right_side", "vertical_guide"))
-    servo = ET.SubElement(world, "frame", name="vertical_servo")
-    servo.append(_geom("servo", "case", pos="0 0 -0.002", euler="0 -90 0"))
-    pulley = ET.SubElement(world, "body", name="vertical_pulley")
-    ET.SubElement(pulley, "joint", name="vertical_pulley", type="hinge", axis="0 0 1")
-    ET.SubElement(pulley, "geom", {"name": "vertical_pulley", "class": "pulley", "size": "0.001 0.001"})
-    pulley.extend([_geom("pulley", "metal"), _geom("pulley_holes", "case"), _site("vertical_rim")])
-
-
-def _lead(tendon: ET.Element, side: str) -> None:
-    """Lead a lateral tendon over the axes of the vertical joints between its segments."""
-    for number in range(_COUNT, 1, -1):
-        behind = _found(tendon, f"site[@site='{side}_{2 * number - 2}']")
-        tendon.insert(list(tendon).index(behind), ET.Element("site", site=f"{side}_axis_{number}"))
-
-
-def _vertical_tendon(name: str, side: str) -> ET.Element:
-    """From the front of the pulley around one side of it, over the guide, and through all vertical joints."""
-    tendon = ET.Element("spatial", name=name, limited="true", range="0 1", width="0.0005", material="tendon")
-    ET.SubElement(tendon, "site", site="vertical_rim")
-    ET.SubElement(tendon, "geom", geom="vertical_pulley", sidesite=f"vertical_{side}_side")
-    for site in ("vertical_guide", *_passed(name)):
-        ET.SubElement(tendon, "site", site=site)
-    return tendon
-
-
-def _passed(name: str) -> Iterator[str]:
-    """The sites of a vertical tendon: before and behind each vertical joint, and the axis of the lateral one."""
-    for number in range(1, _COUNT + 1):
-        yield from (f"{name}_{2 * number - 2}", f"{name}_{2 * number - 1}")
-        if number < _COUNT:
-            yield f"{name}_axis_{number}"
-
 
 def place_vertical_spine(spec: mujoco.MjSpec, ratio: float) -> None:
-    """Position the parts that were added to `spine.xml`.
+    """Position the parts that `spine_41.xml` has in addition.
 
     Args:
         spec: of the spine.
         ratio: of the pulley's radius to the published one.
     """
     half, beside = SPINE.segment_length / 2, SPINE.segment_offset
-    for name, sign in _SIGNS.items():
-        for i, number in itertools.product((0, 1), range(1, _COUNT + 1)):
-            if name in ("above", "below"):
-                spec.site(f"{name}_{2 * number - 2 + i}").pos = np.array([(-half, half)[i], sign * beside, 0.0])
-        for number in range(1, _COUNT + 1):
-            axis = spec.site(f"{name}_axis_{number}")
-            if axis is not None:
-                axis.pos = np.array([0.0, 0.0, sign * beside])
+    # A vertical joint's z is left, and a lateral one's z is up.
+    for name, sign in (("above", 1.0), ("below", -1.0), ("left", 1.0), ("right", -1.0)):
+        for site in spec.sites:
+            kind, _, number = site.name.rpartition("_")
+            if kind == f"{name}_axis":
+                site.pos = np.array([0.0, 0.0, sign * beside])
+            elif kind == name and name in ("above", "below"):
+                site.pos = np.array([half if int(number) % 2 else -half, sign * beside, 0.0])
     for element in (spec.body("vertical_pulley"), spec.frame("vertical_servo")):
         element.pos = np.array(PULLEY)
     spec.body("vertical_pulley").quat = np.array([np.cos(PULLEY_PITCH / 2), np.sin(PULLEY_PITCH / 2), 0.0, 0.0])
-    for side in ("left", "right"):
-        spec.site(f"vertical_{side}_side").pos = np.add(PULLEY, (_SIGNS[side] * SIDE, 0.0, 0.0))
+    for side, sign in (("left", 1.0), ("right", -1.0)):
+        spec.site(f"vertical_{side}_side").pos = np.add(PULLEY, (sign * SIDE, 0.0, 0.0))
     spec.site("vertical_guide").pos = np.array(GUIDE)
     spec.site("vertical_rim").pos = np.array([0.0, -TIE * ratio, 0.0])
-
-
-def _add_head_tilt(root: ET.Element) -> None:
-    """Put the head of `head.xml` on a bracket that pans, with the axis about which it tilts; positive is nose down."""
-    world = _found(root, "worldbody")
-    head = _found(world, "body[@name='head']")
-    pan, *shell = list(head)
-    for element in (pan, *shell):
-        head.remove(element)
-    world.remove(head)
-    neck = ET.SubElement(world, "body", name="neck")
-    neck.extend([pan, _geom("bracket"), head])
-    ET.SubElement(head, "joint", name="head_tilt", type="hinge", axis="1 0 0")
-    ET.SubElement(head, "frame", name="shell").extend(shell)
-    ET.SubElement(_found(root, "asset"), "mesh", name="bracket", file="head_bracket.obj")
 
 
 def place_head_tilt(spec: mujoco.MjSpec) -> None:
     """Put the head on its tilt axis."""
     spec.body("head").pos = np.array(TILT_AXIS)
     spec.frame("shell").pos = np.array([0.0, -HEAD_FORWARD, 0.0]) - TILT_AXIS
-
-
-#: The edits that turn a part of Nermo-Lite into that of Nermo 4.1, by the name of its file.
-EDITS: Final[dict[str, Callable[[ET.Element], None]]] = {"spine": _add_vertical_spine, "head": _add_head_tilt}
-
-
-def _found(element: ET.Element, path: str) -> ET.Element:
-    found = element.find(path)
-    assert found is not None, path
-    return found
-
-
-def _site(name: str) -> ET.Element:
-    return ET.Element("site", {"name": name, "class": "marker"})
-
-
-def _geom(mesh: str, material: str = "", **place: str) -> ET.Element:
-    given = {"material": material} if material else {}
-    return ET.Element("geom", {"class": "visual", "mesh": mesh, **given, **place})
