@@ -41,10 +41,9 @@ def at_contact(model: Any, data: Any) -> Any:
 @functools.partial(jax.jit, static_argnums=0)
 def made(make: Callable[..., Any], model: Any, data: Any, largest: Any) -> tuple[Any, Any]:
     """The contacts' rows with such an impedance: stiffness and reference acceleration."""
-    solimp = rows.contact_solimp(data)
-    changed = rows.with_contact_solimp(data, solimp.at[:, 1].set(largest))
-    stiffness, aref, _ = rows.row_arrays(make(model, changed))
-    return stiffness, aref
+    solimp = rows.inner(data).contact.solimp.at[:, 1].set(largest)
+    found = rows.inner(make(model, data.tree_replace({"_impl.contact.solimp": solimp})))
+    return found.efc_D, found.efc_aref
 
 
 @pytest.mark.parametrize("solref", ["0.005 1", "0.03 1.5", "-3000 -40"])

@@ -63,7 +63,7 @@ def after(kind: str, sparse: bool) -> tuple[mujoco.MjModel, mujoco.MjData, Any]:
             data = mjx.make_data(ours).replace(qpos=qpos, qvel=qvel)
             for each in (tree.kinematics, tree.com_pos, tree.crb, tree.com_vel, tree.rne):
                 data = each(ours, data)
-            return data, rows.inertias(data), mjx.full_m(ours, data)
+            return data, rows.inner(data).cinert, mjx.full_m(ours, data)
 
         found = jax.tree.map(np.asarray, jax.jit(passes)(np.array(data.qpos), np.array(data.qvel)))
     return model, data, found

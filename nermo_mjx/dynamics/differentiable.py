@@ -127,9 +127,9 @@ def _checked(model: mjx.Model, data: mjx.Data) -> Model:
 def solve(model: mjx.Model, data: mjx.Data) -> mjx.Data:
     """As `mjx.solve`, after `stages.acceleration`, converged to the last digit, with the derivative of the solution.
 
-    `rows.solver_rounds` of the result is more than `solver.ROUNDS` if the solver did not converge.
+    `solver_niter` of the result is more than `solver.ROUNDS` if the solver did not converge.
     """
-    if rows.is_unconstrained(data):
+    if rows.inner(data).efc_J.size == 0:
         return data.replace(qacc=data.qacc_smooth)
     layout, problem = rows.read(model, data)
     starts_warm = not model.opt.disableflags & mjx.DisableBit.WARMSTART
@@ -138,7 +138,11 @@ def solve(model: mjx.Model, data: mjx.Data) -> mjx.Data:
     qacc = checkpoint_name(found.qacc, KEPT)
     qacc = _solution(layout, _newton(layout, qacc, jax.lax.stop_gradient(problem)), problem)
     force = constraint.forces(layout, problem, constraint.residual(problem, qacc))
-    return rows.with_solution(data, qacc, force, problem.jacobian.T @ force, found.needed)
+    solved: mjx.Data = data.tree_replace({
+        "qacc": qacc, "qfrc_constraint": problem.jacobian.T @ force, "_impl.efc_force": force,
+        "_impl.solver_niter": found.needed,
+    })  # fmt: skip
+    return solved
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))

@@ -38,10 +38,10 @@ def passive(model: Model, data: mjx.Data) -> mjx.Data:
         # Where both limits are the same, its length at rest has the derivative of both sides.
         beyond = length - jnp.where(length >= high, high, jnp.where(length <= low, low, length))
         stiffness = model.tendon_stiffness + _share(model.tendon_stiffnesspoly, beyond)
-        force -= rows.tendon_jacobian(data).T @ (beyond * stiffness)
+        force -= rows.inner(data).ten_J.T @ (beyond * stiffness)
     if model.ntendon and not is_zero(model.tendon_dampingpoly):
-        rate = rows.tendon_velocity(data)
-        force -= rows.tendon_jacobian(data).T @ (rate * _share(model.tendon_dampingpoly, jnp.abs(rate)))
+        rate = rows.inner(data).ten_velocity
+        force -= rows.inner(data).ten_J.T @ (rate * _share(model.tendon_dampingpoly, jnp.abs(rate)))
     return data.replace(qfrc_passive=force)
 
 
@@ -105,7 +105,7 @@ def actuated(model: Model, data: mjx.Data) -> mjx.Data:
     force = _within_tendons(model, after.actuator_force)
     low, high = model.actuator_forcerange.T
     force = jnp.where(model.actuator_forcelimited, jnp.clip(force, low, high), force)
-    total = rows.actuator_moment(data).T @ force
+    total = rows.inner(data).actuator_moment.T @ force
     if model.flg_gravcomp:
         total += data.qfrc_gravcomp * model.jnt_actgravcomp[model.dof_jntid]
     least, most = model.jnt_actfrcrange[model.dof_jntid].T
@@ -141,7 +141,7 @@ def force_slopes(model: Model, data: mjx.Data) -> Float[Array, " nu"]:
     slope = jnp.where(gains == mjx.GainType.AFFINE, model.actuator_gainprm[:, 2], 0.0)
     muscles = np.flatnonzero(gains == mjx.GainType.MUSCLE)
     if muscles.size:
-        length, rate = data.actuator_length[muscles], rows.actuator_velocity(data)[muscles]
+        length, rate = data.actuator_length[muscles], rows.inner(data).actuator_velocity[muscles]
         fixed = jnp.asarray(model.actuator_lengthrange), model.actuator_acc0, model.actuator_gainprm
         ranges, strength, prm = (each[muscles] for each in fixed)
         by_rate = jax.vmap(jax.grad(support.muscle_gain, argnums=1))

@@ -24,7 +24,12 @@ from nermo_mjx.shapes import Array, Scalar
 
 def make_constraint(model: Model, data: mjx.Data) -> mjx.Data:
     """As `mjx.make_constraint`, of a `prepared` model, which may have more rows than the data was made for."""
-    return rows.with_addresses(mjx.make_constraint(model, data))
+    data = mjx.make_constraint(model, data)
+    made = rows.inner(data)
+    more = len(made.efc_J) - made.nefc
+    if more and made.ncon and len(made.efc_J):  # the contacts' rows follow all others
+        data = data.tree_replace({"_impl.contact.efc_address": made.contact.efc_address + more})
+    return data
 
 
 def stiffness_damping_impedance(
@@ -73,9 +78,9 @@ def with_rates(model: Model, data: mjx.Data) -> mjx.Data:
                 parts.append(_turns(model, data, motion, chosen))
             active = data.eq_active[chosen].astype(motion.dtype)[:, None]
             rates.append((jnp.concatenate(parts, 1) * active).ravel())
-    stiffness, aref, _ = rows.row_arrays(data)
     rate = jnp.concatenate(rates)
-    return rows.with_row_arrays(data, stiffness, aref.at[: rate.size].add(-rate))
+    data = data.tree_replace({"_impl.efc_aref": rows.inner(data).efc_aref.at[: rate.size].add(-rate)})
+    return data
 
 
 def _bodies(model: Model, chosen: np.ndarray) -> tuple[list[np.ndarray], list[np.ndarray], np.ndarray]:

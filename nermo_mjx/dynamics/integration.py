@@ -71,11 +71,11 @@ def _implicit_acceleration(model: Model, data: mjx.Data) -> Dofs:
     """
     slope = -jnp.diag(damping(model.dof_damping, model.dof_dampingpoly, data.qvel))
     if model.ntendon:
-        arms = rows.tendon_jacobian(data)
-        held = damping(model.tendon_damping, model.tendon_dampingpoly, rows.tendon_velocity(data))
+        arms = rows.inner(data).ten_J
+        held = damping(model.tendon_damping, model.tendon_dampingpoly, rows.inner(data).ten_velocity)
         slope -= arms.T @ (held[:, None] * arms)
     if model.nu and not model.opt.disableflags & mjx.DisableBit.ACTUATION:
-        moment = rows.actuator_moment(data)
+        moment = rows.inner(data).actuator_moment
         slope += moment.T @ (force_slopes(model, data)[:, None] * moment)
     both = mjx.DisableBit.SPRING | mjx.DisableBit.DAMPER
     if model.opt._impl.has_fluid_params and model.opt.disableflags & both != both:

@@ -45,7 +45,7 @@ class PlaceConstants:
         linear, angular = jax.vmap(lambda point, body: point_jacobian(model, data, point, body))(data.xipos, bodies)
         linear, angular = jnp.swapaxes(linear, 1, 2), jnp.swapaxes(angular, 1, 2)
         principal = jnp.einsum("bij,bik->bjk", data.ximat, angular)
-        tendon, moment = rows.tendon_jacobian(data), rows.actuator_moment(data)
+        tendon, moment = rows.inner(data).ten_J, rows.inner(data).actuator_moment
         jacobians = Jacobians(linear, angular, principal, tendon, moment)
         return self._constants(model.body_mass, model.body_inertia, jacobians)
 

@@ -30,7 +30,10 @@ def position(model: Model, data: mjx.Data) -> mjx.Data:
 @with_point_jacobians
 def velocity(model: Model, data: mjx.Data) -> mjx.Data:
     """As `mjx.fwd_velocity`, with the rates of equalities' Jacobians (see `impedance`)."""
-    data = impedance.with_rates(model, tree.com_vel(model, rows.with_velocities(data)))
+    inner = rows.inner(data)
+    rates = {"actuator_velocity": inner.actuator_moment @ data.qvel, "ten_velocity": inner.ten_J @ data.qvel}
+    data = data.tree_replace({f"_impl.{name}": rate for name, rate in rates.items()})
+    data = impedance.with_rates(model, tree.com_vel(model, data))
     data = tree.rne(model, passive(model, data))
     return data if is_zero(model.tendon_armature) else mjx.tendon_bias(model, data)
 

@@ -145,7 +145,8 @@ def com_pos(model: mjx.Model, data: mjx.Data) -> mjx.Data:
     centre = subtree[np.asarray(model.body_rootid)]
     inertia = spatial.inertia_about(model.body_inertia, data.ximat, data.xipos - centre, mass)
     data = data.replace(subtree_com=subtree)
-    return rows.with_inertias(data, inertia, _axes(model, data, centre))
+    data = data.tree_replace({"_impl.cinert": inertia, "cdof": _axes(model, data, centre)})
+    return data
 
 
 def _axes(model: mjx.Model, data: mjx.Data, centre: Float[Array, "nbody 3"]) -> Float[Array, "nv 6"]:
@@ -169,7 +170,7 @@ def _axes(model: mjx.Model, data: mjx.Data, centre: Float[Array, "nbody 3"]) -> 
 
 def crb(model: mjx.Model, data: mjx.Data) -> mjx.Data:
     """As `mjx.crb`: the joint-space inertia, from the inertias of subtrees."""
-    tree, inertia = tree_of(model), rows.inertias(data)
+    tree, inertia = tree_of(model), rows.inner(data).cinert
     carried = tree.below[np.asarray(model.dof_bodyid)].astype(inertia.dtype) @ inertia
     lower = spatial.momentum(carried, data.cdof) @ data.cdof.T
     return rows.with_joint_inertia(model, data, lower + jnp.diag(model.dof_armature))
@@ -184,7 +185,7 @@ def com_vel(model: mjx.Model, data: mjx.Data) -> mjx.Data:
 
 def rne(model: mjx.Model, data: mjx.Data) -> mjx.Data:
     """As `mjx.rne`: the joint forces due to gravity and velocities."""
-    tree, inertia = tree_of(model), rows.inertias(data)
+    tree, inertia = tree_of(model), rows.inner(data).cinert
     falls = jnp.concatenate([jnp.zeros(3, inertia.dtype), -model.opt.gravity])
     if model.opt.disableflags & mjx.DisableBit.GRAVITY:
         falls = jnp.zeros_like(falls)

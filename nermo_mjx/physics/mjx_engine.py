@@ -162,7 +162,8 @@ class MjxEngine:
 
     def is_unsolved(self, data: mjx.Data) -> Truth:
         """Whether the constraint solver did not converge in the step that produced the data."""
-        return rows.solver_rounds(data) > ROUNDS
+        unsolved: Truth = rows.inner(data).solver_niter > ROUNDS
+        return unsolved
 
     @full_precision
     def start(self, params: Any, qpos: Array, qvel: Array, sensordata: Array) -> Carry:
