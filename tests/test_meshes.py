@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import collections
 import dataclasses
+import runpy
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -12,7 +14,7 @@ from mujoco import mjx
 
 from nermo_mjx.robot import LIMBS, assemble, assemble_leg, assemble_spine, load_robot
 from nermo_mjx.robot.geometry import Geometry
-from nermo_mjx.robot.meshes.body import leg_shapes, lower, mesh_texts, upper
+from nermo_mjx.robot.meshes.body import grooved_pulley, lower, upper
 from nermo_mjx.robot.meshes.shapes import MM, TENDON
 from nermo_mjx.robot.parameters import FRONT_LEG
 from nermo_mjx.robot.parts import load_part, mjcf_directory, read_obj
@@ -51,8 +53,8 @@ def volume(vertices: np.ndarray, faces: np.ndarray) -> float:
 
 
 def test_the_files_are_what_the_script_makes():
-    """After a change: `python -m nermo_mjx.robot.meshes`."""
-    texts = mesh_texts()
+    """After a change: `python docs/meshes.py`."""
+    texts = runpy.run_path(str(Path(__file__).parents[1] / "docs" / "meshes.py"))["mesh_texts"]()
     assert {path.name for path in FILES} == set(texts)
     for path in FILES:
         assert path.read_bytes() == texts[path.name].encode("ascii"), path.name
@@ -93,7 +95,7 @@ def test_a_longer_leg_gets_longer_links():
 
 def test_the_tendon_lies_in_the_pulleys_groove():
     """The groove's floor is the published radius less the tendon's; the rim stands above the tendon."""
-    x, y, z = leg_shapes(Geometry())["leg_pulley"].vertices.T
+    x, y, z = grooved_pulley(MM * FRONT_LEG.pulley_radius, 1.5).vertices.T
     radius, outer = np.hypot(y, z), np.abs(x) < 0.6
     floor = radius[outer & (radius > 5.0)].max()
     assert MM * FRONT_LEG.pulley_radius - TENDON - 0.2 < floor < MM * FRONT_LEG.pulley_radius - TENDON

@@ -6,6 +6,7 @@ import copy
 import dataclasses
 import functools
 import hashlib
+import itertools
 from typing import Any
 
 import jax
@@ -18,6 +19,7 @@ from nermo_mjx.robot.assembly import RobotConfig, assemble, default_parameters
 from nermo_mjx.robot.equipment import chain_of
 from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.masses import MassModel, is_front, physical_model, reduced_model
+from nermo_mjx.robot.meshes.body import redraw
 from nermo_mjx.robot.model_parameters import gravity_values
 from nermo_mjx.robot.parameters import LIMBS, Sensors
 from nermo_mjx.robot.quantity import ParameterError, quantities, replace_quantities, values_of
@@ -70,25 +72,16 @@ class _Compiled:
 
     @functools.cached_property
     def sensor_slices(self) -> dict[str, slice]:
-        model, n = self.model, self.model.nu
-        start = {model.sensor(i).name: int(model.sensor_adr[i]) for i in range(model.nsensor)}
-        servo = model.actuator(0).name
-        return {
-            "position": slice(start["position"], start["position"] + 3),
-            "orientation": slice(start["orientation"], start["orientation"] + 4),
-            "linear_velocity": slice(start["linear_velocity"], start["linear_velocity"] + 3),
-            "gyro": slice(start["gyro"], start["gyro"] + 3),
-            "accelerometer": slice(start["accelerometer"], start["accelerometer"] + 3),
-            "servo_angle": slice(start[f"{servo}_angle"], start[f"{servo}_angle"] + n),
-            "servo_velocity": slice(start[f"{servo}_velocity"], start[f"{servo}_velocity"] + n),
-            "servo_torque": slice(start[f"{servo}_torque"], start[f"{servo}_torque"] + n),
-            "knee_angle": slice(start[f"{servo}_torque"] + n, start["front_left_foot_force"]),
-            "foot_force": slice(start["front_left_foot_force"], start["front_left_foot_force"] + 4),
-            "foot_position": slice(start["front_left_foot_position"], start["front_left_foot_position"] + 12),
-            "foot_velocity": slice(start["front_left_foot_velocity"], start["front_left_foot_velocity"] + 12),
-            "tail_force": slice(start["tail_tip_force"], start["contact_distance"]),
-            "contact_distance": slice(start["contact_distance"], model.nsensordata),
-        }
+        """Entries of `sensordata` by field of `Sensors`, in the order of `add_sensors`."""
+        n = self.model.nu
+        sizes = {
+            "position": 3, "orientation": 4, "linear_velocity": 3, "gyro": 3, "accelerometer": 3, "servo_angle": n,
+            "servo_velocity": n, "servo_torque": n, "knee_angle": np.size(self.joints.knee), "foot_force": 4,
+            "foot_position": 12, "foot_velocity": 12,
+        }  # fmt: skip
+        sizes |= {"tail_force": self.model.nsensordata - sum(sizes.values()) - 1, "contact_distance": 1}
+        ends = itertools.accumulate(sizes.values())
+        return {name: slice(end - size, end) for (name, size), end in zip(sizes.items(), ends, strict=True)}
 
     @functools.cached_property
     def mass_model(self) -> MassModel:
@@ -137,8 +130,6 @@ class Robot:
 
     def spec_with_geometry(self, geometry: Geometry) -> mujoco.MjSpec:
         """An editable specification, from which `with_geometry` is compiled."""
-        from nermo_mjx.robot.meshes.body import redraw  # needs splines, which a walk need not wait for
-
         spec = self._with(geometry)
         redraw(spec, geometry)
         return spec

@@ -159,13 +159,6 @@ def turned_part(profile: Any, sides: int = 20) -> Shape:
     return loft([[x, 0.0, 0.0] + radius * circle for x, radius in np.asarray(profile, float)])
 
 
-def ball(centre: Sequence[float], radii: Sequence[float], sides: int = 14, rows: int = 8) -> Shape:
-    """An ellipsoid [mm]."""
-    t = np.linspace(0.2, np.pi - 0.2, rows)
-    unit = turned_part(np.stack([-np.cos(t), np.sin(t)], axis=1), sides)
-    return Shape(unit.vertices * np.asarray(radii, float) + np.asarray(centre, float), unit.faces)
-
-
 def tube(path: Any, radii: Any, sides: int = 6, up: Sequence[float] = (0.0, 1.0, 0.0), closed: bool = False) -> Shape:
     """An elliptic tube along a path (N, 3) [mm].
 
