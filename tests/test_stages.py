@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from mujoco.mjx._src import forward
 
-from nermo_mjx.dynamics import differentiable, stages
+from nermo_mjx.dynamics import differentiable
 
 #: What MJX calls with (model, data), in its order.
 STAGES = {
@@ -28,7 +28,11 @@ STAGES = {
     "step": ["forward", "euler", "rungekutta4", "implicit"],
 }  # fmt: skip
 #: What stands in place of it here, under names of its own; `passive` and `rne` do not see each other.
-OURS = {"fwd_position": stages.position, "fwd_velocity": stages.velocity, "forward": differentiable._forward}
+OURS = {
+    "fwd_position": differentiable.position,
+    "fwd_velocity": differentiable.velocity,
+    "forward": differentiable._forward,
+}
 RENAMED = {f"fwd_{name}": name for name in ("position", "velocity", "actuation", "acceleration")} | {
     "tendon_armature": "with_tendon_inertia"
 }

@@ -20,7 +20,7 @@ import mujoco
 import numpy as np
 
 from nermo_mjx.bench.machine import compile_cold, seconds
-from nermo_mjx.dynamics import differentiable, stages
+from nermo_mjx.dynamics import differentiable
 from nermo_mjx.dynamics.impedance import make_constraint
 from nermo_mjx.dynamics.integration import integrate
 from nermo_mjx.dynamics.mjx_import import mjx
@@ -43,8 +43,8 @@ MJX_STAGES: Final[dict[str, Stage]] = {
     "inertia": mjx.crb,
     "collision": mjx.collision,
     "constraint": lambda m, d: mjx.transmission(m, make_constraint(m, d)),
-    "velocity": stages.velocity,
-    "forces": lambda m, d: stages.acceleration(m, mjx.fwd_actuation(m, d)),
+    "velocity": differentiable.velocity,
+    "forces": lambda m, d: differentiable.acceleration(m, mjx.fwd_actuation(m, d)),
     "solver": differentiable.solve,
     "sensors": lambda m, d: mjx.sensor_acc(m, mjx.sensor_vel(m, mjx.sensor_pos(m, d))),
     "integration": lambda m, d: integrate(m, d, differentiable.forward),

@@ -23,13 +23,17 @@ import jax
 from jax.ad_checkpoint import checkpoint_name
 from jax.scipy.linalg import cho_factor, cho_solve
 
-from nermo_mjx.dynamics import constraint, rows, solver, stages
+from nermo_mjx.dynamics import constraint, impedance, rows, solver, tree
 from nermo_mjx.dynamics.checkpointing import KEPT
+from nermo_mjx.dynamics.forces import actuation, passive
+from nermo_mjx.dynamics.impedance import make_constraint
 from nermo_mjx.dynamics.integration import INTEGRATORS, integrate
+from nermo_mjx.dynamics.jacobians import with_point_jacobians
 from nermo_mjx.dynamics.mjx_import import Model, collision_driver, mjx
 from nermo_mjx.dynamics.precision import full_precision
-from nermo_mjx.dynamics.preparing import prepared
+from nermo_mjx.dynamics.preparing import is_zero, prepared
 from nermo_mjx.dynamics.rows import Layout, Problem
+from nermo_mjx.dynamics.spatial import solve_definite
 from nermo_mjx.shapes import Array, Dofs
 
 
@@ -80,10 +84,49 @@ def forward(model: mjx.Model, data: mjx.Data) -> mjx.Data:
 
 
 def _forward(model: Model, data: mjx.Data) -> mjx.Data:
-    data = mjx.sensor_pos(model, stages.position(model, data))
-    data = mjx.sensor_vel(model, stages.velocity(model, data))
-    data = stages.acceleration(model, stages.actuation(model, data))
+    data = mjx.sensor_pos(model, position(model, data))
+    data = mjx.sensor_vel(model, velocity(model, data))
+    data = acceleration(model, actuation(model, data))
     return mjx.sensor_acc(model, solve(model, data))
+
+
+# ---
+# The stages of MJX's forward dynamics, without terms that are known to be zero at trace time.
+#
+# MJX computes the inertia and the bias of tendons with armature, and the joint forces of wrenches on bodies, even if
+# there are none; for this robot that is a third of the operations. XLA cannot know that a product with zero is zero.
+
+
+@with_point_jacobians
+def position(model: Model, data: mjx.Data) -> mjx.Data:
+    """As `mjx.fwd_position`, with constraint rows whose derivatives are finite (see `impedance`)."""
+    data = mjx.camlight(model, tree.com_pos(model, tree.kinematics(model, data)))
+    data = tree.crb(model, mjx.tendon(model, data))
+    if not is_zero(model.tendon_armature):
+        data = rows.with_tendon_inertia(model, data)
+    if model.opt.solver == mjx.SolverType.CG:  # Newton's method never reads the factors
+        data = mjx.factor_m(model, data)
+    return mjx.transmission(model, make_constraint(model, mjx.collision(model, data)))
+
+
+@with_point_jacobians
+def velocity(model: Model, data: mjx.Data) -> mjx.Data:
+    """As `mjx.fwd_velocity`, with the rates of equalities' Jacobians (see `impedance`)."""
+    inner = rows.inner(data)
+    rates = {"actuator_velocity": inner.actuator_moment @ data.qvel, "ten_velocity": inner.ten_J @ data.qvel}
+    data = data.tree_replace({f"_impl.{name}": rate for name, rate in rates.items()})
+    data = impedance.with_rates(model, tree.com_vel(model, data))
+    data = tree.rne(model, passive(model, data))
+    return data if is_zero(model.tendon_armature) else mjx.tendon_bias(model, data)
+
+
+def acceleration(model: Model, data: mjx.Data) -> mjx.Data:
+    """As `mjx.fwd_acceleration`: the sum of all forces but the constraints', and the acceleration they would give."""
+    if is_zero(data.xfrc_applied):
+        force = data.qfrc_passive - data.qfrc_bias + data.qfrc_actuator + data.qfrc_applied
+    else:
+        force = mjx.fwd_acceleration(model, data).qfrc_smooth
+    return data.replace(qfrc_smooth=force, qacc_smooth=solve_definite(mjx.full_m(model, data), force))
 
 
 def _checked(model: mjx.Model, data: mjx.Data) -> Model:
@@ -125,7 +168,7 @@ def _checked(model: mjx.Model, data: mjx.Data) -> Model:
 
 
 def solve(model: mjx.Model, data: mjx.Data) -> mjx.Data:
-    """As `mjx.solve`, after `stages.acceleration`, converged to the last digit, with the derivative of the solution.
+    """As `mjx.solve`, after `acceleration`, converged to the last digit, with the derivative of the solution.
 
     `solver_niter` of the result is more than `solver.ROUNDS` if the solver did not converge.
     """

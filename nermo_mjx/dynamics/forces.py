@@ -15,6 +15,7 @@ from mujoco.mjx._src import forward as theirs
 from mujoco.mjx._src import support
 
 from nermo_mjx.dynamics import rows, spatial
+from nermo_mjx.dynamics.jacobians import with_point_jacobians
 from nermo_mjx.dynamics.mjx_import import Model, mjx
 from nermo_mjx.dynamics.preparing import is_zero
 from nermo_mjx.shapes import Array, Dofs
@@ -87,8 +88,9 @@ def _joint_springs(model: Model, qpos: Float[Array, " nq"]) -> Dofs:
     return jnp.concatenate(forces)
 
 
-def actuated(model: Model, data: mjx.Data) -> mjx.Data:
-    """As `mjx.fwd_actuation`."""
+@with_point_jacobians
+def actuation(model: Model, data: mjx.Data) -> mjx.Data:
+    """As `mjx.fwd_actuation`, with early activations, and a derivative where a tendon's force is zero."""
     unlimited = model
     if np.any(model.tendon_actfrclimited):
         # MJX divides by a tendon's force where it is zero: the limits are applied below instead.

@@ -70,7 +70,9 @@ class Variation:
 
     def __init__(self, robot: Robot) -> None:
         model = robot.physical
-        self.model, self._robot, self._hinges = model, robot, robot.config.hinges
+        self.model, self._hinges = model, robot.config.hinges
+        #: Created once for each combination of names of lengths.
+        self._geometry = functools.cache(functools.partial(GeometryFields, robot))
         names = [model.joint(i).name for i in range(model.njnt)]
         dof = {name: int(model.jnt_dofadr[i]) for i, name in enumerate(names)}
 
@@ -187,16 +189,6 @@ class Variation:
             name: placed.get(name, jnp.asarray(getattr(model, name), float)).at[geoms].set(value)
             for name, value in moved.items()
         }
-
-    @functools.cached_property
-    def _geometries(self) -> dict[tuple[str, ...], GeometryFields]:
-        return {}
-
-    def _geometry(self, lengths: tuple[str, ...]) -> GeometryFields:
-        """Created once for each combination of names."""
-        if lengths not in self._geometries:
-            self._geometries[lengths] = GeometryFields(self._robot, lengths)
-        return self._geometries[lengths]
 
     def batch(self, parameters: ModelParameters, worlds: int, named: Iterable[str]) -> dict[str, np.ndarray]:
         """The fields that the named parameters affect, (worlds, ...) each; the others keep the model's values.

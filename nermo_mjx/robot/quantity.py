@@ -11,7 +11,7 @@ import dataclasses
 import difflib
 import functools
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, TypeVar, dataclass_transform
 
 import jax
@@ -111,11 +111,11 @@ def quantities(tree: Any, prefix: str = "") -> Iterator[tuple[str, Quantity]]:
     A vector quantity yields one entry per component, `name.label`. A sub-tree contributes its field name as prefix.
     Fields that are neither are skipped.
     """
-    for name, about, component in _walk(tree, prefix):
-        if component is None:
+    for name, about, _ in _fields(tree, prefix):
+        if not about.labels:
             yield name, about
-        else:
-            yield name, _of_component(about, component)
+        for i, label in enumerate(about.labels):
+            yield f"{name}.{label}", _of_component(about, i)
 
 
 def gathered(known: Mapping[str, Quantity]) -> Iterator[tuple[str, Quantity]]:
@@ -138,15 +138,11 @@ def gathered(known: Mapping[str, Quantity]) -> Iterator[tuple[str, Quantity]]:
 
 def values_of(tree: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
     """Yield (dotted name, value) of every scalar parameter of a tree, in the order of `quantities`."""
-    for field in dataclasses.fields(tree) if dataclasses.is_dataclass(tree) else ():
-        about, value = field.metadata.get("quantity"), getattr(tree, field.name)
-        if about is None:
-            yield from values_of(value, prefix + _prefix(field))
-        elif about.labels:
-            parts = value if isinstance(value, jax.Array) else np.asarray(value)
-            yield from ((f"{prefix}{field.name}.{label}", parts[..., i]) for i, label in enumerate(about.labels))
-        else:
-            yield prefix + field.name, value
+    for name, about, value in _fields(tree, prefix):
+        if not about.labels:
+            yield name, value
+        parts = value if isinstance(value, jax.Array) or not about.labels else np.asarray(value)
+        yield from ((f"{name}.{label}", parts[..., i]) for i, label in enumerate(about.labels))
 
 
 def replace_quantities(tree: T, values: Mapping[str, Any]) -> T:
@@ -155,7 +151,7 @@ def replace_quantities(tree: T, values: Mapping[str, Any]) -> T:
     A value may be a number, a numpy array or a traced array, of any batch shape; a component of a vector quantity is
     written into the last axis. Values are not checked: see `check_quantities`.
     """
-    unknown = set(values) - {name for name, _, _ in _walk(tree, "")} if values else None
+    unknown = set(values) - {name for name, _ in quantities(tree)} if values else None
     if unknown:
         raise ParameterError(f"{sorted(unknown)[0]} is not a parameter.")
     return _replace(tree, values, "")
@@ -163,22 +159,24 @@ def replace_quantities(tree: T, values: Mapping[str, Any]) -> T:
 
 def check_quantities(tree: Any, prefix: str = "") -> None:
     """Raise `ParameterError` if any quantity of the tree is not finite or out of range."""
+    for name, about, value in _fields(tree, prefix):
+        try:
+            about.check(name, value)
+        except ParameterError:  # of a vector, the error names the component
+            for i, label in enumerate(about.labels):
+                about.check(f"{name}.{label}", np.asarray(value)[..., i])
+            raise
+
+
+def _fields(tree: Any, prefix: str) -> Iterator[tuple[str, Quantity, Any]]:
+    """Dotted name, quantity and value of every field of a tree; vectors are not divided. A class has no values."""
     for field in dataclasses.fields(tree) if dataclasses.is_dataclass(tree) else ():
-        value, about = getattr(tree, field.name), field.metadata.get("quantity")
-        if about is not None:
-            _check(prefix + field.name, about, value)
+        about = field.metadata.get("quantity")
+        value = getattr(tree, field.name, field.default_factory if about is None else None)
+        if about is None:
+            yield from _fields(value, prefix + _prefix(field))
         else:
-            check_quantities(value, prefix + _prefix(field))
-
-
-def _check(name: str, about: Quantity, value: Any) -> None:
-    """Check a scalar, or a whole vector; the error names the invalid component."""
-    try:
-        about.check(name, value)
-    except ParameterError:
-        for i, label in enumerate(about.labels):
-            about.check(f"{name}.{label}", np.asarray(value)[..., i])
-        raise
+            yield prefix + field.name, about, value
 
 
 def _prefix(field: dataclasses.Field[Any]) -> str:
@@ -193,18 +191,6 @@ def _of_component(about: Quantity, component: int) -> Quantity:
     return dataclasses.replace(about, default=about.default[component], labels=())
 
 
-def _walk(tree: Any, prefix: str) -> Iterator[tuple[str, Quantity, int | None]]:
-    for field in dataclasses.fields(tree) if dataclasses.is_dataclass(tree) else ():
-        about = field.metadata.get("quantity")
-        if about is None:
-            yield from _walk(getattr(tree, field.name, field.default_factory), prefix + _prefix(field))
-        elif about.labels:
-            for i, label in enumerate(about.labels):
-                yield f"{prefix}{field.name}.{label}", about, i
-        else:
-            yield prefix + field.name, about, None
-
-
 def _replace(tree: Any, values: Mapping[str, Any], prefix: str) -> Any:
     changes: dict[str, Any] = {}
     for field in dataclasses.fields(tree) if dataclasses.is_dataclass(tree) else ():
@@ -212,21 +198,14 @@ def _replace(tree: Any, values: Mapping[str, Any], prefix: str) -> Any:
         if about is None:
             sub = _replace(value, values, prefix + _prefix(field))
             changes |= {} if sub is value else {field.name: sub}
-        elif about.labels:
-            changes[field.name] = _replace_components(value, about.labels, values, f"{prefix}{field.name}.")
-        elif prefix + field.name in values:
+        elif prefix + field.name in values and not about.labels:
             changes[field.name] = values[prefix + field.name]
+        elif about.labels and any(f"{prefix}{field.name}.{label}" in values for label in about.labels):
+            names = [f"{prefix}{field.name}.{label}" for label in about.labels]
+            parts = [values.get(name, value[..., i]) for i, name in enumerate(names)]
+            xp = jax.numpy if any(isinstance(part, jax.Array) for part in parts) else np
+            changes[field.name] = xp.stack(xp.broadcast_arrays(*parts), axis=-1)
     return dataclasses.replace(tree, **changes) if changes else tree
-
-
-def _replace_components(value: Any, labels: tuple[str, ...], values: Mapping[str, Any], prefix: str) -> Any:
-    if not any(prefix + label in values for label in labels):
-        return value
-    parts = [values.get(prefix + label, value[..., i]) for i, label in enumerate(labels)]
-    traced = any(isinstance(part, jax.Array) for part in parts)
-    stack: Callable[..., Any] = jax.numpy.stack if traced else np.stack
-    broadcast: Callable[..., Any] = jax.numpy.broadcast_arrays if traced else np.broadcast_arrays
-    return stack(broadcast(*parts), axis=-1)
 
 
 def flat(sub: type[T]) -> Any:

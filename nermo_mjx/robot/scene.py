@@ -12,9 +12,9 @@ import functools
 import os
 import warnings
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final, NoReturn, TypeAlias
+from typing import Any, Final, NamedTuple, NoReturn, TypeAlias
 
 import jax.numpy as jnp
 import mujoco
@@ -414,9 +414,7 @@ class Terrain:
         assert self._kind is not None
         pos, quat, size = (jnp.asarray(each, float) for each in self._kind.layout(shape, jnp))
         if self._kind.geom == mujoco.mjtGeom.mjGEOM_HFIELD:
-            (field,) = self._shaped
-            assert isinstance(field, _Field)
-            return field.height(x - pos[0, 0] + field.place[0], y - pos[0, 1] + field.place[1], shape.height)
+            return self._shaped[0].height(x, y, shape.height, pos[0])
         surface = _box_height if self._kind.geom == mujoco.mjtGeom.mjGEOM_BOX else _capsule_height
         # All elements at once, along the last axis.
         rotation = _rotation(quat)
@@ -472,88 +470,71 @@ def _capsule_height(dx: Array, dy: Array, rotation: Array, size: Array) -> Array
     return highest
 
 
-class _Plane:
-    def __init__(self, place: np.ndarray, rotation: np.ndarray) -> None:
-        self.place, self.normal = place, rotation[:, 2]
-        self.bottom = float(place[2])
-        self.level = not self.normal[:2].any()
+class _Surface(NamedTuple):
+    """Ground of one geom.
 
-    def height(self, x: Array, y: Array) -> Array:
-        if self.level:
-            return jnp.full(jnp.broadcast_shapes(x.shape, y.shape), self.place[2], jnp.result_type(float))
-        along = self.normal[0] * (x - self.place[0]) + self.normal[1] * (y - self.place[1])
-        return self.place[2] - along / self.normal[2]
+    Attributes:
+        height: at (x, y), -inf where it is not.
+        bottom: its lowest height [m].
+    """
 
-
-class _Solid:
-    """A box or a capsule."""
-
-    def __init__(self, place: np.ndarray, rotation: np.ndarray, size: np.ndarray, round_: bool) -> None:
-        self.place, self.rotation, self.size, self.round = place, rotation, size, round_
-        up = abs(rotation[2, 2]) * size[1] + size[0] if round_ else np.abs(rotation[2]) @ size
-        self.bottom = float(place[2] - up)
-
-    def height(self, x: Array, y: Array) -> Array:
-        surface = _capsule_height if self.round else _box_height
-        rotation, size = (jnp.asarray(each, jnp.result_type(float)) for each in (self.rotation, self.size))
-        return self.place[2] + surface(x - self.place[0], y - self.place[1], rotation, size)
+    height: Callable[..., Array]
+    bottom: float
 
 
-class _Field:
-    def __init__(
-        self, place: np.ndarray, rotation: np.ndarray, size: np.ndarray, data: np.ndarray, of_waves: bool
-    ) -> None:
-        self.place, self.rotation, self.size, self.form = place, rotation, size, data.shape
-        self.highest = float(size[2])
-        #: None for rough ground, whose points are computed: XLA takes minutes to compile a program with so large a
-        #: table.
-        self.table = None if of_waves else data
-        self.bottom = float(place[2])
-
-    def height(self, x: Array, y: Array, highest: ArrayLike | None = None) -> Array:
-        """Height on the triangles into which MuJoCo divides each cell, for a field of this height; -inf off the
-        field."""
-        rows, columns = self.form
-        dx, dy = x - self.place[0], y - self.place[1]
-        u = (self.rotation[0, 0] * dx + self.rotation[1, 0] * dy) / self.size[0]
-        v = (self.rotation[0, 1] * dx + self.rotation[1, 1] * dy) / self.size[1]
-        column, row = 0.5 * (u + 1.0) * (columns - 1), 0.5 * (v + 1.0) * (rows - 1)
-        i = jnp.clip(jnp.floor(row), 0, rows - 2).astype(int)
-        j = jnp.clip(jnp.floor(column), 0, columns - 2).astype(int)
-        s, t = column - j, row - i
-        origin, right, up, opposite = (
-            self._shares(i, j),
-            self._shares(i, j + 1),
-            self._shares(i + 1, j),
-            self._shares(i + 1, j + 1),
-        )
-        lower = origin + s * (right - origin) + t * (opposite - right)
-        upper = origin + t * (up - origin) + s * (opposite - up)
-        inside = (jnp.abs(u) <= 1.0) & (jnp.abs(v) <= 1.0)
-        share = jnp.where(s >= t, lower, upper)
-        return jnp.where(inside, self.place[2] + (self.highest if highest is None else highest) * share, -jnp.inf)
-
-    def _shares(self, row: Array, column: Array) -> Array:
-        """Heights of points of the field."""
-        if self.table is None:
-            return field_share(column.astype(float), row.astype(float), jnp)
-        return jnp.asarray(self.table, jnp.result_type(float))[row, column]
-
-
-def _surface(model: mujoco.MjModel, geom: int) -> _Plane | _Solid | _Field:
+def _surface(model: mujoco.MjModel, geom: int) -> _Surface:
     rotation = np.zeros(9)
     mujoco.mju_quat2Mat(rotation, model.geom_quat[geom])
     place, turn, size = model.geom_pos[geom].copy(), rotation.reshape(3, 3), model.geom_size[geom].copy()
     name, kind = model.geom(geom).name, mujoco.mjtGeom(int(model.geom_type[geom]))
     if kind in (mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_CAPSULE):
-        return _Solid(place, turn, size, round_=kind == mujoco.mjtGeom.mjGEOM_CAPSULE)
+        capsule = kind == mujoco.mjtGeom.mjGEOM_CAPSULE
+
+        def solid(x: Array, y: Array) -> Array:
+            enters = _capsule_height if capsule else _box_height
+            return place[2] + enters(x - place[0], y - place[1], jnp.asarray(turn, float), jnp.asarray(size, float))
+
+        up = abs(turn[2, 2]) * size[1] + size[0] if capsule else np.abs(turn[2]) @ size
+        return _Surface(solid, float(place[2] - up))
     if kind == mujoco.mjtGeom.mjGEOM_PLANE:
-        if turn[2, 2] < _STEEPEST:
+        normal = turn[:, 2]
+        if normal[2] < _STEEPEST:
             raise ParameterError(f"scene has the ground {name!r}, a plane that is too steep to stand on.")
-        return _Plane(place, turn)
+
+        def plane(x: Array, y: Array) -> Array:
+            if not normal[:2].any():
+                return jnp.full(jnp.broadcast_shapes(x.shape, y.shape), place[2], float)
+            return place[2] - (normal[0] * (x - place[0]) + normal[1] * (y - place[1])) / normal[2]
+
+        return _Surface(plane, float(place[2]))
     field = model.geom_dataid[geom]
     if turn[2, 2] < 1.0 - 1e-6:
         raise ParameterError(f"scene has the ground {name!r}, an hfield that is not level.")
     rows, columns, start = model.hfield_nrow[field], model.hfield_ncol[field], model.hfield_adr[field]
     data = np.array(model.hfield_data[start : start + rows * columns].reshape(rows, columns), float)
-    return _Field(place, turn, model.hfield_size[field].copy(), data, of_waves=name in geom_names("rough"))
+    extent, of_waves = model.hfield_size[field].copy(), name in geom_names("rough")
+
+    def share(row: Array, column: Array) -> Array:
+        """Heights of points of the field. Rough ground is computed: XLA takes minutes to compile so large a table."""
+        if of_waves:
+            return field_share(column.astype(float), row.astype(float), jnp)
+        return jnp.asarray(data, float)[row, column]
+
+    def hills(x: Array, y: Array, highest: ArrayLike = extent[2], moved: Any = None) -> Array:
+        """On the triangles into which MuJoCo divides each cell, for a field of this height and place."""
+        if moved is not None:
+            x, y = x - moved[0] + place[0], y - moved[1] + place[1]
+        dx, dy = x - place[0], y - place[1]
+        u = (turn[0, 0] * dx + turn[1, 0] * dy) / extent[0]
+        v = (turn[0, 1] * dx + turn[1, 1] * dy) / extent[1]
+        column, row = 0.5 * (u + 1.0) * (columns - 1), 0.5 * (v + 1.0) * (rows - 1)
+        i = jnp.clip(jnp.floor(row), 0, rows - 2).astype(int)
+        j = jnp.clip(jnp.floor(column), 0, columns - 2).astype(int)
+        s, t = column - j, row - i
+        origin, right, up, opposite = share(i, j), share(i, j + 1), share(i + 1, j), share(i + 1, j + 1)
+        lower = origin + s * (right - origin) + t * (opposite - right)
+        upper = origin + t * (up - origin) + s * (opposite - up)
+        inside = (jnp.abs(u) <= 1.0) & (jnp.abs(v) <= 1.0)
+        return jnp.where(inside, place[2] + highest * jnp.where(s >= t, lower, upper), -jnp.inf)
+
+    return _Surface(hills, float(place[2]))
