@@ -17,7 +17,6 @@ from conftest import WALKS
 
 from nermo_mjx.dynamics.mjx_import import mjx
 from nermo_mjx.physics import resolve_engine
-from nermo_mjx.physics.c_engine import CEngine
 from nermo_mjx.physics.mjx_engine import MjxState
 from nermo_mjx.rollout import Run
 
@@ -42,44 +41,6 @@ def test_c_engine_equals_one_mj_step_at_a_time(simulator):
             for _ in range(sim.loop.steps_per_tick):
                 mujoco.mj_step(model, data)
             np.testing.assert_array_equal(data.qpos, trace.qpos[world, tick])
-
-
-def test_sparse_jacobians_are_the_dense_ones(simulator):
-    """From the same states in contact, a step with sparse Jacobians accelerates as one with dense ones."""
-    sim = simulator(spine="stride_extension")
-    batch = sim.prepare({name: values[:3] for name, values in WALKS.items()})
-    trace = sim.engine.open(batch.params, batch.qpos, batch.fields).record(40)
-    models = [copy.copy(sim.engine.model) for _ in range(2)]
-    models[1].opt.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
-    for world in range(3):
-        for tick in range(5, 40, 5):
-            sparse, other = (mujoco.MjData(model) for model in models)
-            for model, data in zip(models, (sparse, other), strict=True):
-                data.qpos[:], data.qvel[:] = trace.qpos[world, tick], trace.qvel[world, tick]
-                data.ctrl[:] = trace.ctrl[world, tick]
-                mujoco.mj_forward(model, data)
-            assert sparse.ncon > 0
-            np.testing.assert_allclose(sparse.qacc, other.qacc, atol=1e-6 * np.abs(other.qacc).max())
-
-
-def test_c_engine_does_not_depend_on_the_number_of_threads(simulator):
-    """One thread and two give the same trajectory, bit for bit."""
-    sim = simulator(spine="stride_extension")
-    batch = sim.prepare(WALKS)
-    one, two = (
-        CEngine(sim.robot, sim.loop, threads=threads).open(batch.params, batch.qpos, batch.fields).record(50)
-        for threads in (1, 2)
-    )
-    np.testing.assert_array_equal(one.qpos, two.qpos)
-
-
-def test_worlds_do_not_disturb_each_other(simulator):
-    """A world alone walks as it does in a batch, up to what vectorised float32 arithmetic of the controller leaves."""
-    sim = simulator(spine="stride_extension")
-    run = Run(cycles=1, warmup_cycles=0)
-    together = sim.run(WALKS, run, record=True).trace
-    alone = sim.run({name: values[4:5] for name, values in WALKS.items()}, run, record=True).trace
-    np.testing.assert_allclose(alone.qpos[0, :40], together.qpos[4, :40], atol=1e-5)
 
 
 def test_a_world_that_diverges_is_flagged_and_leaves_the_others_alone(simulator, tmp_path, monkeypatch, capfd):

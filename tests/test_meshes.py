@@ -10,7 +10,6 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-from mujoco import mjx
 
 from nermo_mjx.robot import LIMBS, assemble, assemble_leg, assemble_spine, load_robot
 from nermo_mjx.robot.geometry import Geometry
@@ -176,50 +175,6 @@ def test_what_is_only_seen_weighs_nothing_and_touches_nothing():
         model = spec.compile()
         assert model.nmesh > 0
         assert set(model.geom_group[model.geom_dataid >= 0].tolist()) == {2}
-
-
-@pytest.mark.parametrize("tail", ["rigid", "articulated"])
-def test_the_motion_is_the_same_without_any_mesh(tail):
-    """A robot stripped of all meshes before it is compiled moves to the bit like the whole one, and like `physical`."""
-    robot = load_robot(tail=tail)
-    bare = robot.spec.copy()
-    for geom in [geom for geom in bare.geoms if geom.type == mujoco.mjtGeom.mjGEOM_MESH]:
-        bare.delete(geom)
-    for mesh in list(bare.meshes):
-        bare.delete(mesh)
-    ends = []
-    for model in (robot.model, bare.compile(), robot.physical):
-        data, noise = mujoco.MjData(model), np.random.default_rng(3)
-        for _ in range(300):
-            data.ctrl[:] = noise.uniform(-0.4, 0.4, model.nu)
-            mujoco.mj_step(model, data)
-        ends.append(np.concatenate([data.qpos, data.qvel, data.sensordata]))
-    assert robot.model.nmesh > 30
-    assert robot.physical.nmesh == 0
-    np.testing.assert_array_equal(ends[1], ends[0])
-    np.testing.assert_array_equal(ends[2], ends[0])
-
-
-@pytest.mark.parametrize("tail", ["rigid", "articulated"])
-def test_one_file_holds_the_meshes(tail, tmp_path, monkeypatch):
-    """The written MJCF refers to no file, stays below 1 MB, and loads anywhere, in MuJoCo and in MJX."""
-    robot = load_robot(tail=tail, scene="maze")
-    text = robot.to_xml()
-    assert "file=" not in text
-    assert "meshdir" not in text
-    assert len(text) < 1_000_000
-    monkeypatch.chdir(tmp_path)
-    again = mujoco.MjModel.from_xml_string(text)
-    for count in ("nmesh", "nmeshvert", "nmeshface"):
-        assert getattr(again, count) == getattr(robot.model, count)
-    np.testing.assert_allclose(again.geom_pos, robot.model.geom_pos, atol=1e-6)
-    assert mjx.put_model(again).nmesh == again.nmesh
-
-
-@pytest.mark.parametrize("part", ["front_leg", "rear_leg", "head", "torso", "spine", "tail"])
-def test_a_part_opens_alone(part):
-    """Each part compiles by itself, once its numbers are in their places."""
-    assert load_part(part, Geometry()).compile().nmesh > 0
 
 
 # --- cameras

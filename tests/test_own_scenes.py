@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from nermo_mjx.robot import LIMBS, ParameterError, RobotConfig, load_robot
+from nermo_mjx.robot import LIMBS, ParameterError, load_robot
 from nermo_mjx.robot.scene import resolve_scene, scene_geoms
 from nermo_mjx.rollout import Run, Setup, Simulator
 from nermo_mjx.rollout.run import DEPTH
@@ -90,7 +90,7 @@ def test_only_ground_and_obstacles_touch_the_robot():
     model = robot.model
     assert scene_geoms(robot.config.scene).ground == ("floor", "ground_0")
     assert {model.geom(i).name for i in robot.obstacles} == {"leg", "seat"}
-    assert model.nbody == load_robot(tail="articulated").model.nbody
+    assert model.nbody == load_robot(tail="articulated").model.nbody  # the bench is called as the robot's torso
     np.testing.assert_allclose(model.geom("seat").pos, [0, -1, 0.71])
     touching = {model.geom(i).name for both in (model.pair_geom1, model.pair_geom2) for i in both}
     assert "lawn" not in touching
@@ -167,13 +167,6 @@ def test_a_scene_that_cannot_be_is_refused_in_a_sentence(case):
         Setup(scene=wrong)
     assert str(error.value).count("\n") == 0
     assert str(error.value).startswith("scene ")
-
-
-def test_a_specification_with_a_body_of_the_robots_name_is_fixed_to_the_world():
-    """The yard's bench is called `torso`: bodies of a scene have no names beside the robot's."""
-    assert [each["body"] for each in load_robot(scene=YARD).mass_table()] == [
-        each["body"] for each in load_robot().mass_table()
-    ]
 
 
 # --- in a spec file
@@ -301,8 +294,3 @@ def test_a_slope_rises_in_its_direction(direction, axis):
     wanted = [0.0, 0.0, -9.81 * np.cos(0.2)]
     wanted[axis] = 9.81 * np.sin(0.2) * (1 if axis else -1)
     np.testing.assert_allclose(pull, wanted, atol=1e-12)
-
-
-def test_a_scene_is_checked_where_a_robot_is_chosen():
-    """A configuration keeps it as a setup does."""
-    assert RobotConfig(scene=mujoco.MjSpec.from_string(YARD)) == RobotConfig(scene=YARD)

@@ -476,6 +476,7 @@ def test_exported_xml_is_self_contained_and_the_same_model(tail):
     xml = robot.to_xml()
     assert "file=" not in xml
     assert "<include" not in xml
+    assert len(xml) < 1_000_000
     copy = mujoco.MjModel.from_xml_string(xml)
     assert copy.names == robot.model.names  # of bodies, joints, sensors and all the rest, in their order
     for field in (
@@ -544,7 +545,7 @@ def test_a_change_of_one_robot_reaches_no_other():
     assert other.model.body_mass.max() < 1.0
     assert other.physical.body_mass.max() < 1.0
     assert other.spec.body("spoiled") is None
-    assert other.fingerprint == ours.fingerprint == fingerprint
+    assert other.fingerprint == ours.fingerprint == fingerprint != load_robot(tail="articulated").fingerprint
     with pytest.raises(ValueError, match="read-only"):
         other.mass_model.front_com[0] = 7.0
 
@@ -553,11 +554,6 @@ def test_defaults_cannot_be_written():
     """They are shared by all parameter trees."""
     with pytest.raises(ValueError, match="read-only"):
         ModelParameters().servo.kp[...] = 7.0
-
-
-def test_one_model_for_the_same_arguments():
-    """Loading twice gives the same fingerprint; another tail is another model."""
-    assert load_robot().fingerprint == load_robot().fingerprint != load_robot(tail="articulated").fingerprint
 
 
 def test_no_mass_and_no_number_of_a_servo_stands_twice():
@@ -593,3 +589,49 @@ def test_the_servo_of_the_spine_has_a_torque_limit_of_its_own():
     assert set(limits.values()) == {0.4}
     varied = compile_model(load_robot(), {"servo.torque_limit": 0.4, "servo.spine_torque": 0.25})
     np.testing.assert_allclose(varied.actuator_forcerange, model.actuator_forcerange)
+
+
+# --- the model that engines step, without its visual elements
+
+
+@pytest.mark.parametrize("scene", ["flat", "maze", "balance_stand"])
+@pytest.mark.parametrize("tail", TAILS)
+def test_it_moves_bit_for_bit_like_the_whole_model(scene, tail):
+    """Dropped on the ground with restless servos, every sensor read."""
+    robot = load_robot(scene=scene, tail=tail)
+    states = []
+    for model in (robot.model, robot.physical):
+        data = mujoco.MjData(model)
+        noise = np.random.default_rng(0)
+        for _ in range(300):
+            data.ctrl[:] = noise.uniform(-0.4, 0.4, model.nu)
+            mujoco.mj_step(model, data)
+        assert data.ncon > 0
+        states.append(np.concatenate([data.qpos, data.qvel, data.sensordata]))
+    np.testing.assert_array_equal(*states)
+
+
+@pytest.mark.parametrize("scene", ["flat", "maze", "balance_stand"])
+def test_ids_that_engines_use_are_those_of_the_whole_model(scene):
+    """Bodies, joints, actuators, tendons, sensors and contact pairs."""
+    robot = load_robot(scene=scene)
+    whole, lean = robot.model, robot.physical
+    for kind in ("body", "joint", "actuator", "tendon", "sensor", "pair"):
+        count = {"body": "nbody", "joint": "njnt", "actuator": "nu"}.get(kind, f"n{kind}")
+        names = [[getattr(m, kind)(i).name for i in range(getattr(m, count))] for m in (whole, lean)]
+        assert names[0] == names[1], kind
+    assert whole.nu > 0
+
+
+def test_nothing_that_is_only_drawn_is_left():
+    """Every geom touches something or leads a tendon, and every site is on a tendon or read."""
+    robot = load_robot()
+    model = robot.physical
+    used = {*model.pair_geom1.tolist(), *model.pair_geom2.tolist(), *model.wrap_objid[model.wrap_type == 5].tolist()}
+    assert used == set(range(model.ngeom))
+    assert model.ngeom < 20 < robot.model.ngeom
+    assert (model.ncam, model.nlight) == (0, 0)
+    assert {model.site(i).name for i in range(model.nsite)} >= {"imu", "spine_end", "front_left_foot"}
+    assert not [
+        i for i in range(model.nsite) if model.site(i).name.startswith("tail_") and model.site(i).name != "tail_touch"
+    ]
