@@ -273,24 +273,17 @@ def numbers(dtype):
     return hnp.arrays(dtype, 10, elements=any_finite | st.floats(-0.125, 0.125, width=width))
 
 
-def assert_finite(values):
-    for leaf in jax.tree.leaves(everything(values)):
-        assert np.isfinite(leaf).all(), values
-
-
-@settings(max_examples=100, deadline=None)
-@example(np.zeros(10, np.float32))
-@example(np.full(10, np.finfo(np.float32).max))
-@given(numbers(np.float32))
-def test_any_float32_gives_finite_values_and_derivatives(values):
+@pytest.mark.parametrize("real", [np.float32, np.float64])
+def test_any_numbers_give_finite_values_and_derivatives(real):
     """Any finite angle, lift and feet, for every stance, give finite results and derivatives."""
-    assert_finite(values)
 
+    @settings(max_examples=100, deadline=None)
+    @example(np.zeros(10, real))
+    @example(np.full(10, np.finfo(real).max))
+    @given(numbers(real))
+    def check(values):
+        for leaf in jax.tree.leaves(everything(values)):
+            assert np.isfinite(leaf).all(), values
 
-@settings(max_examples=100, deadline=None)
-@example(np.full(10, np.finfo(np.float64).max))
-@given(numbers(np.float64))
-def test_any_float64_gives_finite_values_and_derivatives(values):
-    """The same in double precision."""
-    with jax.enable_x64(True):
-        assert_finite(values)
+    with jax.enable_x64(real is np.float64):
+        check()

@@ -327,22 +327,14 @@ def pairs(dtype):
     return hnp.arrays(dtype, (4, 2), elements=any_finite | st.floats(-0.125, 0.125, width=width))
 
 
-@settings(max_examples=150, deadline=None)
-@example(np.zeros((4, 2), np.float32))
-@example(np.full((4, 2), np.finfo(np.float32).max))
-@given(pairs(np.float32))
-def test_any_float32_gives_finite_values_and_derivatives(values):
-    """Servo angles or feet may be any finite float32: values, jvp and grad hold no NaN and no infinity."""
-    assert_finite(values)
-
-
-@settings(max_examples=150, deadline=None)
-@example(np.full((4, 2), -np.finfo(np.float64).max))
-@given(pairs(np.float64))
-def test_any_float64_gives_finite_values_and_derivatives(values):
-    """The same for float64."""
-    with jax.enable_x64(True):
-        assert_finite(values)
+@pytest.mark.parametrize("real", [np.float32, np.float64])
+def test_any_numbers_give_finite_values_and_derivatives(real):
+    """Servo angles or feet may be any finite numbers: values, jvp and grad hold no NaN and no infinity."""
+    check = given(pairs(real))(assert_finite)
+    for values in (np.zeros((4, 2), real), np.full((4, 2), np.finfo(real).max), np.full((4, 2), -np.finfo(real).max)):
+        check = example(values)(check)
+    with jax.enable_x64(real is np.float64):
+        settings(max_examples=150, deadline=None)(check)()
 
 
 @pytest.mark.parametrize("x64", [False, True])

@@ -93,12 +93,6 @@ def test_whole_cycles_are_whole_rows(frequency: float, rate: float) -> None:
         np.testing.assert_allclose(table.angles[:cycle], table.angles[cycle : 2 * cycle], atol=1e-4)
 
 
-def test_a_cycle_and_three_cycles_are_the_same_gait() -> None:
-    one = servo_table(Setup(gait="lat"), {"frequency": 0.5}, rate=50.0)
-    three = servo_table(Setup(gait="lat"), {"frequency": 0.5}, rate=50.0, cycles=3)
-    np.testing.assert_allclose(np.tile(one.angles, (3, 1)), three.angles, atol=1e-4)
-
-
 def test_left_and_right_turns_mirror_each_other() -> None:
     """A trot's turn to the left is that to the right, half a cycle later on the other side."""
     tables = [servo_table(Setup(gait="trt", steering="mix"), {"frequency": 1.0, "pilot.turn_rate": turn}, rate=100.0)

@@ -173,25 +173,18 @@ def everything(value):
     return results(value), jax.jacfwd(results)(value), gradient
 
 
-def assert_finite(value):
-    for leaf in jax.tree.leaves(everything(value)):
-        assert np.isfinite(leaf).all(), value
-
-
 @pytest.mark.compiles
-@settings(max_examples=100, deadline=None)
-@example(np.finfo(np.float32).max)
-@given(st.floats(width=32, allow_nan=False, allow_infinity=False) | st.floats(-0.5, 0.5, width=32))
-def test_any_float32_gives_finite_values_and_derivatives(value):
+@pytest.mark.parametrize("real", [np.float32, np.float64])
+def test_any_number_gives_finite_values_and_derivatives(real):
     """Any finite angle, servo angle or displacement gives finite results and derivatives."""
-    assert_finite(np.float32(value))
+    width = np.finfo(real).bits
 
+    @settings(max_examples=100, deadline=None)
+    @example(np.finfo(real).max)
+    @given(st.floats(width=width, allow_nan=False, allow_infinity=False) | st.floats(-0.5, 0.5, width=width))
+    def check(value):
+        for leaf in jax.tree.leaves(everything(real(value))):
+            assert np.isfinite(leaf).all(), value
 
-@pytest.mark.compiles
-@settings(max_examples=100, deadline=None)
-@example(np.finfo(np.float64).max)
-@given(st.floats(allow_nan=False, allow_infinity=False) | st.floats(-0.5, 0.5))
-def test_any_float64_gives_finite_values_and_derivatives(value):
-    """The same in double precision."""
-    with jax.enable_x64(True):
-        assert_finite(np.float64(value))
+    with jax.enable_x64(real is np.float64):
+        check()

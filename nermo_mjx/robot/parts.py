@@ -72,8 +72,14 @@ def load_file(name: str) -> mujoco.MjSpec:
 # Turning and mirroring. The right half of the robot is mirrored from the left: there is one file per pair of limbs.
 
 
-def mirror(spec: mujoco.MjSpec) -> mujoco.MjSpec:
-    """Mirror a model at its y-z plane (x -> -x), with its meshes, in place; returns it.
+#: What a mirror at the y-z plane does to points and Euler angles, and to quaternions.
+_POINT: Final = np.array([-1.0, 1.0, 1.0])
+_EULER: Final = np.array([1.0, -1.0, -1.0])
+_QUATERNION: Final = np.array([1.0, 1.0, -1.0, -1.0])
+
+
+def mirror(spec: mujoco.MjSpec) -> None:
+    """Mirror a model at its y-z plane (x -> -x), with its meshes, in place.
 
     Joints keep their axes, which must lie along x: both sides then share one sign convention (positive swings
     backward), and a hinge along x is its own mirror image.
@@ -84,19 +90,16 @@ def mirror(spec: mujoco.MjSpec) -> mujoco.MjSpec:
     for joint in spec.joints:
         if np.any(np.abs(joint.axis[1:]) > 1e-12):
             raise ValueError(f"joint {joint.name} has axis {joint.axis}: a mirrored limb needs hinges along x.")
-        joint.pos = _point(joint.pos)
+        joint.pos = joint.pos * _POINT
     for element in (*spec.bodies[1:], *spec.geoms, *spec.sites, *spec.frames):
-        element.pos = _point(element.pos)
-        element.quat = _rotation(element.quat)
-        euler = element.alt.euler
-        if not np.isnan(euler[0]):
-            element.alt.euler = np.array([euler[0], -euler[1], -euler[2]])
+        element.pos, element.quat = element.pos * _POINT, element.quat * _QUATERNION
+        if not np.isnan(element.alt.euler[0]):
+            element.alt.euler = element.alt.euler * _EULER
     for mesh in spec.meshes:
-        mesh.scale = _point(mesh.scale)
+        mesh.scale = mesh.scale * _POINT
     for geom in spec.geoms:
         if not np.isnan(geom.fromto[0]):
-            geom.fromto = np.concatenate([_point(geom.fromto[:3]), _point(geom.fromto[3:])])
-    return spec
+            geom.fromto = geom.fromto * np.tile(_POINT, 2)
 
 
 def turn(element: Any, x: float, y: float, z: float) -> None:
@@ -104,14 +107,6 @@ def turn(element: Any, x: float, y: float, z: float) -> None:
     in the unit of its file."""
     element.alt.type = mujoco.mjtOrientation.mjORIENTATION_EULER
     element.alt.euler = np.array([x, y, z])
-
-
-def _point(pos: np.ndarray) -> np.ndarray:
-    return np.array([-pos[0], pos[1], pos[2]])
-
-
-def _rotation(quat: np.ndarray) -> np.ndarray:
-    return np.array([quat[0], quat[1], -quat[2], -quat[3]])
 
 
 # ---
@@ -125,16 +120,17 @@ _EYELET: Final = 0.5 * TAIL.spacing
 _GROUNDED: Final = (16, 17, 18)
 
 
-def add_tail(spec: mujoco.MjSpec, length: float) -> None:
-    """Place the base of `mjcf/tail.xml` and append the segments.
-
-    Args:
-        spec: as it was read.
-        length: from the first joint backward to the centre of the tip [m]; the whole chain is stretched to it.
-    """
-    stretch = length / TAIL.length
+def _tail(spec: mujoco.MjSpec, geometry: Geometry) -> None:
+    """Place the base, and append the segments; the whole chain is stretched to its length."""
+    stretch = float(geometry.tail.length) / TAIL.length
     ends = [(TAIL.spacing, drop) for drop in TAIL.drops] + [TAIL.tip]
-    _base(spec, round(math.atan2(TAIL.drops[0], TAIL.spacing), 6))
+    # The pulley and the first eyelets are in a frame that points along the first segment.
+    turn(spec.frame("base"), -round(math.atan2(TAIL.drops[0], TAIL.spacing), 6), 0.0, 0.0)
+    spec.geom("pulley").size = np.array([SPINE.pulley_radius, _TAIL_PULLEY_WIDTH, 0.0])
+    sides = {"left": 1.0, "right": -1.0}
+    for side, sign in sides.items():
+        for name, (x, y) in (("side", TAIL.side), ("rim", TAIL.tie), ("0", (TAIL.eyelet, 0.0100))):
+            spec.site(f"{side}_{name}").pos = np.array([sign * x, y, 0.0])
     parent, place = spec.worldbody, np.array([0.0, *TAIL.first_joint])
     for i, (along, drop) in enumerate(ends, 1):
         end = np.array([0.0, along * stretch, -drop * stretch])
@@ -142,9 +138,9 @@ def add_tail(spec: mujoco.MjSpec, length: float) -> None:
         parent = parent.add_body(name=f"segment_{i}", pos=place)
         parent.add_joint(spec.find_default("tail"), name=f"joint_{i}")
         _draw(spec, parent, i, end, width)
-        eyelets = {side: f"{side}_{i}" for side in ("left", "right")}
-        for sign, (side, name) in zip((1.0, -1.0), eyelets.items(), strict=True):
+        for side, sign in sides.items():
             middle = end * (_EYELET / along)
+            name = f"{side}_{i}"
             parent.add_site(spec.find_default("marker"), name=name, pos=[sign * width, middle[1], middle[2]])
             spec.tendon(side).wrap_site(name)
         if i in _GROUNDED or i == len(ends):
@@ -155,15 +151,7 @@ def add_tail(spec: mujoco.MjSpec, length: float) -> None:
             parent.add_site(spec.find_default("touch"), name=site, pos=end)
         place = end
     spec.delete(spec.mesh("segment"))
-
-
-def _base(spec: mujoco.MjSpec, pitch: float) -> None:
-    """The pulley and the first eyelets, in a frame that points along the first segment."""
-    turn(spec.frame("base"), -pitch, 0.0, 0.0)
-    spec.geom("pulley").size = np.array([SPINE.pulley_radius, _TAIL_PULLEY_WIDTH, 0.0])
-    for side, sign in (("left", 1.0), ("right", -1.0)):
-        for name, (x, y) in (("side", TAIL.side), ("rim", TAIL.tie), ("0", (TAIL.eyelet, 0.0100))):
-            spec.site(f"{side}_{name}").pos = np.array([sign * x, y, 0.0])
+    _limit_to_straight(spec)
 
 
 def _draw(spec: mujoco.MjSpec, segment: Any, i: int, end: np.ndarray, width: float) -> None:
@@ -223,7 +211,8 @@ def _head(spec: mujoco.MjSpec, geometry: Geometry) -> None:
         mujoco.mju_mat2Quat(quat, np.stack([np.cross(ahead, up), up, -ahead], axis=-1).ravel())
         camera.pos, camera.quat = np.array(EYE.place) * [side, 1.0, 1.0] + EYE.dome * ahead, quat
     if spec.joint("head_tilt") is not None:
-        place_head_tilt(spec)
+        spec.body("head").pos = np.array(TILT_AXIS)
+        spec.frame("shell").pos = np.array([0.0, -HEAD_FORWARD, 0.0]) - TILT_AXIS
 
 
 def _hip(spec: mujoco.MjSpec, geometry: Geometry) -> None:
@@ -296,11 +285,6 @@ def _spine(spec: mujoco.MjSpec, geometry: Geometry) -> None:
     if spec.body("vertical_pulley") is not None:
         place_vertical_spine(spec, ratio)
         spec.geom("vertical_pulley").size = spec.geom("pulley").size
-    _limit_to_straight(spec)
-
-
-def _tail(spec: mujoco.MjSpec, geometry: Geometry) -> None:
-    add_tail(spec, float(geometry.tail.length))
     _limit_to_straight(spec)
 
 
@@ -383,9 +367,3 @@ def place_vertical_spine(spec: mujoco.MjSpec, ratio: float) -> None:
         spec.site(f"vertical_{side}_side").pos = np.add(PULLEY, (sign * SIDE, 0.0, 0.0))
     spec.site("vertical_guide").pos = np.array(GUIDE)
     spec.site("vertical_rim").pos = np.array([0.0, -TIE * ratio, 0.0])
-
-
-def place_head_tilt(spec: mujoco.MjSpec) -> None:
-    """Put the head on its tilt axis."""
-    spec.body("head").pos = np.array(TILT_AXIS)
-    spec.frame("shell").pos = np.array([0.0, -HEAD_FORWARD, 0.0]) - TILT_AXIS
