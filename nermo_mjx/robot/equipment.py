@@ -12,7 +12,6 @@ from typing import Any, Final
 import mujoco
 import numpy as np
 
-from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.masses import ROBOT_MASSES, is_front, part_of
 from nermo_mjx.robot.model_parameters import ModelParameters
 from nermo_mjx.robot.parameters import LEGS, LIMBS, SERVOS, SPINE, servo_range
@@ -128,16 +127,10 @@ def set_masses(spec: mujoco.MjSpec, robot: str, parameters: ModelParameters) -> 
     for body in spec.bodies[1:]:
         site = part_of(body.name, robot).site
         if site is not None:
-            pos, quat = _site_in_body("spine", site, geometry)
-            turned = np.zeros(3)
-            mujoco.mju_rotVecQuat(turned, np.array(body.ipos), quat)
-            body.ipos, body.iquat = pos + turned, quat
-
-
-def _site_in_body(part: str, site: str, geometry: Geometry) -> tuple[np.ndarray, np.ndarray]:
-    """Pose of a site in its body, as the compiler resolves it from the nested frames of one part."""
-    model = load_part(part, geometry).compile()
-    return model.site(site).pos, model.site(site).quat
+            # Its pose in the body, as the compiler resolves it from nested frames.
+            frame, turned = load_part("spine", geometry).compile().site(site), np.zeros(3)
+            mujoco.mju_rotVecQuat(turned, np.array(body.ipos), frame.quat)
+            body.ipos, body.iquat = frame.pos + turned, frame.quat
 
 
 def set_joints(spec: mujoco.MjSpec, parameters: ModelParameters, hinges: int = 1) -> None:

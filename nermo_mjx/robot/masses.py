@@ -15,7 +15,7 @@ split the robot tips in all eight cases.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection
 from typing import Any, Final
 
 import jax
@@ -199,9 +199,6 @@ class MassModel:
 #: Sites that are read by name, though neither a tendon nor a sensor refers to them.
 READ: Final = ("spine_end",)
 
-_GEOM_WRAPS = (int(mujoco.mjtWrap.mjWRAP_SPHERE), int(mujoco.mjtWrap.mjWRAP_CYLINDER))
-_SITE_WRAP = int(mujoco.mjtWrap.mjWRAP_SITE)
-
 
 def physical_model(spec: mujoco.MjSpec, model: mujoco.MjModel) -> mujoco.MjModel:
     """The compiled model without the meshes, geoms, sites, cameras and lights that affect neither forces nor readings.
@@ -212,9 +209,24 @@ def physical_model(spec: mujoco.MjSpec, model: mujoco.MjModel) -> mujoco.MjModel
         spec: of the whole robot; it is not changed.
         model: compiled from it.
     """
-    geoms = {model.geom(i).name for i in _geoms(model)}
-    sites = {model.site(i).name for i in _sites(model)} | set(READ)
-    return reduced_model(spec, geoms, sites)
+    around = np.isin(model.wrap_type, (mujoco.mjtWrap.mjWRAP_SPHERE, mujoco.mjtWrap.mjWRAP_CYLINDER))
+
+    def sensed(kind: mujoco.mjtObj) -> list[np.ndarray]:
+        """Ids of the elements of one kind that a sensor reads or uses as its reference."""
+        return [model.sensor_objid[model.sensor_objtype == kind], model.sensor_refid[model.sensor_reftype == kind]]
+
+    geoms = np.concatenate([
+        model.pair_geom1, model.pair_geom2, np.flatnonzero(model.geom_contype | model.geom_conaffinity),
+        model.wrap_objid[around], *sensed(mujoco.mjtObj.mjOBJ_GEOM),
+    ])  # fmt: skip
+    # Those that tendons go through, or choose a side by, that actuators pull, or that sensors read.
+    sites = np.concatenate([
+        model.wrap_objid[model.wrap_type == mujoco.mjtWrap.mjWRAP_SITE], model.wrap_prm[around].astype(int),
+        model.actuator_trnid[model.actuator_trntype == mujoco.mjtTrn.mjTRN_SITE].ravel(),
+        *sensed(mujoco.mjtObj.mjOBJ_SITE),
+    ])  # fmt: skip
+    names = {model.site(i).name for i in sites.tolist() if i >= 0} | set(READ)
+    return reduced_model(spec, {model.geom(i).name for i in geoms.tolist() if i >= 0}, names)
 
 
 def reduced_model(spec: mujoco.MjSpec, geoms: Collection[str], sites: Collection[str]) -> mujoco.MjModel:
@@ -229,39 +241,3 @@ def reduced_model(spec: mujoco.MjSpec, geoms: Collection[str], sites: Collection
     for element in (*lean.cameras, *lean.lights, *lean.meshes):
         lean.delete(element)
     return lean.compile()
-
-
-def _geoms(model: mujoco.MjModel) -> Iterator[int]:
-    """Ids of the geoms that collide, guide a tendon, or are read by a sensor."""
-    yield from (*model.pair_geom1.tolist(), *model.pair_geom2.tolist())
-    yield from (i for i in range(model.ngeom) if model.geom_contype[i] or model.geom_conaffinity[i])
-    yield from (int(i) for kind, i in _wraps(model) if kind in _GEOM_WRAPS)
-    yield from _sensed(model, mujoco.mjtObj.mjOBJ_GEOM)
-
-
-def _sites(model: mujoco.MjModel) -> Iterator[int]:
-    """Ids of the sites that tendons go through or choose a side by, that actuators pull, or that sensors read."""
-    yield from (int(i) for kind, i in _wraps(model) if kind == _SITE_WRAP)
-    yield from (
-        int(side)
-        for (kind, _), side in zip(_wraps(model), model.wrap_prm, strict=True)
-        if kind in _GEOM_WRAPS and side >= 0
-    )
-    yield from (
-        int(i)
-        for transmission, pair in zip(model.actuator_trntype, model.actuator_trnid, strict=True)
-        if int(transmission) == int(mujoco.mjtTrn.mjTRN_SITE)
-        for i in pair
-        if i >= 0
-    )
-    yield from _sensed(model, mujoco.mjtObj.mjOBJ_SITE)
-
-
-def _wraps(model: mujoco.MjModel) -> list[tuple[int, int]]:
-    return list(zip(model.wrap_type.tolist(), model.wrap_objid.tolist(), strict=True))
-
-
-def _sensed(model: mujoco.MjModel, kind: Any) -> Iterator[int]:
-    """Ids of the elements of one kind that a sensor reads or uses as its reference."""
-    for types, ids in ((model.sensor_objtype, model.sensor_objid), (model.sensor_reftype, model.sensor_refid)):
-        yield from (int(i) for each, i in zip(types, ids, strict=True) if int(each) == int(kind) and i >= 0)
