@@ -19,8 +19,7 @@ from nermo_mjx.control.pilot import Drive
 from nermo_mjx.control.spine_modes import SpineModes, harmonics, stride_extension
 from nermo_mjx.control.stepping import FreeStepping, bumps, within
 from nermo_mjx.kinematics.leg import four_legs, four_reaches, inverse
-from nermo_mjx.optimize.search import Search
-from nermo_mjx.optimize.tuning import Tuning
+from nermo_mjx.optimize.spec import Search, Tuning
 from nermo_mjx.robot import SERVOS
 from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.parameters import servo_range

@@ -10,13 +10,11 @@ import pytest
 from tune_fake import SPEC, FakeProblem
 
 from nermo_mjx.optimize import Evaluation, Tuning, landscape, run_landscape
-from nermo_mjx.optimize.landscape import CENTRES, WIDTHS, figures, line_figure, lines_of, plan
-from nermo_mjx.optimize.tuning_directory import landscape_status
+from nermo_mjx.optimize.landscape import CENTRES, WIDTHS, line_figure, lines_of, plan
 from nermo_mjx.robot.quantity import ParameterError
-from nermo_mjx.runs import RunDirectory
 from nermo_mjx.runs.files import WrongDirectory
 from nermo_mjx.runs.job import SILENT, Watch
-from nermo_mjx.runs.rows import Runs, part_files
+from nermo_mjx.runs.rows import part_files
 from nermo_mjx.sweep import SpecError
 
 pytestmark = pytest.mark.draws
@@ -109,6 +107,8 @@ def test_all_points_are_evaluated_by_one_program(smooth):
     assert result.evaluated == result.table.num_rows == 262
     assert problem.batches == [(53, True)] * 5
     assert problem.compiled == 1
+    sizes = {count: landscape.batch_size(count) for count in (1, 64, 65, 262)}
+    assert sizes == {1: 1, 64: 64, 65: 33, 262: 53}, "as even as they can be"
 
 
 def test_the_table_holds_every_point_with_units_and_roles(smooth):
@@ -149,23 +149,12 @@ def test_points_once_found_are_kept(tmp_path, monkeypatch):
         measure(tmp_path)
     assert (tmp_path / "landscape.parquet").exists()
     monkeypatch.undo()
+    assert not landscape.status(tmp_path).complete
     result, problem = measure(tmp_path)
-    assert (result.evaluated, problem.batches) == (0, [])
+    assert (result.evaluated, problem.batches, landscape.status(tmp_path).complete) == (0, [], True)
     assert len(result.plots) == 4
     other, problem = measure(tmp_path, change={"optimizer": "sgd", "seed": 5, "starts": 7})
     assert other.evaluated == 0, "how a tuner would go does not matter"
-
-
-def test_a_landscape_of_a_recording_can_be_moved(tmp_path):
-    """The recording is copied, and named from where the landscape stands."""
-    (tmp_path / "walk.npz").write_bytes(b"a walk")
-    compared = {"objective": [{"minimize": "trajectory_error"}], "recording": str(tmp_path / "walk.npz")}
-    measure(tmp_path / "here", change=compared, points=5)
-    (tmp_path / "here").rename(tmp_path / "there")
-    (tmp_path / "walk.npz").unlink()
-    assert len(list(figures(tmp_path / "there"))) == 2
-    own = Tuning.from_file(tmp_path / "there" / "landscape.yaml")
-    assert run_landscape(own, tmp_path / "there", problem=FakeProblem(own), points=5).evaluated == 0
 
 
 @pytest.mark.parametrize(
@@ -197,14 +186,6 @@ def test_what_is_not_allowed_is_said_before_anything_is_written(tmp_path, points
     with pytest.raises(SpecError):
         run_landscape({"tune": {}}, tmp_path / "out")
     assert not (tmp_path / "out").exists()
-
-
-def test_a_path_and_a_dict_are_tunings_too(tmp_path, monkeypatch):
-    """The simulation is made of the tuning where nothing stands in."""
-    monkeypatch.setattr(landscape, "simulation_of", FakeProblem)
-    (tmp_path / "t.yaml").write_text(TUNING.to_yaml())
-    assert run_landscape(tmp_path / "t.yaml", tmp_path / "a", points=5).tuning == TUNING
-    assert run_landscape(SPEC, tmp_path / "b", points=5).evaluated > 0
 
 
 # --- measures
@@ -327,27 +308,13 @@ def test_a_report_that_a_user_has_written_on_is_moved_aside_with_a_sentence(tmp_
     ]
 
 
-def test_a_landscape_that_was_killed_while_it_drew_is_not_complete(tmp_path, monkeypatch):
-    def killed(*_):
-        raise KeyboardInterrupt
-
-    with monkeypatch.context() as patch:
-        patch.setattr("nermo_mjx.optimize.landscape.figures_of", killed)
-        with pytest.raises(KeyboardInterrupt):
-            measure(tmp_path, points=5)
-    assert not landscape_status(tmp_path).complete
-    assert measure(tmp_path, points=5)[0].evaluated == 0, "the points are kept"
-    assert landscape_status(tmp_path).complete
-
-
-def test_batches_are_as_even_as_they_can_be(tmp_path, monkeypatch):
-    """Whatever the most is, all batches have one size, and no more is walked than that needs."""
-    monkeypatch.setattr(landscape, "CPU_BATCH", 7)
-    problem, wanted = FakeProblem(TUNING), plan(TUNING, 5, 1.0)
-    with RunDirectory(tmp_path, "landscape") as held:
-        runs = Runs(tmp_path, "a", held=held)
-        count = landscape.evaluate(runs, TUNING, problem, wanted, SILENT, {}, "code")
-    sizes = {size for size, _ in problem.batches}
-    assert len(sizes) == 1
-    assert len(wanted) <= sum(size for size, _ in problem.batches) < len(wanted) + len(problem.batches)
-    assert len(runs.numbers) == count == len(wanted)
+def test_a_landscape_of_a_recording_can_be_moved(tmp_path):
+    """The recording is copied, and named from where the landscape stands."""
+    (tmp_path / "walk.npz").write_bytes(b"a walk")
+    compared = {"objective": [{"minimize": "trajectory_error"}], "recording": str(tmp_path / "walk.npz")}
+    measure(tmp_path / "here", change=compared, points=5)
+    (tmp_path / "here").rename(tmp_path / "there")
+    (tmp_path / "walk.npz").unlink()
+    assert len(list(figures(tmp_path / "there"))) == 2
+    own = Tuning.from_file(tmp_path / "there" / "landscape.yaml")
+    assert run_landscape(own, tmp_path / "there", problem=FakeProblem(own), points=5).evaluated == 0

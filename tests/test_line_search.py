@@ -7,17 +7,15 @@ import pickle
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from test_tune_run import tune
 from tune_fake import SPEC, FakeProblem, Three
 
 from nermo_mjx.optimize import Tuning, run_tuning
 from nermo_mjx.optimize.estimators import Smoothed, estimate
 from nermo_mjx.optimize.methods import initial_state
-from nermo_mjx.optimize.optimizers import LineSearch, Optimizer
+from nermo_mjx.optimize.optimizers import LineSearch
 from nermo_mjx.optimize.problems import SimulatedProblem, WalkProblem
-from nermo_mjx.optimize.tuning_run import costs_of, tuner_of
-from nermo_mjx.robot.quantity import ParameterError
-from nermo_mjx.runs import Interrupted
-from nermo_mjx.specs.reading import SpecError
+from nermo_mjx.optimize.run import tuner_of
 
 AVERAGED = {"smoothed": {"samples": 4, "sigma": 0.1, "normalized": True}}
 SEARCH = SPEC | {"optimizer": "line_search", "estimator": AVERAGED}
@@ -25,28 +23,17 @@ EXACT = SEARCH | {"estimator": "exact"}
 VALUES = SEARCH | {"estimator": {"evolution": {"samples": 8, "sigma": 0.1}}}
 
 
-def run(spec, out, **how):
-    """The result of a tuning of the fake robot, and its problem."""
-    problem = FakeProblem(Tuning.from_dict(spec), **how)
-    return run_tuning(spec, out, problem=problem), problem
-
-
-def lasting(history):
-    """The history without the columns that differ between runs."""
-    return history.drop_columns(["wall_seconds", "code"])
-
-
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
     """The tuning along averaged gradients, run without a stop."""
-    return run(SEARCH, tmp_path_factory.mktemp("whole"))
+    return tune(tmp_path_factory.mktemp("whole"), SEARCH)
 
 
 @pytest.mark.compiles
 @pytest.mark.parametrize("spec", [EXACT, SEARCH, VALUES], ids=["exact", "averaged", "evolution"])
 def test_six_searches_find_the_optimum(spec, tmp_path, whole):
     """From the slow side of the circle, in fewer steps than an optimizer with a learning rate takes."""
-    result = whole[0] if spec is SEARCH else run(spec, tmp_path)[0]
+    result = whole[0] if spec is SEARCH else tune(tmp_path, spec)[0]
     assert result.best["metrics"]["speed"] > 0.0985
     value = result.history.column("objective").to_numpy().reshape(-1, 2)
     assert (np.diff(value, axis=0) <= 0).all()  # where nothing is better, it stays
@@ -74,18 +61,6 @@ def test_the_first_iteration_is_the_given_start(whole):
     assert 0.9 < length < 1.0 + 1e-5
     assert row["gradient.spine.amplitude"] < 0  # a larger one is faster
     assert np.isfinite(row["gradient_error.spine.phase"])
-
-
-@pytest.mark.compiles
-@pytest.mark.parametrize("stop_at", [0, 5, 6])
-def test_a_stopped_search_ends_with_the_same_numbers(whole, stop_at, tmp_path):
-    """Bit for bit, also where it was stopped between the gradient and the walks along it."""
-    with pytest.raises(Interrupted):
-        run(SEARCH, tmp_path, stop_at=stop_at)
-    rest, problem = run(SEARCH, tmp_path)
-    assert len(problem.batches) == 14 - 2 * (stop_at // 2)
-    assert lasting(rest.history).equals(lasting(whole[0].history))
-    assert rest.best == whole[0].best
 
 
 @pytest.mark.compiles
@@ -123,7 +98,7 @@ def test_the_momentum_leads_where_no_world_walks_with_a_gradient():
 @pytest.mark.compiles
 def test_it_never_moves_to_a_fall(tmp_path):
     """The robot falls above an amplitude of 0.2, short of the best one: it ends below, and close to it."""
-    result, _ = run(SEARCH, tmp_path, falls=lambda points: points[:, 0] > 0.2)
+    result, _ = tune(tmp_path, SEARCH, falls=lambda points: points[:, 0] > 0.2)
     assert all(result.history.column("ok").to_pylist())
     assert 0.15 < result.best["parameters"]["spine.amplitude"] <= 0.2
 
@@ -168,50 +143,3 @@ def test_walks_without_gradients_are_those_of_the_engine_c(monkeypatch):
     problem.evaluate(np.zeros((1, 2)), True)
     problem.evaluate(np.zeros((1, 2)), False)
     assert asked == [(True, "mjx"), (False, "c")]
-
-
-def test_its_cost_counts_both_kinds_of_walks(monkeypatch):
-    """Counted by hand for two starts, seven evaluations of 5 s, at a hundred simulated seconds a second."""
-    monkeypatch.setattr("nermo_mjx.optimize.tuning_run.pace_here", lambda _: 100.0)
-    averaged, values, differences = (
-        costs_of(Tuning.from_dict(spec))[0]
-        for spec in (SEARCH, VALUES, SPEC | {"method": "differences", "optimizer": "line_search"})
-    )
-    assert averaged.evaluations == 7 * (8 + 34)
-    assert averaged.simulated_seconds == pytest.approx(7 * (8 * 3 + 34) * 5.0)  # forward mode: 1 + 2 runs
-    assert averaged.wall_seconds == pytest.approx(7 * (8 * 3 * 10 + 34) * 5.0 / 100)
-    assert values.wall_seconds == pytest.approx(7 * (16 + 34) * 5.0 / 100)
-    assert differences.evaluations == 7 * 2 * (5 + 17)
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"optimizer": {"name": "line_search", "points": 5}}, "points is 5: allowed is an even number from 2"),
-        ({"optimizer": {"name": "line_search", "momentum": 1.0}}, r"momentum is 1: allowed is \[0, 1\)"),
-        ({"optimizer": {"name": "line_search", "length": 9}}, r"length is 9: allowed is \[0.1, 4\]"),
-        (
-            {"optimizer": {"name": "line_search", "learning_rate": 0.1}},
-            r"learning_rate' is not an option of line_search",
-        ),
-        ({"optimizer": {"name": "line_search", "clip": 1.0}}, "clip'? is not read by line_search"),
-        ({"optimizer": "line_serach"}, "did you mean 'line_search'"),
-        ({"estimator": {"mixture": {"samples": 4, "sigma": 0.1, "normalized": True}}}, "normalized"),
-        ({"method": "cma"}, "'optimizer' is not read by the method cma"),
-    ],
-)
-def test_what_it_cannot_use_is_said(change, message):
-    with pytest.raises(SpecError, match=message):
-        Tuning.from_dict({key: value for key, value in SEARCH.items() if key != "starts"} | change)
-
-
-def test_it_reads_back_as_itself():
-    """With its options; what is not given is not written."""
-    tuning = Tuning.from_dict(SEARCH | {"optimizer": {"name": "line_search", "points": 8}})
-    assert Tuning.from_text(tuning.to_yaml()) == tuning
-    assert tuning.resolved()["optimizer"] == {"name": "line_search", "points": 8}
-    assert tuning.resolved()["estimator"] == {
-        "smoothed": {"samples": 4, "sigma": 0.1, "common": "none", "normalized": True}
-    }
-    with pytest.raises(ParameterError, match="points is 5"):
-        Optimizer("line_search", {"points": 5})

@@ -11,10 +11,9 @@ from search_fake import ATLAS, BEST, FRONT, SPEED, WALK, FakeSimulator
 
 from nermo_mjx.cli import main
 from nermo_mjx.optimize import Search, run_search
-from nermo_mjx.optimize.methods import searcher
+from nermo_mjx.optimize.methods import Scores, Space, ranked_cost, searcher
 from nermo_mjx.optimize.problems import WalkGradients
-from nermo_mjx.optimize.search import Scores, Space, ranked_cost
-from nermo_mjx.optimize.search_run import cost_of
+from nermo_mjx.optimize.run import cost_of
 from nermo_mjx.recording import Recording
 from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.sweep.simulating import PROBE

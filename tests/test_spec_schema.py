@@ -209,8 +209,16 @@ def test_no_odd_value_leads_to_anything_but_a_sentence():
     from nermo_mjx.learn.spec import Evaluation, SceneFields, TrainingFile
     from nermo_mjx.optimize.estimators import Mixture, Smoothed
     from nermo_mjx.optimize.objective import Term
-    from nermo_mjx.optimize.search import CmaMega, Limit, SearchFile
-    from nermo_mjx.optimize.tuning import Differences, Generations, OptimizerFields, Tuned, TuningFile
+    from nermo_mjx.optimize.spec import (
+        CmaMega,
+        Differences,
+        Generations,
+        Limit,
+        OptimizerFields,
+        SearchFile,
+        Tuned,
+        TuningFile,
+    )
     from nermo_mjx.specs.fields import read
     from nermo_mjx.specs.reading import SpecError, read_mapping
     from nermo_mjx.specs.walk import Arc, OpenLoop, Pilot, RunFields, Straight, Waypoints

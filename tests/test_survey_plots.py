@@ -22,7 +22,6 @@ from nermo_mjx.sweep.plots import (
     MOST_LINES,
     chosen_figure,
     chosen_lines,
-    figures_of,
     front,
     named_points,
     survey_figures,
@@ -79,12 +78,8 @@ def test_nothing_beats_a_point_of_the_front_and_all_else_is_beaten(seed: int) ->
     assert len(on_it) == len(best), "points that are best in both count once"
     assert (np.diff(x[best]) > 0).all()
     assert (np.diff(y[best]) < 0).all()
-
-
-def test_the_front_of_little_or_nothing() -> None:
-    assert front(np.array([]), np.array([])).tolist() == []
-    assert front(np.array([np.nan, 1.0]), np.array([0.0, np.nan])).tolist() == []
-    assert front(np.array([1.0, np.nan]), np.array([2.0, 0.0])).tolist() == [0]
+    assert front(np.append(x, np.nan), np.append(y, 0.0)).tolist() == best.tolist()
+    assert front(x[:0], y[:0]).tolist() == []
 
 
 def test_named_points_are_both_ends_and_some_between() -> None:
@@ -177,15 +172,6 @@ def test_a_hundred_thousand_rows_are_drawn_as_a_sample_in_small_files(tmp_path: 
     assert "20,000 of 94,117 runs, and the whole front" in texts(dict(found)["speed-against-roll_std"])
 
 
-def test_less_is_better_where_it_is() -> None:
-    """The best lines of a metric to be small are the lowest."""
-    data = table()
-    text = texts(figures(data, "slip")["slip-parallel"])
-    well = np.array(data.column("status").to_pylist()) == "ok"
-    assert f"of which the first is {1e3 * data.column('slip').to_numpy()[well].min():.4g} mm/s" in text
-    assert "highest" in texts(figures(data, "duration")["duration-parallel"])
-
-
 def test_one_parameter_has_no_survey() -> None:
     assert figures(table(parameters={"frequency": PARAMETERS["frequency"]})) == {}
 
@@ -238,16 +224,6 @@ def test_a_column_that_is_none_is_refused_with_the_nearest() -> None:
         chosen_figure(Results(fallen), "speed", "slip")
 
 
-def test_a_star_of_a_thinned_scatter_is_the_best_of_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("nermo_mjx.sweep.plots.MOST_POINTS", 20)
-    data = table(1000)
-    well = np.array(data.column("status").to_pylist()) == "ok"
-    files = write_figures(figures_of(Results(data)), tmp_path)
-    svg = next(file for file in files if file.name == "speed-over-pairs.svg").read_text()
-    assert f"star: best, {1e3 * data.column('speed').to_numpy()[well].max():.4g} mm/s" in svg
-    assert "20 of 941 runs" in svg
-
-
 @pytest.mark.parametrize(("count", "crowd"), [(CROWD - 1, False), (CROWD, True)])
 def test_a_crowd_of_points_is_drawn_as_density_and_its_note_says_so(count: int, crowd: bool) -> None:
     """Tens of thousands of dots would be one solid block."""
@@ -261,3 +237,22 @@ def test_a_crowd_of_points_is_drawn_as_density_and_its_note_says_so(count: int, 
     assert any("darker: more runs" in note for note in notes) is crowd
     if crowd:
         assert drawn.get_array().sum() == count, "each point is in one hexagon"
+
+
+def test_less_is_better_where_it_is() -> None:
+    """The best lines of a metric to be small are the lowest."""
+    data = table()
+    text = texts(figures(data, "slip")["slip-parallel"])
+    well = np.array(data.column("status").to_pylist()) == "ok"
+    assert f"of which the first is {1e3 * data.column('slip').to_numpy()[well].min():.4g} mm/s" in text
+    assert "highest" in texts(figures(data, "duration")["duration-parallel"])
+
+
+def test_a_star_of_a_thinned_scatter_is_the_best_of_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("nermo_mjx.sweep.plots.MOST_POINTS", 20)
+    data = table(1000)
+    well = np.array(data.column("status").to_pylist()) == "ok"
+    files = write_figures(figures_of(Results(data)), tmp_path)
+    svg = next(file for file in files if file.name == "speed-over-pairs.svg").read_text()
+    assert f"star: best, {1e3 * data.column('speed').to_numpy()[well].max():.4g} mm/s" in svg
+    assert "20 of 941 runs" in svg

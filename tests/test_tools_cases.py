@@ -22,7 +22,7 @@ import search_fake
 from nermo_mjx import Run, Setup, Simulator, all_metrics, all_parameters, load_robot
 from nermo_mjx.cli import main
 from nermo_mjx.optimize import Tuning, run_search
-from nermo_mjx.optimize.tuning_run import costs_of
+from nermo_mjx.optimize.run import costs_of
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.rollout.setup import TAKEN
 from nermo_mjx.runs import JobFailed

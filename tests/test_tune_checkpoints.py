@@ -15,9 +15,8 @@ from test_tune_run import lasting, same, tune
 from tune_fake import SPEC, FakeProblem
 
 from nermo_mjx.optimize import Tuning, run_tuning
-from nermo_mjx.optimize.history import empty_log
+from nermo_mjx.optimize.directory import History, TuningDirectory, history_columns
 from nermo_mjx.optimize.methods import initial_state
-from nermo_mjx.optimize.tuning_directory import Directory
 from nermo_mjx.runs import DirectoryError, OtherCode, Watch
 from nermo_mjx.runs.checkpoints import KEPT
 from nermo_mjx.runs.files import WrongDirectory
@@ -54,28 +53,29 @@ def test_a_state_comes_back_as_it_was(tmp_path, optimizer):
     """Every leaf, of any optimizer, with its type and its bits, NaN included."""
     tuning = Tuning.from_dict(TUNING | {"optimizer": optimizer})
     state = initial_state(tuning)
-    log = empty_log(tuning, ("speed",))
-    rng = np.random.default_rng(0)
-    rows = rng.standard_normal((2, *log.rows.shape[1:]))
+    rows = np.random.default_rng(0).standard_normal((2, 3, len(history_columns(tuning, ("speed",)))))
     rows[0, 0, 0] = np.nan
-    log = type(log)(log.metrics, rows, ((0, "one"), (1, "other")))
+    history = History(tuning, ("speed",), rows, ((0, "one"), (1, "other")))
     state = jax.tree.map(lambda leaf: (leaf + 1) / 3 if leaf.dtype == np.float32 else leaf + 5, state)
-    with Directory(tmp_path, tuning) as directory:
-        directory.claim(None)
-        directory.keep(state, log)
-    with Directory(tmp_path, tuning) as directory:
+    with TuningDirectory(tmp_path, tuning) as directory:
+        directory.claim(History(tuning))
+        directory.keep(state, history)
+    with TuningDirectory(tmp_path, tuning) as directory:
         found = directory.restore()
     assert jax.tree.structure(found[0]) == jax.tree.structure(state)
     for a, b in zip(jax.tree.leaves(found[0]), jax.tree.leaves(state), strict=True):
         assert a.dtype == b.dtype
         assert np.asarray(a).tobytes() == np.asarray(b).tobytes()
     assert found[1].rows.tobytes() == rows.tobytes()
-    assert (found[1].metrics, found[1].codes) == (log.metrics, log.codes)
+    assert (found[1].metrics, found[1].codes) == (history.metrics, history.codes)
 
 
 def test_the_last_few_are_kept(done):
     """One checkpoint an iteration; the newest three stay."""
     assert steps(done.out) == list(range(8 - KEPT, 8))
+    with ocp.StandardCheckpointer() as reader:  # whoever has Orbax, and not this package, can read them
+        stored = reader.restore(Path(done.out, "checkpoints", "7", "tuning").absolute())["state"]
+    np.testing.assert_array_equal(stored["u"], done.state.u)
 
 
 def content(folder):
@@ -254,11 +254,3 @@ def test_a_disk_that_does_not_answer_ends_it_and_changes_nothing(done, monkeypat
             tune(done.out)
     assert content(done.out) == before
     assert tune(done.out)[1].batches == []
-
-
-def test_orbax_alone_can_read_a_checkpoint(done):
-    """Parameters, optimizer state, step and key are there for whoever has Orbax and not this package."""
-    with ocp.StandardCheckpointer() as reader:
-        content = reader.restore(Path(done.out, "checkpoints", "7", "tuning").absolute())["state"]
-    assert set(content) >= {"u", "optimizer", "iteration", "key", "best_u", "best_value"}
-    np.testing.assert_array_equal(content["u"], done.state.u)

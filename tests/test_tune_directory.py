@@ -7,9 +7,10 @@ import pytest
 from test_tune_run import lasting, tune
 from tune_fake import SPEC, FakeProblem
 
-from nermo_mjx.optimize import Tuning, load_tuning, read_history, run_tuning, tuning_directory
-from nermo_mjx.optimize.tuning_figures import figures
-from nermo_mjx.runs import Interrupted, OtherCode, Watch, codes_of, kind_of
+from nermo_mjx.optimize import Tuning, load_tuning, read_history, run, run_tuning
+from nermo_mjx.optimize.figures import tuning_figures
+from nermo_mjx.robot import load_robot
+from nermo_mjx.runs import Interrupted, OtherCode, Watch, codes_of
 from nermo_mjx.runs.files import WrongDirectory
 
 pytestmark = pytest.mark.compiles
@@ -24,30 +25,17 @@ def other_code(monkeypatch):
     """From here on, another version runs."""
 
     def upgrade(package="9.9.9"):
-        real = tuning_directory.stamp
-        monkeypatch.setattr(
-            tuning_directory, "stamp", lambda *known: dataclasses.replace(real(*known), package=package)
-        )
+        real = run.stamp
+        monkeypatch.setattr(run, "stamp", lambda *known: dataclasses.replace(real(*known), package=package))
 
     return upgrade
-
-
-# --- which code
-
-
-def test_a_directory_says_which_code_made_each_row(tmp_path):
-    """One code, and its short name at each iteration; the model and the engine are part of it."""
-    result, _ = tune(tmp_path, FEW)
-    ((name, made_by),) = codes_of(tmp_path).items()
-    assert kind_of(tmp_path) == "tuning"
-    assert read_history(tmp_path)["code"].to_pylist() == [name, name]
-    assert (made_by.engine, made_by.model) == ("mjx", result.tuning.setup.load().fingerprint)
 
 
 def test_other_code_is_refused_until_it_is_accepted(tmp_path, other_code):
     """The sentence names the difference; accepted, the rows are told apart, in every later session, too."""
     tune(tmp_path, FEW)
-    (first,) = codes_of(tmp_path)
+    ((first, made_by),) = codes_of(tmp_path).items()
+    assert (made_by.engine, made_by.model) == ("mjx", load_robot().fingerprint)
     other_code()
     with pytest.raises(OtherCode, match=r"nermo-mjx .*, not 9\.9\.9; .*--accept-new-code"):
         tune(tmp_path, FEW | {"iterations": 3})
@@ -77,9 +65,6 @@ def test_a_directory_without_an_iteration_is_any_codes(tmp_path, other_code):
     result, _ = tune(tmp_path, FEW)
     assert set(result.history["code"].to_pylist()) == set(codes_of(tmp_path))
     assert len(codes_of(tmp_path)) == 1
-
-
-# --- nothing is lost
 
 
 def test_a_users_own_file_is_kept_aside(tmp_path):
@@ -113,9 +98,6 @@ def test_a_history_that_goes_further_than_the_checkpoints_is_kept_aside(tmp_path
     assert read_history(tmp_path).equals(done.history)
 
 
-# --- moved
-
-
 def test_a_directory_that_compares_with_a_recording_can_be_moved(tmp_path):
     """Moved, and with the original recording gone, it can be drawn and resumed."""
     (tmp_path / "walk.npz").write_bytes(b"a walk")
@@ -126,7 +108,7 @@ def test_a_directory_that_compares_with_a_recording_can_be_moved(tmp_path):
     (tmp_path / "walk.npz").unlink()
     moved = Tuning.from_file(tmp_path / "there" / "tuning.yaml")
     assert moved.recording == (tmp_path / "there" / "recording.npz").resolve()
-    assert len(list(figures(tmp_path / "there"))) == 4
+    assert len(list(tuning_figures(tmp_path / "there"))) == 4
     longer = dataclasses.replace(moved, iterations=2)
     assert run_tuning(longer, tmp_path / "there", problem=FakeProblem(longer)).iterations_run == 1
     assert load_tuning(tmp_path / "there") == longer

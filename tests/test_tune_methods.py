@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-import json
 import math
 import types
 from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
-from tune_fake import BEST, SPEC, FakeProblem, speed
+from command import call
+from tune_fake import BEST, SPEC, speed
 
-from nermo_mjx.cli import main
 from nermo_mjx.optimize import Tuning, run_tuning
 from nermo_mjx.optimize.problems import SimulatedProblem
-from nermo_mjx.optimize.tuning_run import costs_of
-from nermo_mjx.runs import Interrupted, codes_of
-from nermo_mjx.specs.reading import SpecError
+from nermo_mjx.optimize.run import costs_of
+from nermo_mjx.runs import codes_of
 
 PLAIN = {key: value for key, value in SPEC.items() if key not in ("optimizer", "starts")}
 CMA = PLAIN | {"method": {"cma": {"population": 8}}, "iterations": 12}
@@ -112,46 +109,9 @@ def test_falls_cost_a_generation_nothing_but_themselves(tmp_path: Path) -> None:
     assert best["metrics"]["speed"] > float(speed(0.2)) - 4e-3
 
 
-@pytest.mark.compiles
-@pytest.mark.parametrize("spec", [CMA, DIFFERENCES], ids=["cma", "differences"])
-def test_a_stopped_tuning_ends_with_the_same_numbers(spec, tmp_path: Path) -> None:
-    tuning = Tuning.from_dict(spec)
-    whole = run_tuning(spec, tmp_path / "a", problem=FakeProblem(tuning))
-    with pytest.raises(Interrupted):
-        run_tuning(spec, tmp_path / "b", problem=FakeProblem(tuning, stop_at=4))
-    rest = run_tuning(spec, tmp_path / "b", problem=(fake := FakeProblem(tuning)))
-    assert len(fake.batches) == tuning.iterations + 1 - 4
-    drop = ["wall_seconds", "code"]
-    assert rest.history.drop_columns(drop).equals(whole.history.drop_columns(drop))
-    assert json.loads((tmp_path / "b/best.json").read_text()) == json.loads((tmp_path / "a/best.json").read_text())
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"method": "cmaes"}, "field 'method' is 'cmaes': expected gradient, cma or differences .* did you mean 'cma'"),
-        ({"method": "cma", "optimizer": "adam"}, "'optimizer' is not read by the method cma, but by gradient and diff"),
-        ({"method": "cma", "starts": 4}, r"'starts' is not read by the method cma.*give method: \{cma: \{population"),
-        ({"method": "differences", "estimator": "exact"}, "'estimator' is not read by the method differences"),
-        ({"method": {"cma": {"population": 2}}}, "is 2: expected a whole number from 4"),
-        ({"method": {"differences": {"scheme": "left"}}}, "is the text 'left': allowed are central, forward"),
-    ],
-)
-def test_wrong_methods_are_said(change, message) -> None:
-    with pytest.raises(SpecError, match=message):
-        Tuning.from_dict(PLAIN | change)
-
-
-@pytest.mark.parametrize("spec", [CMA, DIFFERENCES, SPEC], ids=["cma", "differences", "gradient"])
-def test_a_tuning_reads_back_as_itself(spec) -> None:
-    tuning = Tuning.from_dict(spec)
-    assert Tuning.from_text(tuning.to_yaml()) == tuning
-    assert ("method" in tuning.resolved()) == ("method" in spec)
-
-
 def test_each_method_says_its_cost_before(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """At a hundred simulated seconds a second: counted by hand for two starts, six iterations, runs of five seconds."""
-    monkeypatch.setattr("nermo_mjx.optimize.tuning_run.pace_here", lambda _: 100.0)
+    monkeypatch.setattr("nermo_mjx.optimize.run.pace_here", lambda _: 100.0)
     costs = {each.method: each for each in costs_of(Tuning.from_dict(DIFFERENCES))}
     assert list(costs) == ["differences", "gradient", "cma"]
     assert costs["differences"].evaluations == 2 * 7 * 5
@@ -159,10 +119,23 @@ def test_each_method_says_its_cost_before(monkeypatch: pytest.MonkeyPatch, tmp_p
     assert costs["differences"].wall_seconds == pytest.approx(3.5)
     assert costs["gradient"].simulated_seconds == pytest.approx(2 * 7 * 3 * 5.0)
     assert costs["cma"].evaluations == 16 * 7
+    line = SPEC | {"optimizer": "line_search"}
+    averaged, values, differences = (
+        costs_of(Tuning.from_dict(line | more))[0]
+        for more in (
+            {"estimator": {"smoothed": {"samples": 4, "sigma": 0.1, "normalized": True}}},
+            {"estimator": {"evolution": {"samples": 8, "sigma": 0.1}}},
+            {"method": "differences"},
+        )
+    )
+    assert averaged.evaluations == 7 * (8 + 34)
+    assert averaged.simulated_seconds == pytest.approx(7 * (8 * 3 + 34) * 5.0)  # forward mode: 1 + 2 runs
+    assert averaged.wall_seconds == pytest.approx(7 * (8 * 3 * 10 + 34) * 5.0 / 100)
+    assert values.wall_seconds == pytest.approx(7 * (16 + 34) * 5.0 / 100)
+    assert differences.evaluations == 7 * 2 * (5 + 17)
     path = tmp_path / "tuning.yaml"
     path.write_text(Tuning.from_dict(DIFFERENCES).to_yaml())
-    told = CliRunner().invoke(main, ["tune", str(path), "--out", str(tmp_path / "out"), "--dry-run"])
-    assert told.exit_code == 0
-    assert "method differences: 70 evaluations" in told.stdout
-    assert "instead of it, method gradient" in told.stdout
+    shown = call("tune", path, "--out", tmp_path / "out", "--dry-run").stdout
+    assert "method differences: 70 evaluations" in shown
+    assert "instead of it, method gradient" in shown
     assert not (tmp_path / "out").exists()

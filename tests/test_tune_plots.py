@@ -1,7 +1,5 @@
 """Pictures of a tuning: which figures there are, that they show the history's numbers, the landscape and the video."""
 
-import dataclasses
-import json
 import shutil
 
 import imageio.v2 as imageio
@@ -12,29 +10,25 @@ import pytest
 from matplotlib.collections import PathCollection
 from matplotlib.contour import QuadContourSet
 from matplotlib.image import imread
-from tune_fake import BEST, SPEC, FakeProblem, FakeWalker, speed
+from tune_fake import SPEC, FakeProblem, FakeWalker, speed
 
-from nermo_mjx.optimize import (
-    Objective,
-    Term,
-    Tuning,
-    load_tuning,
-    read_history,
-    run_tuning,
-    tuning_figures,
-)
-from nermo_mjx.optimize.history import empty_log, history_table
+from nermo_mjx.optimize import Tuning, figures, run_tuning
+from nermo_mjx.optimize.directory import History
+from nermo_mjx.optimize.figures import MOST_STARTS, Background, Traces, path_figure
 from nermo_mjx.optimize.methods import Tuner, initial_state
-from nermo_mjx.optimize.tuning_figures import MOST_STARTS, Background, Traces, figures_of, path_figure
-from nermo_mjx.plotting.files import write_figures
 from nermo_mjx.plotting.style import STYLE
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.runs import Interrupted
-from nermo_mjx.view import offscreen
 
 pytestmark = pytest.mark.draws
 
-NAMES = ("objective", "parameters", "gradients", "path")
+#: A start that walks over the bound of the circle.
+ROUND = {
+    "tune": SPEC["tune"] | {"spine.phase": {"bounds": [-3.14159, 3.14159], "start": 3.0, "periodic": True}},
+    "starts": 1,
+    "iterations": 20,
+    "optimizer": {"name": "sgd", "learning_rate": 1.0},
+}
 MIXTURE = {"mixture": {"samples": 8, "sigma": 0.1}}
 
 
@@ -48,11 +42,11 @@ def traces_of(change=None, **of_problem):
     """The traces of a tuning that needs no directory."""
     tuning = Tuning.from_dict(SPEC | (change or {}))
     tuner, state = Tuner(tuning, FakeProblem(tuning, **of_problem)), initial_state(tuning)
-    log = None
+    history = History(tuning)
     for _ in range(tuning.iterations + 1):
         state, found = tuner.step(state)
-        log = (log or empty_log(tuning, tuple(found.metrics))).extended(tuning, found, 0.1, "a")
-    return Traces(tuning, history_table(tuning, log))
+        history = history.extended(found, 0.1, "a")
+    return Traces(tuning, history.table())
 
 
 @pytest.fixture(autouse=True)
@@ -83,7 +77,7 @@ def again(finished, tmp_path):
 def undrawn(monkeypatch):
     """No figures; the landscapes that they would have had."""
     landscapes = []
-    monkeypatch.setattr(tuning_figures, "figures_of", lambda *known: landscapes.append(known[-1]) or [])
+    monkeypatch.setattr(figures, "tuning_figures_of", lambda *known: landscapes.append(known[-1]) or [])
     return landscapes
 
 
@@ -122,28 +116,18 @@ def stars(figure):
 def test_a_tuning_leaves_its_figures(drawn):
     """PNG and SVG of each, no blank picture, and the landscape as a table."""
     result, _ = drawn
-    assert [path.name for path in result.pictures.plots] == [f"{n}.{f}" for n in NAMES for f in ("png", "svg")]
+    names = [f"{name}.{form}" for name in ("objective", "parameters", "gradients", "path") for form in ("png", "svg")]
+    assert [path.name for path in result.pictures.plots] == names
     for path in result.pictures.plots[::2]:
-        picture = imread(path)
-        assert min(picture.shape[:2]) > 250  # tests draw at half the size
-        assert len(np.unique(picture[..., 0])) > 30
-    folder = sorted(path.name for path in (result.out / "plots").iterdir())
-    assert folder == sorted([*(path.name for path in result.pictures.plots), "landscape.parquet"])
+        assert len(np.unique(imread(path)[..., 0])) > 30
+    assert {path.name for path in (result.out / "plots").iterdir()} == {*names, "landscape.parquet"}
     assert result.pictures.notes == ()
-
-
-def test_the_same_history_gives_the_same_bytes(drawn, tmp_path):
-    """Figures can be drawn again from the directory alone."""
-    result, _ = drawn
-    landscape = tuning_figures.background_of(result.tuning, pq.read_table(result.out / "plots" / "landscape.parquet"))
-    again = write_figures(figures_of(load_tuning(result.out), read_history(result.out), landscape), tmp_path)
-    assert [path.read_bytes() for path in again] == [path.read_bytes() for path in result.pictures.plots]
 
 
 def test_objective_and_metrics_of_each_start_are_drawn():
     """A line a start in shown units, the best so far as steps below, and the star where the best is."""
     traces = traces_of()
-    figure = tuning_figures.objective_figure(traces)
+    figure = figures.objective_figure(traces)
     objective, speeds, rolls = figure.axes
     value = traces.column("objective")
     *starts, best = lines(objective, 7)
@@ -154,23 +138,11 @@ def test_objective_and_metrics_of_each_start_are_drawn():
     iteration, start = traces.best
     assert stars(figure)[0] == pytest.approx((iteration, value[iteration, start]))
     text = texts(figure)
-    for word in (
-        "speed [mm/s]",
-        "roll, standard deviation [deg]",
-        "start 0 (given)",
-        "start 1",
-        "more is better",
-        "less is better",
-    ):
+    for word in ("speed [mm/s]", "roll, standard deviation [deg]", "start 0 (given)", "more is better"):
         assert word in text
     assert f"star: best, {value.min():.4g} in iteration 6 of start {start}" in text
-
-
-def test_a_held_metric_has_its_line():
-    """What a metric is held at is drawn in its shown unit."""
-    traces = traces_of({"objective": [{"hold": "speed", "at": 0.09, "scale": 0.01}]})
-    ax = tuning_figures.objective_figure(traces).axes[1]
-    assert [90.0, 90.0] in [np.asarray(line.get_ydata(), float).tolist() for line in ax.lines]
+    held = figures.objective_figure(traces_of({"objective": [{"hold": "speed", "at": 0.09, "scale": 0.01}]})).axes[1]
+    assert [90.0, 90.0] in [np.asarray(line.get_ydata(), float).tolist() for line in held.lines]
 
 
 def test_falls_are_marked_and_never_drawn_as_values():
@@ -181,7 +153,7 @@ def test_falls_are_marked_and_never_drawn_as_values():
         falls=lambda points: points[:, 0] > 0.06,
     )
     assert not traces.ok.all()
-    figure = tuning_figures.objective_figure(traces)
+    figure = figures.objective_figure(traces)
     assert np.array_equal(np.isfinite(lines(figure.axes[0], 5)[0]), traces.ok[:, 0])
     assert np.array_equal(np.isfinite(lines(figure.axes[1], 5)[0]), traces.ok[:, 0])
     (crosses,) = [line for line in figure.axes[0].lines if line.get_marker() == "x"]
@@ -193,21 +165,15 @@ def test_one_wild_value_does_not_flatten_the_rest():
     ax = matplotlib.figure.Figure().subplots()
     values = np.concatenate([np.linspace(3.0, 1.0, 30), [1e6]])[:, None]
     ax.plot(values)
-    tuning_figures._cut(ax, values)
+    figures._cut(ax, values)
     assert 3.0 < ax.get_ylim()[1] < 20.0
     assert "1 higher" in [text.get_text() for text in ax.texts]
 
 
 def test_parameters_are_in_shown_units_with_their_bounds():
     """Degrees, dashed bounds, and a periodic parameter that goes on beyond them."""
-    change = {
-        "tune": SPEC["tune"] | {"spine.phase": {"bounds": [-3.14159, 3.14159], "start": 3.0, "periodic": True}},
-        "starts": 1,
-        "iterations": 20,
-        "optimizer": {"name": "sgd", "learning_rate": 1.0},
-    }
-    traces = traces_of(change)
-    figure = tuning_figures.parameters_figure(traces)
+    traces = traces_of(ROUND)
+    figure = figures.parameters_figure(traces)
     amplitude, phase = figure.axes
     np.testing.assert_allclose(lines(amplitude, 21)[0], np.degrees(traces.column("spine.amplitude")[:, 0]))
     bounds = [line.get_ydata()[0] for line in amplitude.lines if line.get_linestyle() == "--"]
@@ -226,16 +192,10 @@ def test_gradients_are_per_range_and_tell_signal_from_noise():
     norm, error = traces.gradient_norm()
     parts = [traces.column("gradient.spine.amplitude") * 0.4, traces.column("gradient.spine.phase") * 2 * np.pi]
     np.testing.assert_allclose(norm, np.hypot(*parts), rtol=1e-6)
+    errors = [traces.column(f"gradient_error.{name}") for name in traces.tuning.names]
     assert (error > 0).all()
-    assert (
-        error
-        <= np.hypot(
-            traces.column("gradient_error.spine.amplitude") * 0.4,
-            traces.column("gradient_error.spine.phase") * 2 * np.pi,
-        )
-        * (1 + 1e-9)
-    ).all()
-    figure = tuning_figures.gradients_figure(traces)
+    assert (error <= np.hypot(errors[0] * 0.4, errors[1] * 2 * np.pi) * (1 + 1e-9)).all()
+    figure = figures.gradients_figure(traces)
     assert len(figure.axes) == 3
     assert figure.axes[0].get_yscale() == "log"
     np.testing.assert_allclose(lines(figure.axes[1], 7)[0], (error / norm)[:, 0])
@@ -243,10 +203,10 @@ def test_gradients_are_per_range_and_tell_signal_from_noise():
     assert any(np.allclose(line, share) for line in lines(figure.axes[2], 7))
     one_pair = traces_of({"estimator": {"smoothed": {"samples": 2, "sigma": 0.1}}, "iterations": 1})
     assert np.isnan(one_pair.gradient_norm()[1]).all()
-    assert len(tuning_figures.gradients_figure(one_pair).axes) == 2
+    assert len(figures.gradients_figure(one_pair).axes) == 2
     exact = traces_of()
     assert exact.gradient_norm()[1] is None
-    assert len(tuning_figures.gradients_figure(exact).axes) == 1
+    assert len(figures.gradients_figure(exact).axes) == 1
 
 
 def test_many_starts_are_thinned_and_the_best_is_among_them():
@@ -254,17 +214,9 @@ def test_many_starts_are_thinned_and_the_best_is_among_them():
     traces = traces_of({"starts": 100, "iterations": 1})
     assert len(traces.drawn()) <= MOST_STARTS
     assert {0, traces.best[1]} <= set(traces.drawn())
-    text = texts(tuning_figures.objective_figure(traces))
+    text = texts(figures.objective_figure(traces))
     assert f"start {traces.best[1]} (best)" in text
     assert f"100 starts ({len(traces.drawn())} of them drawn)" in text
-
-
-def test_many_parameters_fit_one_figure():
-    """Seven parameters are seven panels."""
-    more = {f"offset.{limb}": {"bounds": [0.0, 1.0], "start": 0.5} for limb in ("front_left", "rear_left")}
-    more |= {"duty": {"bounds": [0.4, 0.7], "start": 0.5}}
-    traces = traces_of({"tune": SPEC["tune"] | more, "iterations": 1})
-    assert len(tuning_figures.parameters_figure(traces).axes) == 5
 
 
 # --- the landscape behind the paths
@@ -280,7 +232,7 @@ def test_the_landscape_is_walked_once_in_one_batch(drawn):
     np.testing.assert_allclose([phase.min(), phase.max()], [-np.pi, np.pi * 7 / 8], rtol=1e-6)
     expected = -np.asarray(speed(amplitude, phase)) / 0.1 + 2 * (0.1 + 0.1 * amplitude**2)
     np.testing.assert_allclose(table.column("objective").to_numpy(), expected, rtol=1e-5)
-    landscape = tuning_figures.background_of(result.tuning, table)
+    landscape = figures.background_of(result.tuning, table)
     assert landscape.value.shape == (17, 17)
     np.testing.assert_array_equal(landscape.value[:, 0], landscape.value[:, -1])
 
@@ -295,7 +247,7 @@ def test_a_kept_landscape_is_not_walked_again_unless_it_is_another(again, undraw
     kept = out / "plots" / "landscape.parquet"
     for change, known in (({"optimizer": "sgd", "seed": 9, "starts": 3}, True), ({"set": {"frequency": 0.7}}, False)):
         other = Tuning.from_dict(SPEC | change)
-        assert (tuning_figures.read(kept, other, {}) is not None) is known
+        assert (figures.stored_background(out, other, {}) is not None) is known
     kept.write_text("damaged")
     again(walker)
     assert len(walker.batches) == 2
@@ -312,17 +264,17 @@ def test_other_parameters_stand_where_they_are_told_to():
             return super().run(values, run, record, **more)
 
     tuning = Tuning.from_dict(SPEC | {"tune": SPEC["tune"] | {"duty": {"bounds": [0.4, 0.7], "start": 0.5}}})
-    table = tuning_figures.simulate(tuning, {"duty": 0.6}, Watched())
+    table = figures.simulate(tuning, {"duty": 0.6}, Watched())
     assert set(seen[0]["duty"]) == {0.6}
     assert set(seen[0]) == {"spine.amplitude", "spine.phase", "duty", "frequency"}
-    assert tuning_figures.key(tuning, {"duty": 0.6}) != tuning_figures.key(tuning, {"duty": 0.5})
-    assert tuning_figures.background_of(tuning, table).value.shape == (17, 17)
+    assert figures.key(tuning, {"duty": 0.6}) != figures.key(tuning, {"duty": 0.5})
+    assert figures.background_of(tuning, table).value.shape == (17, 17)
 
 
 def test_one_parameter_has_a_line_for_a_landscape():
     """The objective over the only parameter, with the points that were visited on it."""
     walker, traces = FakeWalker(), traces_of({"tune": {"spine.amplitude": SPEC["tune"]["spine.amplitude"]}})
-    landscape = tuning_figures.background_of(traces.tuning, tuning_figures.simulate(traces.tuning, {}, walker))
+    landscape = figures.background_of(traces.tuning, figures.simulate(traces.tuning, {}, walker))
     assert walker.batches == [(37, False)]
     assert landscape.axes["spine.amplitude"][np.argmin(landscape.value)] == pytest.approx(2.5 / 10.4, abs=0.02)
     (ax,) = path_figure(traces, landscape).axes
@@ -335,15 +287,15 @@ def test_one_parameter_has_a_line_for_a_landscape():
 def test_where_a_walk_falls_the_landscape_is_empty():
     """Fallen walks are NaN in the table, and leave a hole in the contours."""
     traces, walker = traces_of(), FakeWalker(falls=lambda values: values["spine.amplitude"] > 0.3)
-    table = tuning_figures.simulate(traces.tuning, {}, walker)
+    table = figures.simulate(traces.tuning, {}, walker)
     fell = table.column("spine.amplitude").to_numpy() > 0.3
     assert (np.array(table.column("status").to_pylist()) == np.where(fell, "fell", "ok")).all()
     assert (np.isnan(table.column("objective").to_numpy()) == fell).all()
-    ax = path_figure(traces, tuning_figures.background_of(traces.tuning, table)).axes[0]
+    ax = path_figure(traces, figures.background_of(traces.tuning, table)).axes[0]
     filled = next(c for c in ax.collections if isinstance(c, QuadContourSet))
     assert max(path.vertices[:, 0].max() for path in filled.get_paths() if len(path.vertices)) < np.degrees(0.31)
-    nothing = tuning_figures.simulate(traces.tuning, {}, FakeWalker(falls=lambda values: True))
-    path_figure(traces, tuning_figures.background_of(traces.tuning, nothing))
+    nothing = figures.simulate(traces.tuning, {}, FakeWalker(falls=lambda values: True))
+    path_figure(traces, figures.background_of(traces.tuning, nothing))
 
 
 def test_a_landscape_that_cannot_be_walked_is_a_note(again, undrawn):
@@ -356,25 +308,11 @@ def test_a_landscape_that_cannot_be_walked_is_a_note(again, undrawn):
     assert undrawn == [None]
 
 
-def test_a_recording_has_no_landscape():
-    """What is compared with a recording is found in MJX only."""
-    tuning = Tuning.from_dict(SPEC)
-    assert tuning_figures.has_background(tuning)
-    compared = Objective((Term(minimize="trajectory_error"),))
-    assert not tuning_figures.has_background(dataclasses.replace(tuning, objective=compared))
-
-
 def test_paths_lie_on_the_landscape_and_go_on_at_the_other_side():
     """Contours of the grid's values; a start that walks over the bound of the circle is drawn on both sides of it."""
-    change = {
-        "tune": SPEC["tune"] | {"spine.phase": {"bounds": [-3.14159, 3.14159], "start": 3.0, "periodic": True}},
-        "starts": 1,
-        "iterations": 20,
-        "optimizer": {"name": "sgd", "learning_rate": 1.0},
-    }
-    traces = traces_of(change)
+    traces = traces_of(ROUND)
     assert np.ptp(traces.column("spine.phase")) > 5.0, "it comes back at the other bound"
-    axes = tuning_figures.grid_axes(traces.tuning)
+    axes = figures.grid_axes(traces.tuning)
     value = -np.asarray(speed(axes["spine.amplitude"][:, None], axes["spine.phase"][None]))
     figure = path_figure(traces, Background(axes, value, "289 walks, engine c"))
     ax = figure.axes[0]
@@ -393,19 +331,14 @@ def test_paths_lie_on_the_landscape_and_go_on_at_the_other_side():
 # --- what is made, and what is not
 
 
-def test_plots_and_video_can_be_turned_off(again):
-    """`plots: false` draws and walks nothing."""
+def test_what_is_not_asked_for_or_not_real_is_not_made(again, undrawn):
+    """Without plots nothing is drawn and walked; a stand-in problem alone has neither landscape nor video."""
     walker = FakeWalker()
     result = again(walker, {"plots": False})
     assert (result.pictures.plots, result.pictures.video, walker.batches) == ((), None, [])
     assert not (result.out / "plots").exists()
-
-
-def test_a_stand_in_problem_alone_has_neither_landscape_nor_video(again, undrawn):
-    """What the real robot does would not be what was tuned."""
     result = again(None, {"video": True})
-    assert undrawn == [None]
-    assert result.pictures.video is None
+    assert (result.pictures.video, undrawn) == (None, [None])
     assert not (result.out / "plots" / "landscape.parquet").exists()
 
 
@@ -413,7 +346,7 @@ def test_a_stand_in_problem_alone_has_neither_landscape_nor_video(again, undrawn
 def test_start_and_best_walk_side_by_side(again, monkeypatch):
     """One batch of both, at half speed; a video that is there is kept."""
     for name, value in {"FPS": 2, "WIDTH": 96, "HEIGHT": 64, "CYCLES": 0.4}.items():
-        monkeypatch.setattr(tuning_figures, name, value)
+        monkeypatch.setattr(figures, name, value)
     change, walker = {"plots": False, "video": True}, FakeWalker()
     result = again(walker, change)
     assert result.pictures.video == result.out / "video.mp4"
@@ -434,9 +367,9 @@ def test_the_video_shows_the_walk_after_its_warm_up(finished, monkeypatch, tmp_p
         asked.update(panes=panes, options=options)
         return path
 
-    monkeypatch.setattr(tuning_figures, "render_side_by_side", take)
+    monkeypatch.setattr(figures, "render_side_by_side", take)
     best = finished.best
-    tuning_figures.render_video(finished.tuning, finished.start, best, FakeWalker(), tmp_path / "v.mp4")
+    figures.render_video(finished.tuning, finished.start, best, FakeWalker(), tmp_path / "v.mp4")
     start, shown = asked["panes"]
     assert (start.title, shown.title) == ("Start", f"Best, iteration {best['iteration']}, start {best['start']}")
     assert start.recording.time[[0, -1]] == pytest.approx([1.25, 3.75]), "one cycle of warm-up and two more, at 0.8 Hz"
@@ -446,22 +379,8 @@ def test_the_video_shows_the_walk_after_its_warm_up(finished, monkeypatch, tmp_p
     assert f"speed {1e3 * best['metrics']['speed']:.3g} mm/s" in shown.caption[0]
     assert asked["options"]["speed"] == 0.5
     fallen = finished.start | {"metrics": {"speed": np.nan, "roll_std": np.nan}}
-    tuning_figures.render_video(finished.tuning, fallen, best, FakeWalker(), tmp_path / "v.mp4")
+    figures.render_video(finished.tuning, fallen, best, FakeWalker(), tmp_path / "v.mp4")
     assert asked["panes"][0].caption[0] == "speed – mm/s, roll_std – deg"
-
-
-def test_a_machine_that_cannot_draw_keeps_all_but_the_video(again, monkeypatch):
-    """One sentence with the remedy; nothing is simulated for an impossible video."""
-    for name in ("MUJOCO_GL", "DISPLAY", "WAYLAND_DISPLAY"):
-        monkeypatch.delenv(name, raising=False)
-    monkeypatch.setattr(offscreen, "_headless_backend", lambda: None)
-    walker = FakeWalker()
-    result = again(walker, {"plots": False, "video": True})
-    (note,) = result.pictures.notes
-    assert note.startswith("There is no video. No rendering library was found")
-    assert "apt-get install libosmesa6" in note
-    assert walker.batches == []
-    assert json.loads((result.out / "best.json").read_text()) == result.best
 
 
 def test_an_old_video_does_not_outlive_its_best(finished, tmp_path):
@@ -472,12 +391,3 @@ def test_an_old_video_does_not_outlive_its_best(finished, tmp_path):
         tune(tmp_path / "out", {"plots": False, "iterations": 8}, stop_at=0)
     assert not (tmp_path / "out" / "video.mp4").exists()
     assert (tmp_path / "out" / "video.mp4.aside-1").read_text() == "of iteration 6"
-
-
-def test_the_start_is_what_the_file_gives(finished):
-    """The result's start is the first row of the given start."""
-    assert finished.start["ok"]
-    assert finished.start["parameters"] == pytest.approx({"spine.amplitude": 0.05, "spine.phase": 2.5}, rel=1e-5)
-    assert finished.start["metrics"]["speed"] == pytest.approx(float(speed(0.05, 2.5)), rel=1e-5)
-    assert finished.start["objective"] > finished.best["objective"]
-    assert abs(finished.best["parameters"]["spine.amplitude"] - BEST[0]) < abs(0.05 - BEST[0])

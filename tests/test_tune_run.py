@@ -1,12 +1,7 @@
 """Running a tuning: convergence, bounds, worlds that fall, the files, and going on after every kind of stop."""
 
 import json
-import os
 import signal
-import subprocess
-import sys
-import time
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -33,9 +28,22 @@ ESTIMATORS = {
 }
 
 
+#: Tunings by each method, and along a sampled gradient: what changes in `SPEC`, where None leaves a field out.
+METHODS = {
+    "mixture": {"estimator": ESTIMATORS["mixture"]},
+    "cma": {"method": {"cma": {"population": 8}}, "optimizer": None, "starts": None},
+    "differences": {"method": "differences"},
+    "line_search": {
+        "optimizer": "line_search",
+        "estimator": {"smoothed": {"samples": 4, "sigma": 0.1, "normalized": True}},
+    },
+}
+
+
 def tune(out, change=None, watch=SILENT, accept_new_code=False, **of_problem):
     """Run `SPEC` with changes on the fake problem; the result and the problem."""
-    tuning = Tuning.from_dict(SPEC | (change or {}))
+    spec = {name: value for name, value in (SPEC | (change or {})).items() if value is not None}
+    tuning = Tuning.from_dict(spec)
     problem = FakeProblem(tuning, **of_problem)
     return run_tuning(tuning, out, problem=problem, watch=watch, accept_new_code=accept_new_code), problem
 
@@ -106,30 +114,6 @@ def test_tunings_of_one_estimator_and_optimizer_share_their_programs(compilation
     assert not [name for name in compilations if "_placed" in name or "_advanced" in name]
 
 
-def test_every_point_is_within_the_bounds(tmp_path):
-    """Steps as long as the range lead nowhere else."""
-    result, _ = tune(tmp_path, {"optimizer": {"name": "sgd", "learning_rate": 500.0}, "iterations": 6})
-    amplitude, phase = (result.history.column(name).to_numpy() for name in result.tuning.names)
-    assert ((amplitude >= 0.0) & (amplitude <= 0.4)).all()
-    assert (np.abs(phase) <= np.pi + 1e-6).all()
-    assert np.ptp(amplitude) > 0.3
-
-
-def test_a_start_on_a_bound_leaves_it(tmp_path):
-    """Amplitude 0 is allowed as a start, and is not where the tuning ends."""
-    change = {"tune": SPEC["tune"] | {"spine.amplitude": {"bounds": [0.0, 0.4], "start": 0.0}}, "iterations": 10}
-    result, _ = tune(tmp_path, change | {"starts": 1, "optimizer": {"name": "adam", "learning_rate": 0.5}})
-    assert result.history.column("spine.amplitude").to_pylist()[0] == pytest.approx(0.004, rel=1e-3)
-    assert result.best["parameters"]["spine.amplitude"] > 0.15
-
-
-def test_one_program_evaluates_all_worlds_of_all_starts(tmp_path):
-    """Three starts with eight perturbed worlds each are one batch of 27, and compile once."""
-    _, problem = tune(tmp_path, {"starts": 3, "estimator": ESTIMATORS["smoothed"]})
-    assert problem.batches == [(27, True)] * 7
-    assert problem.compiled == 1
-
-
 def test_the_first_iteration_is_the_given_start(reference):
     """The first row is the start of the file; exact gradients are those of the problem, in the parameters' units."""
     row = lasting(reference.history).slice(0, 1).to_pylist()[0]
@@ -138,14 +122,6 @@ def test_the_first_iteration_is_the_given_start(reference):
     # -speed / 0.1 gives 10 (x - 0.25); 0.1 roll_std / 0.05 gives 0.4 x.
     assert row["gradient.spine.amplitude"] == pytest.approx(10 * (0.05 - 0.25) + 0.4 * 0.05, rel=1e-4)
     assert row["gradient.spine.phase"] == pytest.approx(0.2 * np.sin(2.5 - BEST[1]), rel=1e-4)
-
-
-def test_the_best_may_be_the_last(reference):
-    """The point that the last step leads to is evaluated, too."""
-    iterations = reference.history.column("iteration").to_pylist()
-    assert iterations == [i for i in range(7) for _ in range(2)]
-    assert reference.best["iteration"] == 6
-    assert reference.best["objective"] == min(reference.history.column("objective").to_pylist())
 
 
 def test_the_effort_counts_gradients_at_their_cost(tmp_path, reference):
@@ -173,27 +149,21 @@ def test_starts_are_shared_among_workers_in_shares_of_one_size(tmp_path, name):
     assert worlds == [2 * tuning.estimator.worlds] * 3 * 7
 
 
-def test_workers_that_are_lost_leave_what_is_done(tmp_path):
-    """One sentence; the same command resumes."""
-
-    class Lost(Three):
-        def results(self, tasks, tell):
-            raise WorkersLost("no node came within 300 s.")
-
-    tuning = Tuning.from_dict(SPEC)
-    with pytest.raises(JobFailed, match=r"no node came within 300 s\. What is finished is kept in .*same command"):
-        run_tuning(tuning, tmp_path, problem=FakeProblem(tuning), workers=Lost())
-
-
-def test_what_a_worker_raises_is_raised(tmp_path):
-    """As if it had been raised here."""
-
+@pytest.mark.parametrize(
+    ("error", "raised", "sentence"),
+    [
+        (WorkersLost("no node came."), JobFailed, r"no node came\. What is finished is kept in .*same command"),
+        (TaskFailed(0, ZeroDivisionError("no number")), ZeroDivisionError, "no number"),
+    ],
+    ids=["lost", "failing"],
+)
+def test_what_workers_cannot_do_is_said(tmp_path, error, raised, sentence):
     class Failing(Three):
         def results(self, tasks, tell):
-            raise TaskFailed(0, ZeroDivisionError("no number"))
+            raise error
 
     tuning = Tuning.from_dict(SPEC)
-    with pytest.raises(ZeroDivisionError, match="no number"):
+    with pytest.raises(raised, match=sentence):
         run_tuning(tuning, tmp_path, problem=FakeProblem(tuning), workers=Failing())
 
 
@@ -271,44 +241,29 @@ def test_a_problem_that_says_ok_to_nan_is_not_believed():
 # --- going on
 
 
-@pytest.mark.parametrize("stop_at", range(7))
-def test_an_interrupted_tuning_goes_on_bit_for_bit(tmp_path, noisy, stop_at):
-    """Stopped in any iteration, the same call resumes and ends with the same state and history."""
-    change = {"estimator": ESTIMATORS["mixture"]}
-    with pytest.raises(Interrupted, match=r"run the same command again, or: nermo-mjx tune"):
-        tune(tmp_path, change, stop_at=stop_at)
-    if stop_at:
-        assert read_history(tmp_path).num_rows == 2 * stop_at
-        assert json.loads((tmp_path / "best.json").read_text())["complete"] is False
-    result, problem = tune(tmp_path, change)
-    assert len(problem.batches) == result.iterations_run == 7 - stop_at
-    assert problem.compiled == 1
-    assert same(result, noisy)
+@pytest.mark.parametrize(
+    ("name", "stops"),
+    [("mixture", (0, 3, 6)), ("cma", (4,)), ("differences", (4,)), ("line_search", (0, 5, 6))],
+)
+def test_an_interrupted_tuning_goes_on_bit_for_bit(tmp_path, name, stops):
+    """Stopped in any iteration, or within one, the same call resumes and ends with the same state and history."""
+    spec = METHODS[name]
+    calls = 2 if name == "line_search" else 1  # of the problem, in each iteration
+    whole, problem = tune(tmp_path / "whole", spec)
+    for stop in stops:
+        out = tmp_path / str(stop)
+        with pytest.raises(Interrupted, match=r"run the same command again, or: nermo-mjx tune"):
+            tune(out, spec, stop_at=stop)
+        if stop:
+            assert read_history(out).num_rows == whole.tuning.starts * (stop // calls)
+            assert json.loads((out / "best.json").read_text())["complete"] is False
+        rest, again = tune(out, spec)
+        assert rest.iterations_run == whole.iterations_run - stop // calls
+        assert len(again.batches) == calls * rest.iterations_run
+        assert again.compiled == problem.compiled == calls
+        assert same(rest, whole)
+        assert rest.best == whole.best
     assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
-
-
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
-def test_a_killed_process_is_gone_on_with(tmp_path, reference, number):
-    """Killed by a signal in its fourth evaluation, the tuning loses no more than that one."""
-    out, log = tmp_path / "out", tmp_path / "log"
-    script = Path(__file__).with_name("tune_fake.py")
-    environment = os.environ | {"PYTHONPATH": str(script.parents[1])}
-    process = subprocess.Popen([sys.executable, script, out, log], stdout=subprocess.PIPE, text=True, env=environment)
-    waited = time.monotonic()
-    while (log.read_text().count("\n") if log.exists() else 0) < 4:
-        assert process.poll() is None, "the tuning ended too early"
-        assert time.monotonic() - waited < 120
-        time.sleep(0.005)
-    process.send_signal(number)
-    printed, _ = process.communicate(timeout=60)
-    if number == signal.SIGTERM:
-        assert process.returncode == 3
-        assert f"nermo-mjx tune {out}/tuning.yaml --out {out}" in printed
-    result, _ = tune(out)
-    assert result.iterations_run == 4
-    assert same(result, reference)
-    sessions = json.loads((out / "run.json").read_text())["sessions"]
-    assert [session["begun_at"] for session in sessions] == [0, 7 - result.iterations_run]
 
 
 def test_a_finished_tuning_is_not_run_again(tmp_path, reference):
@@ -358,6 +313,10 @@ def test_the_directory_holds_what_other_programs_rely_on(reference):
     """best.json, history.parquet, checkpoints/ and the rest, and nothing half-written."""
     names = sorted(path.name for path in reference.out.iterdir() if path.name[0] != ".")
     assert names == ["best.json", "checkpoints", "history.parquet", "run.json", "tuned.yaml", "tuning.yaml"]
+    # The point that the last step leads to is evaluated, too.
+    assert reference.history.column("iteration").to_pylist() == [i for i in range(7) for _ in range(2)]
+    assert reference.best["iteration"] == 6
+    assert reference.best["objective"] == min(reference.history.column("objective").to_pylist())
     best = json.loads((reference.out / "best.json").read_text())
     assert best == reference.best
     assert set(best["parameters"]) == {"spine.amplitude", "spine.phase"}
@@ -371,26 +330,10 @@ def test_the_directory_holds_what_other_programs_rely_on(reference):
 def test_every_column_says_its_unit_meaning_and_role(reference, noisy):
     """Units of parameters, gradients and metrics stand in the Parquet file itself; pandas needs nothing else."""
     about = {field.name: field.metadata for field in pq.read_schema(noisy.out / "history.parquet")}
-    assert list(about) == [
-        "iteration",
-        "start",
-        "objective",
-        "spine.amplitude",
-        "spine.phase",
-        "gradient.spine.amplitude",
-        "gradient_error.spine.amplitude",
-        "first_order.spine.amplitude",
-        "gradient.spine.phase",
-        "gradient_error.spine.phase",
-        "first_order.spine.phase",
-        "speed",
-        "roll_std",
-        "ok",
-        "discarded",
-        "simulated_seconds",
-        "wall_seconds",
-        "code",
-    ]
+    names = ("spine.amplitude", "spine.phase")
+    gradients = [f"{kind}.{name}" for name in names for kind in ("gradient", "gradient_error", "first_order")]
+    others = ("ok", "discarded", "simulated_seconds", "wall_seconds", "code")
+    assert list(about) == ["iteration", "start", "objective", *names, *gradients, "speed", "roll_std", *others]
     assert about["spine.phase"][b"unit"] == b"rad"
     assert about["gradient.spine.phase"][b"unit"] == b"1/(rad)"
     assert about["speed"][b"unit"] == b"m/s"
@@ -402,15 +345,6 @@ def test_every_column_says_its_unit_meaning_and_role(reference, noisy):
     frame = read_history(noisy.out).to_pandas()
     assert frame["gradient_error.spine.amplitude"].notna().all()
     assert frame["wall_seconds"].is_monotonic_increasing
-
-
-def test_a_directory_without_history_is_said_so(tmp_path):
-    """Reading what is not there, or damaged, is one sentence."""
-    with pytest.raises(DirectoryError, match="holds no history"):
-        read_history(tmp_path)
-    (tmp_path / "history.parquet").write_text("no table")
-    with pytest.raises(DirectoryError, match="holds no history"):
-        read_history(tmp_path)
 
 
 def test_a_sweep_runs_the_tuned_gait(tmp_path, reference):
@@ -480,10 +414,7 @@ def test_one_start_that_still_gains_goes_on(tmp_path):
 
 def test_a_generation_stops_as_a_whole(tmp_path):
     """Of CMA-ES the best of all points counts."""
-    change = {name: value for name, value in SPEC.items() if name not in ("starts", "optimizer")}
-    change |= {"method": {"cma": {"population": 8}}, "iterations": 100, "patience": 4}
-    tuning = Tuning.from_dict(change)
-    result = run_tuning(tuning, tmp_path, problem=FakeProblem(tuning))
+    result, _ = tune(tmp_path, METHODS["cma"] | {"iterations": 100, "patience": 4})
     assert result.best["stopped"]
     assert result.best["iterations"] < 60
 

@@ -47,6 +47,7 @@ COSINE = "{cosine: {init_value: 0.1, decay_steps: 20}}"
 ARC = (GOOD[GOOD.index("pilot:") : GOOD.index("objective:")], "")
 ARC = (ARC[0], ARC[0].replace("straight", "{arc: {radius: 0.5}}").replace("frequency: 0.8", "SET"))
 
+SMALL = {"tune": {"duty": {"bounds": [0.4, 0.7]}}, "objective": [{"maximize": "speed"}]}
 #: For each rule: what is replaced by what, and the line and the field of the message.
 WRONG = [
     ("gait: trt", "gate: trt", 2, "gate"),
@@ -125,6 +126,33 @@ def test_a_wrong_file_is_refused_with_line_and_field(tmp_path, before, after, li
     assert ("did you mean" in message) or field not in misspelt, message
 
 
+AVERAGED = {"smoothed": {"samples": 4, "sigma": 0.1, "normalized": True}}
+LINE = {"optimizer": "line_search", "estimator": AVERAGED}
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"method": "cmaes"}, "field 'method' is 'cmaes': expected gradient, cma or differences .* did you mean 'cma'"),
+        ({"method": "cma", "optimizer": "adam"}, "'optimizer' is not read by the method cma, but by gradient and diff"),
+        ({"method": "cma", "starts": 4}, r"'starts' is not read by the method cma.*give method: \{cma: \{population"),
+        ({"method": "differences", "estimator": "exact"}, "'estimator' is not read by the method differences"),
+        ({"method": {"cma": {"population": 2}}}, "is 2: expected a whole number from 4"),
+        ({"method": {"differences": {"scheme": "left"}}}, "is the text 'left': allowed are central, forward"),
+        ({"optimizer": {"name": "line_search", "points": 5}}, "points is 5: allowed is an even number from 2"),
+        ({"optimizer": {"name": "line_search", "momentum": 1.0}}, r"momentum is 1: allowed is \[0, 1\)"),
+        ({"optimizer": {"name": "line_search", "length": 9}}, r"length is 9: allowed is \[0.1, 4\]"),
+        ({"optimizer": {"name": "line_search", "learning_rate": 0.1}}, "is not an option of line_search"),
+        ({"optimizer": {"name": "line_search", "clip": 1.0}}, "clip'? is not read by line_search"),
+        ({"optimizer": "line_serach"}, "did you mean 'line_search'"),
+        ({"estimator": {"mixture": {"samples": 4, "sigma": 0.1, "normalized": True}}}, "normalized"),
+    ],
+)
+def test_what_a_method_cannot_use_is_said(change, message):
+    with pytest.raises(SpecError, match=message):
+        Tuning.from_dict(SMALL | change)
+
+
 def test_a_refused_tuning_leaves_no_directory(tmp_path):
     """A wrong tuning is refused before anything is written."""
     with pytest.raises(SpecError, match="tuning: field 'frequenzy'"):
@@ -164,23 +192,24 @@ def test_everything_but_parameters_and_objective_has_a_default():
         {"pilot": {"arc": {"radius": 0.4, "direction": "right"}}, "run": {"duration": 3}, "optimizer": "sgd"},
         {"tune": {"offset.rear_left": {"periodic": True}, "contact.friction": {"bounds": (0.7, 1.5)}}},
         {"objective": [{"hold": "speed", "at": 0.05, "weight": 10}, {"minimize": "speed", "scale": 2}]},
+        {"method": {"cma": {"population": 8}}},
+        {"method": "differences"},
+        LINE | {"optimizer": {"name": "line_search", "points": 8}},
     ],
 )
 def test_the_resolved_file_reads_back_as_the_same_tuning(change):
     """tuning.yaml in a directory is enough to run the same tuning again."""
-    tuning = Tuning.from_dict(
-        {"tune": {"frequency": {"bounds": [0.4, 1.2]}}, "objective": [{"maximize": "speed"}], **change}
-    )
+    tuning = Tuning.from_dict({"tune": {"frequency": {"bounds": [0.4, 1.2]}}, "objective": SMALL["objective"]} | change)
     again = Tuning.from_text(tuning.to_yaml())
     assert again == tuning
     assert again.digest() == tuning.digest()
+    assert ("method" in tuning.resolved()) == ("method" in change), "what is not given is not written"
 
 
 def test_the_digest_tells_tunings_apart():
     """What changes an iteration counts; the number of iterations, figures and video do not."""
-    base = {"tune": {"duty": {"bounds": [0.4, 0.7]}}, "objective": [{"maximize": "speed"}]}
-    digest = Tuning.from_dict(base).digest()
-    assert Tuning.from_dict(base | {"iterations": 90, "plots": False, "video": True}).digest() == digest
+    digest = Tuning.from_dict(SMALL).digest()
+    assert Tuning.from_dict(SMALL | {"iterations": 90, "plots": False, "video": True}).digest() == digest
     others = [
         {"seed": 1},
         {"starts": 2},
@@ -193,7 +222,7 @@ def test_the_digest_tells_tunings_apart():
         {"tune": {"duty": {"bounds": [0.4, 0.8]}}},
         {"estimator": {"smoothed": {"samples": 8, "sigma": 0.1}}},
     ]
-    assert digest not in [Tuning.from_dict(base | other).digest() for other in others]
+    assert digest not in [Tuning.from_dict(SMALL | other).digest() for other in others]
 
 
 def test_starts_are_drawn_within_the_bounds():

@@ -13,10 +13,10 @@ import numpy as np
 from nermo_mjx.bench import run_of
 from nermo_mjx.bench.machine import describe
 from nermo_mjx.bench.results import append
+from nermo_mjx.optimize import Tuning
 from nermo_mjx.optimize.methods import initial_state
 from nermo_mjx.optimize.objective import Evaluation, Problem, from_unconstrained
-from nermo_mjx.optimize.tuning import Tuning
-from nermo_mjx.optimize.tuning_run import simulation_of, tuner_of, verified
+from nermo_mjx.optimize.run import simulation_of, tuner_of, verified
 from nermo_mjx.rollout.simulator import Simulator
 
 #: The objectives. For the cost of transport, the speed given with the gait is held.

@@ -58,11 +58,11 @@ KINDS: Final = {
     kind.name: kind
     for kind in (
         Kind("sweep", "a sweep", "sweep.plots:figures", "sweep.table:status", ("x", "y", "color", "notify")),
-        Kind("search", "a search", "optimize.search_figures:figures", "optimize.search_directory:status",
+        Kind("search", "a search", "optimize.figures:search_figures", "optimize.directory:search_status",
              ("x", "y", "color", "notify")),
-        Kind("tuning", "a tuning", "optimize.tuning_figures:figures", "optimize.tuning_directory:status"),
+        Kind("tuning", "a tuning", "optimize.figures:tuning_figures", "optimize.directory:tuning_status"),
         Kind("training", "a training", "learn.plots:figures", "learn.status:status"),
-        Kind("landscape", "a landscape", "optimize.landscape:figures", "optimize.tuning_directory:landscape_status"),
+        Kind("landscape", "a landscape", "optimize.landscape:figures", "optimize.landscape:status"),
         Kind("experiments", "published experiments", "experiments.run:images", "experiments.run:status",
              tracked=True),
         Kind("identification", "an identification", "experiments.identification:drawn",

@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from nermo_mjx.learn.cost import Cost as TrainingCost
     from nermo_mjx.learn.run import TrainingProgress, TrainingResult
     from nermo_mjx.optimize import LandscapeResult, Search, SearchResult, Tuning, TuningResult
-    from nermo_mjx.optimize.search_run import Cost as SearchCost
-    from nermo_mjx.optimize.tuning_run import MethodCost
+    from nermo_mjx.optimize.run import Cost as SearchCost
+    from nermo_mjx.optimize.run import MethodCost
     from nermo_mjx.runs.job import Progress, Watch
     from nermo_mjx.runs.workers import Workers
     from nermo_mjx.sweep import SweepResult
@@ -269,7 +269,7 @@ def search_command(
       nermo-mjx search sweeps/atlas.yaml --out runs/atlas --budget 10000
     """
     from nermo_mjx.optimize import Search, run_search
-    from nermo_mjx.optimize.search_run import cost_of
+    from nermo_mjx.optimize.run import cost_of
 
     search = Search.from_file(spec)
     search = dataclasses.replace(search, **{name: value for name, value in chosen.items() if value is not None})
@@ -370,7 +370,7 @@ def tune_command(
       nermo-mjx tune sweeps/tune_roll.yaml --out runs/roll --dry-run
     """
     from nermo_mjx.optimize import Tuning, run_tuning
-    from nermo_mjx.optimize.tuning_run import costs_of
+    from nermo_mjx.optimize.run import costs_of
 
     tuning = Tuning.from_file(spec)
     changed = {name: value for name, value in chosen.items() if value is not None}

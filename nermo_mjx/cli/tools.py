@@ -89,9 +89,9 @@ def _print_model(summary: dict[str, Any]) -> None:
 #: Where the fields of each command's file are declared.
 FILES: Final = {
     "sweep": "sweep.spec:SweepFile",
-    "search": "optimize.search:SearchFile",
-    "tune": "optimize.tuning:TuningFile",
-    "landscape": "optimize.tuning:TuningFile",
+    "search": "optimize.spec:SearchFile",
+    "tune": "optimize.spec:TuningFile",
+    "landscape": "optimize.spec:TuningFile",
     "train": "learn.spec:TrainingFile",
     "servos": "hardware.channels:ChannelsFile",
 }

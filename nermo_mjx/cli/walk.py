@@ -396,7 +396,7 @@ def replay_command(
         return _replay_drive(out, record, video, sweep, camera)
     if row is None or sweep is not None:
         raise WrongUse("Give --row N, a row of the table." if row is None else "--sweep belongs to a recorded drive.")
-    from nermo_mjx.optimize.search_directory import find_evaluation
+    from nermo_mjx.optimize.directory import find_evaluation
     from nermo_mjx.runs.files import make_writable
     from nermo_mjx.runs.text import plain
     from nermo_mjx.sweep.replay import find_row, replay_row, report_of

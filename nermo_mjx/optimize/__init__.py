@@ -7,14 +7,11 @@ result.best["parameters"], result.best["metrics"]["speed"]
 A landscape shows whether the gradients of a tuning can be trusted.
 """
 
-from nermo_mjx.optimize.history import read_history
+from nermo_mjx.optimize.directory import load_tuning, read_history
 from nermo_mjx.optimize.landscape import LandscapeResult, run_landscape
 from nermo_mjx.optimize.objective import Evaluation, Objective, Problem, Term
-from nermo_mjx.optimize.search import Search
-from nermo_mjx.optimize.search_run import SearchResult, run_search
-from nermo_mjx.optimize.tuning import Tuning
-from nermo_mjx.optimize.tuning_directory import load_tuning
-from nermo_mjx.optimize.tuning_run import TuningResult, run_tuning
+from nermo_mjx.optimize.run import SearchResult, TuningResult, run_search, run_tuning
+from nermo_mjx.optimize.spec import Search, Tuning
 
 __all__ = [
     "Evaluation",

@@ -14,9 +14,11 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
+import itertools
 import json
 import math
 import os
+import shlex
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -30,17 +32,17 @@ from jaxtyping import Bool, Float, Int
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from nermo_mjx.optimize.directory import keep_recording, read_stored
+from nermo_mjx.optimize.figures import corner, legend, star
 from nermo_mjx.optimize.objective import FURTHEST, Evaluation, Problem
-from nermo_mjx.optimize.tuning import Gradient, Tuned, Tuning
-from nermo_mjx.optimize.tuning_directory import keep_recording, read_stored
-from nermo_mjx.optimize.tuning_figures import corner, legend, star
-from nermo_mjx.optimize.tuning_run import simulation_of
+from nermo_mjx.optimize.run import simulation_of
+from nermo_mjx.optimize.spec import Gradient, Tuned, Tuning
 from nermo_mjx.plotting.files import Figures, write_figures
 from nermo_mjx.plotting.page import page
 from nermo_mjx.plotting.shown import ShownValues, shown, spoken
 from nermo_mjx.plotting.style import BAND, INK, LINE, MUTED, horizontal_grid, set_scales
 from nermo_mjx.robot.quantity import ParameterError
-from nermo_mjx.runs import RunDirectory, Written, session, stamp
+from nermo_mjx.runs import RunDirectory, Written, engine_of, session, stamp
 from nermo_mjx.runs.files import (
     DirectoryError,
     WrongDirectory,
@@ -51,7 +53,8 @@ from nermo_mjx.runs.files import (
     stored_table,
 )
 from nermo_mjx.runs.job import SILENT, Interrupted, Progress, Watch
-from nermo_mjx.runs.rows import Runs, keys_of
+from nermo_mjx.runs.rows import Runs, keys_of, part_files
+from nermo_mjx.runs.status import Status, last_command, metadata_of
 from nermo_mjx.runs.text import MISSING, listed, table, to_json
 from nermo_mjx.specs.described import write_described
 from nermo_mjx.specs.model import written
@@ -76,11 +79,9 @@ class Plan:
     """The n points of a landscape of p parameters, line by line; of each line first its own points, from low to high.
 
     Attributes:
-        points: (n, p).
-        line: which parameter changes (n,).
-        centre: of a secant's end: which point of its line is in the middle (n,); -1 for a point of the line itself.
-        width: of a secant's end: share of the range (n,); 0 for a point of the line.
-        side: of a secant's end: -1 or 1 (n,); 0 for a point of the line.
+        points: (n, p); line: which parameter changes (n,).
+        centre, width, side: of a secant's end the point of its line in the middle, the share of the range, and -1 or 1
+            (n,); of a point of the line itself -1, 0 and 0.
     """
 
     points: Float[np.ndarray, "n p"]
@@ -113,11 +114,10 @@ def plan(tuning: Tuning, points: int, span: float) -> Plan:
         # Evenly spread, as far from the line's ends as the widest secants reach.
         margin = min(0.5 * max(WIDTHS) * bounds, _MARGIN * (line[-1] - line[0]))
         inner = np.flatnonzero((line - line[0] >= margin) & (line[-1] - line >= margin))
-        for middle in np.unique(inner[np.linspace(0, len(inner) - 1, CENTRES).round().astype(int)]).tolist():
-            for share in WIDTHS:
-                ends = [line[middle] + sign * 0.5 * share * bounds for sign in (-1, 1)]
-                if low <= ends[0] and ends[1] <= high:
-                    rows += [(x, i, middle, share, sign) for x, sign in zip(ends, (-1, 1), strict=True)]
+        middles = np.unique(inner[np.linspace(0, len(inner) - 1, CENTRES).round().astype(int)]).tolist()
+        for middle, share in itertools.product(middles, WIDTHS):
+            ends = [(line[middle] + side * 0.5 * share * bounds, i, middle, share, side) for side in (-1, 1)]
+            rows += ends if low <= ends[0][0] and ends[1][0] <= high else []
     x, which, centre, width, side = map(np.array, zip(*rows, strict=True))
     where = np.tile(start, (len(rows), 1))
     where[np.arange(len(rows)), which] = x
@@ -137,11 +137,9 @@ class Secants:
     """Secants of one width on one line, one per centre; those with an end at which the robot fell are left out.
 
     Attributes:
-        share: width as a fraction of the parameter's bounds.
-        width: distance of the ends, in the parameter's unit.
+        share, width: distance of the ends, as a fraction of the parameter's bounds and in its unit.
         centre: middles (k,), in the parameter's unit.
-        secant: slopes of the secants (k,).
-        slope: exact slopes at the middles (k,).
+        secant, slope: slopes of the secants, and exact ones at the middles (k,).
         ripple: root mean square, over the centres, of the residual standard deviation of a parabola through all points
             within the width; NaN where there are too few of them.
     """
@@ -167,6 +165,12 @@ class Secants:
     def sign_agreement(self) -> float:
         """Share of the centres where slope and secant have one sign; NaN without secants."""
         return float(np.mean(np.sign(self.slope) == np.sign(self.secant))) if len(self.secant) else math.nan
+
+    @property
+    def measures(self) -> dict[str, Any]:
+        """For landscape.json."""
+        of_all = {"median_relative_error": self.error, "sign_agreement": self.sign_agreement, "ripple": self.ripple}
+        return {"share": self.share, "width": self.width, "secants": len(self.secant)} | of_all
 
 
 @dataclasses.dataclass(frozen=True)
@@ -265,51 +269,12 @@ def batch_size(count: int) -> int:
     return math.ceil(count / math.ceil(count / most))
 
 
-def evaluate(
-    runs: Runs,
-    tuning: Tuning,
-    problem: Problem,
-    plan: Plan,
-    watch: Watch,
-    about: Mapping[str, str],
-    code: str,
-) -> int:
-    """Value and gradient at all points that are missing; how many these were.
-
-    All batches have one size, the last one is filled up with its last point: one program is compiled. Each is stored as
-    soon as it is evaluated.
-
-    Args:
-        runs: what the directory holds.
-        watch: is told the points done, and all of them.
-        about: what to note in the metadata of each batch.
-        code: short name of the code that evaluates here.
-    """
-    total, size, missing = len(plan), batch_size(len(plan)), np.setdiff1d(np.arange(len(plan)), runs.numbers)
-    there = total - len(missing)
-    watch.progress(Progress(there / total, there, total, there))
-    for first in range(0, len(missing), size):
-        began, rows = time.perf_counter(), missing[first : first + size]
-        # In double precision, but at the very points that are evaluated: a secant divides by their distance.
-        points = jnp.asarray(plan.points[np.pad(rows, (0, size - len(rows)), mode="edge")], float)
-        batch = problem.evaluate(points, True)
-        table = _table(tuning, plan, rows, np.asarray(points, float), batch, code)
-        seconds = f"{time.perf_counter() - began:.3f}"
-        noted = {**about, "wall_seconds": seconds, "batch": str(size), "precision": str(np.asarray(batch.value).dtype)}
-        values = {name: plan.points[rows, i] for i, name in enumerate(tuning.names)}
-        runs.add(keys_of(runs.group, values, len(rows)), table.replace_schema_metadata(noted))
-        done = there + first + len(rows)
-        watch.progress(Progress(done / total, done, total, there))
-    return len(missing)
-
-
 def points_of(runs: Runs) -> pa.Table:
     """The table of all points, which are there; its metadata is of the batches, `session` of the last one."""
     parts = [stored_table(part.path, "points that can be read any more") for part in runs.parts]
     notes = [{key.decode(): text.decode() for key, text in part.schema.metadata.items()} for part in parts]
     about = max(notes, key=lambda each: json.loads(each["session"])["started"])
-    seconds = sum(part.seconds for part in runs.parts)
-    about |= {"wall_seconds": f"{seconds:.3f}", "batches": str(len(parts))}
+    about |= {"wall_seconds": f"{sum(part.seconds for part in runs.parts):.3f}", "batches": str(len(parts))}
     table = joined([part.replace_schema_metadata(None) for part in parts], np.arange(len(runs.numbers)))
     return table.drop_columns(["row", "key"]).replace_schema_metadata(about)
 
@@ -408,17 +373,7 @@ def landscape_content(tuning: Tuning, points: pa.Table, lines: Sequence[Slice]) 
             "lowest_at": float(line.x[np.nanargmin(line.value)]) if len(good) else math.nan,
             "highest": float(good.max()) if len(good) else math.nan,
             "ripple": line.ripple,
-            "widths": [
-                {
-                    "share": secants.share,
-                    "width": secants.width,
-                    "secants": len(secants.secant),
-                    "median_relative_error": secants.error,
-                    "sign_agreement": secants.sign_agreement,
-                    "ripple": secants.ripple,
-                }
-                for secants in line.secants
-            ],
+            "widths": [secants.measures for secants in line.secants],
             "follows": all(s.error <= ERROR and s.sign_agreement >= SIGNS for s in judged) if known else None,
         }
     return {
@@ -592,10 +547,26 @@ def run_landscape(
             here = session(points=points, span=span)
             held.note_session(here)
             about = {KEY: key(wanted), IDENTITY: json.dumps(wanted), "session": to_json(here).decode()}
+            there, total, size = len(runs.numbers), len(chosen), batch_size(len(chosen))
+            watch.progress(Progress(there / total, there, total, there))
+            missing = np.setdiff1d(np.arange(total), runs.numbers)
             try:
-                evaluated = evaluate(runs, tuning, problem, chosen, watch, about, made_by.id)
+                for first in range(0, len(missing), size):
+                    began, rows = time.perf_counter(), missing[first : first + size]
+                    # The last batch is filled up, so that one program is compiled. In double precision, but at the very
+                    # points that are evaluated: a secant divides by their distance.
+                    points_in = jnp.asarray(chosen.points[np.pad(rows, (0, size - len(rows)), mode="edge")], float)
+                    found = problem.evaluate(points_in, True)
+                    batch = _table(tuning, chosen, rows, np.asarray(points_in, float), found, made_by.id)
+                    about |= {"batch": str(size), "precision": str(np.asarray(found.value).dtype)}
+                    about |= {"wall_seconds": f"{time.perf_counter() - began:.3f}"}
+                    values = {name: chosen.points[rows, i] for i, name in enumerate(tuning.names)}
+                    runs.add(keys_of(runs.group, values, len(rows)), batch.replace_schema_metadata(about))
+                    evaluated += len(rows)
+                    done = there + evaluated
+                    watch.progress(Progress(done / total, done, total, there))
             except KeyboardInterrupt:
-                kept = f"{len(runs.numbers)} of {len(chosen)} walks are kept in {held.out}"
+                kept = f"{len(runs.numbers)} of {total} walks are kept in {held.out}"
                 raise Interrupted(f"stopped; {kept}: run the same command again to resume.") from None
         table = points_of(runs)
         held.write(TABLE, parquet_bytes(table))  # before anything that can still fail
@@ -719,3 +690,14 @@ def _draw_slopes(ax: Axes, line: Slice, x: ShownValues) -> None:
     if outside := len(everything) - len(inside):
         corner(ax, f"{outside} outside", 1.0)
     legend(ax)
+
+
+def status(out: Path) -> Status:
+    """How many points of a landscape a directory holds."""
+    notes, table = list[str](), out / TABLE
+    about = metadata_of(table, notes, "it is made again of the points.")
+    complete = about is not None and (out / "landscape.json").exists()
+    command = f"nermo-mjx plot {shlex.quote(str(out))}" if complete else last_command(out)
+    parts = (metadata_of(path, notes, "its points will be evaluated again.") for path in part_files(out))
+    done = sum(part.num_rows for part in parts if part)
+    return Status("points", done, about and about.num_rows, complete, command, engine_of(out), notes=tuple(notes))

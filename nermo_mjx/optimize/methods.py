@@ -14,7 +14,7 @@ import importlib.metadata
 import importlib.util
 import math
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any, Final, Protocol
 
 import jax
@@ -34,10 +34,21 @@ from nermo_mjx.optimize.objective import (
     to_unconstrained,
 )
 from nermo_mjx.optimize.optimizers import LineSearch, LineState, Optimizer
-from nermo_mjx.optimize.search import Cma, CmaMe, CmaMega, Nsga2, Scores, Search, Sobol, Space, cells_of, ranked_cost
-from nermo_mjx.optimize.search import Method as SearchMethod
-from nermo_mjx.optimize.tuning import Generations, Tuning
+from nermo_mjx.optimize.spec import (
+    Aim,
+    Cma,
+    CmaMe,
+    CmaMega,
+    Generations,
+    Nsga2,
+    Search,
+    SearchMethod,
+    Sobol,
+    Tuning,
+    is_turn,
+)
 from nermo_mjx.robot.quantity import ParameterError
+from nermo_mjx.sweep.axes import Axis
 
 
 @dataclasses.dataclass(frozen=True)
@@ -337,6 +348,150 @@ def _moved(
         best_iteration=jnp.where(better, state.iteration, state.best_iteration),
     )
     return after, jnp.isfinite(value[:, 0]), (~used).reshape(len(u), -1).sum(axis=1)
+
+
+# ---
+# Coordinates in which a search moves: fractions of the bounds, without ends, so that no step leaves them.
+#
+# A bounded parameter is reflected at its bounds: a coordinate of 1.1 is the share 0.9. A periodic one, whose bounds are
+# a whole turn apart, comes back at the other side: 1.1 is 0.1.
+
+
+class Space:
+    """The p coordinates of a search.
+
+    Attributes:
+        periodic: which parameters come back to the same place, (p,).
+        first: shares of the published gait, as far as the bounds have it, (p,).
+    """
+
+    def __init__(self, search: Search) -> None:
+        axes, defaults = search.sweep.axes, search.sweep.parameters
+        self.dimensions = len(axes)
+        self.periodic = np.array([is_turn(axis.name, *axis.numbers[:2]) for axis in axes])
+        self.first = np.array([_share(axis, float(np.asarray(defaults[axis.name].default))) for axis in axes])
+        self._seed = search.sweep.seed
+
+    def shares(self, coordinates: np.ndarray) -> np.ndarray:
+        """Shares of the bounds (n, p), in [0, 1], of any coordinates."""
+        turned = coordinates - np.floor(coordinates)
+        reflected = 1.0 - np.abs(1.0 - np.mod(coordinates, 2.0))
+        return np.clip(np.where(self.periodic, turned, reflected), 0.0, 1.0)
+
+    def slope(self, coordinates: np.ndarray) -> np.ndarray:
+        """d share / d coordinate (n, p): -1 where a coordinate is reflected an odd number of times, else 1."""
+        return np.where(self.periodic | (np.mod(coordinates, 2.0) < 1.0), 1.0, -1.0)
+
+    def spread(self, count: int) -> np.ndarray:
+        """Shares to begin with (count, p): the published gait, then points of a scrambled Sobol sequence."""
+        points = qmc.Sobol(self.dimensions, rng=np.random.default_rng(self._seed))
+        return np.concatenate([self.first[None], points.random_base2(max(count - 1, 1).bit_length())])[:count]
+
+
+def _share(axis: Axis, value: float) -> float:
+    """Where a value stands between the bounds; the nearer bound, if it is beyond."""
+    low, high = axis.numbers[:2]
+    value = min(max(value, low), high)
+    if axis.form.startswith("log"):
+        return float(np.log(value / low) / np.log(high / low))
+    return (value - low) / (high - low)
+
+
+# ---
+# What the runs of a batch say about its points: costs, measures, and whether constraints hold.
+
+
+@dataclasses.dataclass(frozen=True)
+class Scores:
+    """Results of n points.
+
+    Attributes:
+        cost: (n, k), less is better: one column for one objective, of a front one for each; NaN where a run failed.
+        measures: (n, m) of an atlas; NaN where a run failed.
+        violation: how far the constraints are from holding, (n,), each in units of its bound; 0 where they hold.
+        ok: whether all runs walked to the end with finite numbers, (n,).
+        jacobian: of the first g points, d (quality, *measures) / d fractions of the bounds, (g, 1 + m, p), where the
+            quality is minus the cost; None if not requested.
+    """
+
+    cost: np.ndarray
+    measures: np.ndarray
+    violation: np.ndarray
+    ok: np.ndarray
+    jacobian: np.ndarray | None = None
+
+    def __len__(self) -> int:
+        return len(self.ok)
+
+    @property
+    def allowed(self) -> np.ndarray:
+        """Points (n,) that walked to the end and keep to the constraints."""
+        return self.ok & (self.violation == 0.0)
+
+    @property
+    def quality(self) -> np.ndarray:
+        """Of one objective, more is better (n,)."""
+        return -self.cost[:, 0]
+
+
+def scores_of(aim: Aim, repeats: int, metrics: Mapping[str, np.ndarray], well: np.ndarray) -> Scores:
+    """The scores of points, each with all of its repeats side by side.
+
+    A metric counts by its mean over the repeats. A point of which one run failed counts as the worst.
+
+    Args:
+        metrics: name -> (n * repeats,), at least those of the aim.
+        well: which runs succeeded (n * repeats,).
+    """
+    means = {name: np.asarray(metrics[name], float).reshape(-1, repeats).mean(axis=1) for name in aim.metrics}
+    ok: np.ndarray = np.logical_and.reduce(np.asarray(well, bool).reshape(-1, repeats), axis=1)
+    terms = [np.asarray(term.value(means[term.metric]), float) for term in aim.objective.terms]
+    cost = np.stack(terms, axis=1) if aim.pareto else np.sum(terms, axis=0)[:, None]
+    measures = np.empty((len(ok), len(aim.measures)))
+    for i, measure in enumerate(aim.measures):
+        measures[:, i] = means[measure.metric]
+    violation = np.zeros(len(ok))
+    for limit in aim.limits:
+        value, unit = means[limit.metric], max(abs(b) for b in (limit.low, limit.high) if np.isfinite(b)) or 1.0
+        violation += np.maximum(value - limit.high, 0.0) / unit + np.maximum(limit.low - value, 0.0) / unit
+    ok &= np.isfinite(cost).all(axis=1) & np.isfinite(measures).all(axis=1) & np.isfinite(violation)
+    lost = ~ok
+    cost[lost], measures[lost], violation[lost] = np.nan, np.nan, np.nan
+    return Scores(cost, measures, violation, ok)
+
+
+def ranked_cost(scores: Scores, worst: float) -> np.ndarray:
+    """One finite cost a point (n,), by which any method can rank: allowed points, then the least violation, then falls.
+
+    Args:
+        worst: highest cost of an allowed point so far; it only has to be finite.
+    """
+    cost = np.where(scores.allowed, scores.cost[:, 0], worst + 1.0 + np.nan_to_num(scores.violation))
+    fallen = worst + 2.0 + np.nanmax(np.append(scores.violation, 0.0))
+    return np.where(scores.ok, cost, fallen)
+
+
+def cells_of(aim: Aim, measures: np.ndarray) -> np.ndarray:
+    """The cell of each point of an atlas, (n,): the last measure runs fastest; -1 outside of the ranges, or lost.
+
+    Args:
+        measures: (n, m).
+    """
+    cell, inside = np.zeros(len(measures), int), np.isfinite(measures).all(axis=1)
+    for values, measure in zip(np.where(inside[:, None], measures, 0.0).T, aim.measures, strict=True):
+        inside &= (values >= measure.low) & (values <= measure.high)
+        place = np.floor((values - measure.low) / (measure.high - measure.low) * measure.cells)
+        cell = cell * measure.cells + np.clip(place, 0, measure.cells - 1).astype(int)
+    return np.where(inside, cell, -1)
+
+
+def elites_of(aim: Aim, scores: Scores) -> tuple[np.ndarray, np.ndarray]:
+    """Filled cells in order, (k,), and the best allowed point of each, (k,); of equal points the first."""
+    cell = np.where(scores.allowed, cells_of(aim, scores.measures), -1)
+    order = np.lexsort((np.arange(len(cell)), -scores.quality, cell))
+    order = order[cell[order] >= 0]
+    cells, first = np.unique(cell[order], return_index=True)
+    return cells, order[first]
 
 
 # ---

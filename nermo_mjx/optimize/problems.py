@@ -19,8 +19,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from nermo_mjx.optimize.objective import TRAJECTORY_ERROR, Evaluation, Problem
-from nermo_mjx.optimize.search import Search
-from nermo_mjx.optimize.tuning import Differences, Tuning
+from nermo_mjx.optimize.spec import Differences, Search, Tuning
 from nermo_mjx.programs import Program
 from nermo_mjx.recording import Recording, RecordingError
 from nermo_mjx.robot.quantity import ParameterError

@@ -1,35 +1,66 @@
-"""Run a search: ask for a batch, simulate what the directory lacks, tell the results, until the budget is
-used up.
-"""
+"""Run a tuning or a search: ask for points, evaluate those that the directory lacks, tell the results, publish."""
 
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 import os
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
 
+import jax
 import numpy as np
 import pyarrow as pa
 
-from nermo_mjx.optimize.methods import check_library, searcher
-from nermo_mjx.optimize.problems import Gradients, WalkGradients
-from nermo_mjx.optimize.search import CmaMega, Scores, Search, Space, cells_of, scores_of
-from nermo_mjx.optimize.search_directory import SEARCH, Batches, keep_recordings, publish
-from nermo_mjx.optimize.search_figures import figures_of
+from nermo_mjx.optimize.directory import (
+    BEST,
+    SEARCH,
+    TUNING,
+    VIDEO,
+    Batches,
+    History,
+    TuningDirectory,
+    keep_recordings,
+    publish,
+)
+from nermo_mjx.optimize.figures import Pictures, make_pictures, search_figures_of
+from nermo_mjx.optimize.methods import (
+    GenerationTuner,
+    LineTuner,
+    Scores,
+    Space,
+    Tuner,
+    TuneState,
+    cells_of,
+    check_library,
+    scores_of,
+    searcher,
+)
+from nermo_mjx.optimize.objective import TRAJECTORY_ERROR, Problem
+from nermo_mjx.optimize.problems import (
+    Gradients,
+    SharedProblem,
+    SimulatedProblem,
+    WalkGradients,
+    WalkProblem,
+    load_reference,
+)
+from nermo_mjx.optimize.spec import TUNING_METHODS, CmaMega, Differences, Generations, Gradient, Search, Tuning
 from nermo_mjx.physics import resolve_engine
 from nermo_mjx.plotting.files import write_figures
-from nermo_mjx.robot.quantity import ParameterError
+from nermo_mjx.robot import ParameterError
 from nermo_mjx.rollout import Simulator
-from nermo_mjx.rollout.differentiable import cost
-from nermo_mjx.runs import RunDirectory, session
+from nermo_mjx.rollout.differentiable import Rollout, choose_mode, cost
+from nermo_mjx.rollout.run import START_SPREAD
+from nermo_mjx.runs import RunDirectory, session, stamp
 from nermo_mjx.runs.code import CodeStamp
 from nermo_mjx.runs.directory import engine_of
 from nermo_mjx.runs.job import SILENT, JobFailed, Progress, Watch, resumable
 from nermo_mjx.runs.rows import part_files
+from nermo_mjx.runs.text import to_json
 from nermo_mjx.runs.workers import LocalWorkers, TaskFailed, Workers
 from nermo_mjx.runtime import cpu_count
 from nermo_mjx.specs.reading import SpecError
@@ -39,7 +70,197 @@ from nermo_mjx.sweep.store import batch_values
 from nermo_mjx.sweep.table import Results, read_table
 
 # ---
-# The default number of points per batch: enough to fill the machine, few enough for many generations.
+# A tuning: steps from its directory's latest checkpoint until the iterations are done.
+
+
+@dataclasses.dataclass(frozen=True)
+class TuningResult:
+    """A tuning's outcome.
+
+    Attributes:
+        out: its directory.
+        tuning: what was tuned.
+        start: the given start as first evaluated (`History.start`).
+        best: content of best.json (`History.best`).
+        history: the history's table (`nermo_mjx.optimize.directory`).
+        state: after the last iteration.
+        iterations_run: evaluations that this call made.
+        pictures: figures and video that were made of it, and notes on what could not be made.
+    """
+
+    out: Path
+    tuning: Tuning
+    start: dict[str, Any]
+    best: dict[str, Any]
+    history: pa.Table
+    state: TuneState
+    iterations_run: int
+    pictures: Pictures
+
+
+def run_tuning(
+    spec: Tuning | Mapping[str, Any] | str | os.PathLike[str],
+    out: str | os.PathLike[str],
+    *,
+    problem: Problem | None = None,
+    simulator: SimulatorLike | None = None,
+    watch: Watch = SILENT,
+    accept_new_code: bool = False,
+    workers: Workers | None = None,
+) -> TuningResult:
+    """Tune parameters by gradient, or by another method, into a directory, or resume what it contains.
+
+    A tuning evaluates its starts `iterations` + 1 times, the last time where its last step led, or stops when nothing
+    more is gained (`History.stalled`); every evaluation is one batch of starts x (1 + samples) worlds. After each, the
+    state is stored: killing the process loses the iteration in flight, and the resumed tuning ends with the same
+    numbers, bit for bit, on the same machine. The best point is verified on the engine `c`, from starts that the tuning
+    has not seen (`verified`).
+
+    Args:
+        spec: a `Tuning`, a dict with the fields of a tuning file, or the path of one.
+        out: the directory; see `nermo_mjx.optimize.directory`.
+        problem: replaces the simulation of the tuning (`nermo_mjx.optimize.problems.WalkProblem`).
+        simulator: replaces `Simulator(tuning.setup, "c")`, which verifies start and best, and walks what pictures show:
+            the landscape behind the paths, and the video. None of this happens if only `problem` is given.
+        watch: is told the progress before the first evaluation and after each, what is drawn at the end, and what is
+            moved aside.
+        accept_new_code: resume a directory that other code started.
+        workers: what evaluates the starts; by default this process, else `nermo_mjx.runs.ray_workers.RayWorkers`. With
+            several workers numbers differ in their last digits from those of one.
+
+    Raises:
+        SpecError: the tuning is wrong; nothing has been written.
+        DirectoryError: the directory holds something else, is in use, or cannot be read or written; `OtherCode` if
+            other code, or other defaults, made what it holds.
+        JobFailed: no robot walks to the end, or all workers are lost.
+        Interrupted: Ctrl-C or SIGTERM; the same call resumes.
+    """
+    tuning = Tuning.of(spec)
+    with (
+        TuningDirectory(out, tuning, watch.warn) as directory,
+        resumable(directory.out, f"tune {directory.out / TUNING}") as interruption,
+    ):
+        state, history = directory.restore(accept=accept_new_code)
+        resumed, total = len(history), tuning.iterations + 1
+
+        def report(best: float | None = None, numbers: Mapping[str, float] | None = None) -> None:
+            done = min(len(history), total)
+            watch.progress(Progress(done / total, done, total, resumed, best=best, numbers=numbers or {}))
+
+        goes_on = not history.done
+        if goes_on:
+            made_by = stamp(tuning.setup.load().fingerprint, tuning.method.engine)
+            directory.held.take_code(made_by, holds_rows=resumed > 0, accept=accept_new_code)
+        report()
+        if goes_on:
+            shared = SharedProblem(tuning, problem or simulation_of(tuning), workers or LocalWorkers())
+            tuner = tuner_of(tuning, shared, history)
+        directory.claim(history)
+        tuning = directory.tuning
+        if goes_on:
+            directory.held.note_session(session(begun_at=resumed))
+            directory.held.set_aside("of another best point", [VIDEO], watch.warn)
+        while not history.done:
+            began = time.perf_counter()
+            state, found = tuner.step(state)
+            if found.lost.all() and not np.isfinite(state.best_value).any():
+                raise JobFailed(
+                    f"{directory.out}: no world of iteration {len(history)} walked to its end, nor did one before: "
+                    "choose other starts or bounds."
+                )
+            history = history.extended(found, time.perf_counter() - began, made_by.id)
+            with interruption.shielded():
+                best = directory.keep(state, history)
+            numbers: dict[str, float] = {}
+            if np.isfinite(found.value).any():
+                columns = found.metrics | {"objective": found.value}
+                numbers = {name: float(column[np.nanargmin(found.value)]) for name, column in columns.items()}
+            if best is not None:
+                numbers["simulated_seconds"] = best["simulated_seconds"]
+            report(best and best["objective"], numbers)
+        best = directory.publish(history)
+        if best is None:
+            raise JobFailed(
+                f"{directory.out}: the robot walked to the end at no point of this tuning: choose other starts or "
+                "bounds."
+            )
+        start, table, notes = history.start(), history.table(), tuple[str, ...]()
+        walker: Callable[[], SimulatorLike] | None = None  # nothing is simulated beside a given problem
+        if simulator is not None or problem is None:
+            walker = functools.cache(lambda: simulator or Simulator(tuning.setup, "c"))
+            watch.progress(Progress(0.0, what="engine c"))
+            points = {"start": start["parameters"], "best": best["parameters"]}
+            try:
+                best |= {"verified": verified(tuning, points, walker())}
+                directory.held.write(BEST, to_json(best))
+            except ParameterError as error:
+                notes = (f"Start and best are not verified: {error}",)
+        pictures = make_pictures(directory, walker, watch, table, start, best)
+        pictures = dataclasses.replace(pictures, notes=(*notes, *pictures.notes))
+        return TuningResult(directory.out, tuning, start, best, table, state, len(history) - resumed, pictures)
+
+
+def tuner_of(tuning: Tuning, problem: Problem, history: History | None = None) -> Tuner:
+    """What steps a tuning, after a history so far."""
+    if not tuning.method.has_gradient:
+        values = history.column("objective") if history else np.empty((0, tuning.starts))
+        return GenerationTuner(tuning, problem, values)
+    return (LineTuner if tuning.optimizer.searches else Tuner)(tuning, problem)
+
+
+def simulation_of(tuning: Tuning) -> Problem:
+    """The simulation of a tuning; raises `ParameterError` where its recording does not fit."""
+    return WalkProblem(tuning) if tuning.method.engine == "mjx" else SimulatedProblem(tuning)
+
+
+#: Walks of each point that is verified.
+WALKS: Final = 8
+#: Tells these draws from all others of a tuning's seed.
+_UNSEEN: Final = 0x5EED
+
+
+def verified(tuning: Tuning, points: Mapping[str, Mapping[str, float]], simulator: SimulatorLike) -> dict[str, Any]:
+    """Results of named points on the engine `c`, each simulated from the same few slightly different starts.
+
+    Starts are spread like those of a sweep's repeats. A walk that is compared with a recording has its start, and is
+    simulated once.
+
+    Args:
+        points: name -> values of the tuned parameters.
+
+    Returns:
+        `engine`, `walks`, and of each point under its name `walks_ok`, the means `objective` and `metrics` over the
+        completed walks, and `lowest` and `highest` objective of them; None if there are none.
+    """
+    compared = TRAJECTORY_ERROR in tuning.objective.metrics
+    walks = 1 if compared else WALKS
+    problem = SimulatedProblem(tuning, simulator=simulator)
+    rng = np.random.default_rng([tuning.seed, _UNSEEN])
+    known = {*tuning.constants, *tuning.names}
+    spread = {
+        name: rng.uniform(-width, width, walks)
+        for name, width in START_SPREAD.items()
+        if name in tuning.parameters and name not in known and not compared
+    }
+    at = np.repeat([[each[name] for name in tuning.names] for each in points.values()], walks, axis=0)
+    value, metrics, ok = problem.walk(at, {name: np.tile(column, len(points)) for name, column in spread.items()})
+    found: dict[str, Any] = {"engine": "c", "walks": walks}
+    for i, name in enumerate(points):
+        mine = i * walks + np.flatnonzero(ok[i * walks : (i + 1) * walks])
+        found[name] = None
+        if len(mine):
+            found[name] = {
+                "walks_ok": len(mine),
+                "objective": float(value[mine].mean()),
+                "lowest": float(value[mine].min()),
+                "highest": float(value[mine].max()),
+                "metrics": {metric: float(metrics[metric][mine].mean()) for metric in tuning.objective.metrics},
+            }
+    return found
+
+
+# ---
+# A search: batches until its budget is used up.
 
 
 #: Worlds for each core with MuJoCo C. Half as many as in a sweep: two cores are busy with 16 worlds, and a method that
@@ -77,7 +298,7 @@ class SearchResult:
     Attributes:
         out: its directory.
         search: what was searched, with the size of its batches.
-        best: content of best.json (`nermo_mjx.optimize.search_directory`).
+        best: content of best.json (`nermo_mjx.optimize.directory`).
         evaluations_run: points that this call evaluated.
         recordings, plots: files that were made.
     """
@@ -121,7 +342,7 @@ def run_search(
 
     Args:
         spec: a `Search`, a dict with the fields of a search file, or the path of one.
-        out: the directory; see `nermo_mjx.optimize.search_directory`.
+        out: the directory; see `nermo_mjx.optimize.directory`.
         engine: engine of the simulator; "auto" is the one that the directory was started with, if it was.
         watch: is told the progress, and what is damaged, and is run again.
         accept_new_code: resume a directory that other code or another engine started.
@@ -158,7 +379,7 @@ def run_search(
             )
         recordings = keep_recordings(batches, best, computer)
         results = Results(part_files(batches.out))
-        plots = write_figures(figures_of(search, results), batches.out / "plots") if search.plots else []
+        plots = write_figures(search_figures_of(search, results), batches.out / "plots") if search.plots else []
         return SearchResult(batches.out, search, best, loop.evaluated, recordings, plots)
 
 
@@ -219,7 +440,7 @@ class SearchLoop:
         stamp = self._workers.begin(self._computer)
         self._batches.runs.take_codes([stamp], accept=accept)
         about = session(engine=self._computer.engine, code=stamp.id, begun_at=self.evaluations)
-        self._batches.directory.note_session(about)
+        self._batches.held.note_session(about)
         return stamp
 
     def _report(self, share: float = 0.0) -> None:
@@ -280,6 +501,76 @@ class SearchLoop:
             self.best = least if self.best is None else min(self.best, least)
         jacobian = self._batches.gradients(table, gradients) if gradients else None
         return dataclasses.replace(scores, jacobian=jacobian)
+
+
+# ---
+# The cost on this machine, before it starts: of a tuning by each method, and of a search.
+
+
+#: Worlds of the probe: enough to keep two cores busy.
+_WORLDS: Final = 16
+#: How much slower MJX runs on a CPU than MuJoCo C, with this many worlds or more, and with fewer in proportion
+#: (docs/benchmarks: 14 simulated seconds per second, and 3.5 with one world, against 136).
+MJX_SLOWER: Final = 10.0
+MJX_WORLDS: Final = 4
+
+
+@dataclasses.dataclass(frozen=True)
+class MethodCost:
+    """The cost of a tuning by one method.
+
+    Attributes:
+        method: its name.
+        evaluations: walks; of the method `gradient` with their derivatives.
+        simulated_seconds: of all walks, gradients at their cost in forward runs [s].
+        wall_seconds: at this machine's speed, without compiling [s]; None if unknown, as for MJX on a GPU.
+    """
+
+    method: str
+    evaluations: int
+    simulated_seconds: float
+    wall_seconds: float | None
+
+
+def costs_of(tuning: Tuning) -> list[MethodCost]:
+    """The cost of all iterations by each method, that of the tuning first; its estimator counts for the gradient.
+
+    Raises:
+        ParameterError: the tuning's recording cannot be compared with its walk.
+    """
+    seconds = tuning.seconds({each.name: each.low for each in tuning.tuned})
+    if tuning.recording is not None:
+        load_reference(tuning.recording, Rollout(tuning.setup, tuning.run), seconds)
+    here = pace_here(tuning)
+    methods = [tuning.method, *(each() for each in TUNING_METHODS.values() if not isinstance(tuning.method, each))]
+    return [_cost(dataclasses.replace(tuning, method=each), seconds, here) for each in methods]
+
+
+def pace_here(tuning: Tuning) -> float:
+    """Simulated seconds per second on the engine `c`, measured now."""
+    return pace(Simulator(tuning.setup, "c"), tuning.setup, _WORLDS)
+
+
+def _cost(tuning: Tuning, seconds: float, here: float) -> MethodCost:
+    method, estimator, parameters = tuning.method, tuning.estimator, len(tuning.names)
+    rounds, searches = tuning.iterations + 1, tuning.optimizer.searches
+    tried = tuning.starts * rounds * (1 + tuning.optimizer.line_search().points) if searches else 0
+    if not isinstance(method, Gradient):
+        points = tuning.starts * rounds
+        if isinstance(method, Generations):
+            points = method.population * rounds
+        elif isinstance(method, Differences):
+            points = tried + points * (1 + method.neighbours(parameters))
+        return MethodCost(method.name, points, points * seconds, points * seconds / here)
+    # A sampled estimator of a line search leaves the point itself out.
+    batch = tuning.starts * (estimator.samples or 1 if searches else estimator.worlds)
+    points, times, slower = batch * rounds, 1.0, MJX_SLOWER * max(1.0, MJX_WORLDS / batch)
+    if estimator.needs_gradient:
+        times = cost(parameters, choose_mode(parameters, tuning.mode))
+    elif searches:
+        slower = 1.0
+    wall = (points * times * slower + tried) * seconds / here if jax.default_backend() == "cpu" else None
+    return MethodCost(method.name, points + tried, (points * times + tried) * seconds, wall)
 
 
 def gradient_cost(search: Search) -> float:

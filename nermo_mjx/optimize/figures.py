@@ -1,4 +1,4 @@
-"""Figures of a tuning over its iterations: objective and metrics, parameters, gradients."""
+"""The figures of tunings and of searches, the landscape behind a tuning's paths, and its video."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import hashlib
 import itertools
 import json
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Final, Literal
@@ -23,12 +23,21 @@ from matplotlib.patches import Rectangle
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator
 
-from nermo_mjx.optimize.history import read_history
-from nermo_mjx.optimize.objective import FURTHEST, TRAJECTORY_ERROR
-from nermo_mjx.optimize.tuning import Generations, Tuned, Tuning
-from nermo_mjx.optimize.tuning_directory import VIDEO, Directory, load_tuning
+from nermo_mjx.optimize.directory import (
+    SEARCH,
+    VIDEO,
+    Evaluations,
+    TuningDirectory,
+    atlas_progress,
+    hypervolumes,
+    load_tuning,
+    read_history,
+)
+from nermo_mjx.optimize.methods import cells_of, elites_of
+from nermo_mjx.optimize.objective import FURTHEST, TRAJECTORY_ERROR, Term
+from nermo_mjx.optimize.spec import Generations, Measure, Search, Tuned, Tuning
 from nermo_mjx.plotting.files import Figures, write_figures
-from nermo_mjx.plotting.page import colour_bar, page
+from nermo_mjx.plotting.page import around, blank, colour_bar, page
 from nermo_mjx.plotting.shown import ShownValues, shown, spoken
 from nermo_mjx.plotting.style import (
     BAND,
@@ -40,6 +49,7 @@ from nermo_mjx.plotting.style import (
     MISSING,
     MUTED,
     SERIES,
+    colour_scale,
     horizontal_grid,
     set_scales,
 )
@@ -48,10 +58,15 @@ from nermo_mjx.rollout import Run
 from nermo_mjx.runs import stamp
 from nermo_mjx.runs.files import DirectoryError, content_of, parquet_bytes, parquet_table
 from nermo_mjx.runs.job import Progress, Watch
+from nermo_mjx.runs.rows import part_files
+from nermo_mjx.sweep.plots import chosen_figure, named_points, survey_figures, trade_off
+from nermo_mjx.sweep.results import Results
 from nermo_mjx.sweep.simulating import SimulatorLike
 from nermo_mjx.sweep.table import Columns, meta
 from nermo_mjx.view import RecordingError, VideoError, check_video, recording_of
 from nermo_mjx.view.video import Pane, render_side_by_side
+
+_WIDTH: Final = 7.2
 
 # ---
 # A tuning's history as arrays over iterations and starts, for figures and summaries.
@@ -67,7 +82,7 @@ class Traces:
 
     Attributes:
         tuning: that was run.
-        table: its history, see `nermo_mjx.optimize.history`.
+        table: its history, see `nermo_mjx.optimize.directory`.
     """
 
     tuning: Tuning
@@ -171,7 +186,7 @@ def legend(ax: Axes, handles: Any = None, labels: Any = None, **more: Any) -> No
 START_COLOURS: Final = SERIES
 #: Panels of one figure.
 MOST_PANELS: Final = 12
-_WIDTH, _PANEL, _MARGINS = 7.2, 1.75, 0.85
+_PANEL, _MARGINS = 1.75, 0.85
 #: A path shorter than this fraction of its bounds is shown enlarged.
 _ZOOM: Final = 0.2
 _AIMS: Final = {"maximize": "more is better", "minimize": "less is better", "hold": "dashed: to be held"}
@@ -375,7 +390,6 @@ def _finish(axes: Sequence[Axes], traces: Traces, columns: int = 1) -> None:
 POINTS: Final = {1: 37, 2: 17}
 #: File in a tuning's directory, so that it is simulated only once.
 LANDSCAPE: Final = "plots/landscape.parquet"
-_KEY: Final = b"landscape"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -406,14 +420,14 @@ def grid_axes(tuning: Tuning) -> dict[str, np.ndarray]:
 
 def simulate(
     tuning: Tuning,
-    others: Mapping[str, float],
+    best: Mapping[str, float],
     simulator: SimulatorLike,
     progress: Callable[[float], None] | None = None,
 ) -> pa.Table:
     """Simulate the grid; one row per point: its parameters, the objective, the metrics that it uses, and the status.
 
     Args:
-        others: values of the tuned parameters that are not on the grid.
+        best: the best point, whose values the tuned parameters have that are not on the grid.
 
     Raises:
         ParameterError: some point of the grid cannot be simulated; the message says why.
@@ -421,6 +435,7 @@ def simulate(
     axes, periodic = grid_axes(tuning), {each.name for each in tuning.tuned if each.periodic}
     walked = [nodes[:-1] if name in periodic else nodes for name, nodes in axes.items()]
     grid = dict(zip(axes, (column.ravel() for column in np.meshgrid(*walked, indexing="ij")), strict=True))
+    others = {name: best[name] for name in tuning.names if name not in axes}
     count = len(next(iter(grid.values())))
     fixed = {name: np.full(count, value) for name, value in {**tuning.constants, **others}.items()}
     result = simulator.run({**fixed, **grid}, tuning.run, progress=progress)
@@ -431,38 +446,31 @@ def simulate(
         table.add(name, column, "varied" if name in grid else "fixed", parameters[name].unit, parameters[name].doc)
     table.add("objective", value, "objective", "1", "value that is minimized; NaN where the robot fell")
     for name in tuning.objective.metrics:
-        metric = tuning.metrics[name]
-        table.add(name, np.asarray(result.metrics[name]), "metric", metric.unit, metric.doc)
+        table.add(name, np.asarray(result.metrics[name]), "metric", tuning.metrics[name].unit, tuning.metrics[name].doc)
     table.add("status", status, "status", "1", "ok, or how the run ended")
     made_by = stamp(tuning.setup.load().fingerprint, result.engine)
-    about = {"landscape": key(tuning, others), "engine": result.engine, "code": json.dumps(made_by.fields())}
+    about = {"landscape": key(tuning, best), "engine": result.engine, "code": json.dumps(made_by.fields())}
     return table.table(about)
 
 
-def background_of(tuning: Tuning, table: pa.Table) -> Background:
+def background_of(tuning: Tuning, table: pa.Table | None) -> Background | None:
     """The grid that `simulate` made a table of; the end of a periodic parameter is its beginning."""
+    if table is None:
+        return None
     axes = grid_axes(tuning)
     periodic = [each.periodic for each in tuning.tuned[:2]]
     shape = [len(nodes) - wraps for nodes, wraps in zip(axes.values(), periodic, strict=True)]
     value = table.column("objective").to_numpy().reshape(shape)
-    for i, wraps in enumerate(periodic):
-        value = np.concatenate([value, value.take([0], axis=i)], axis=i) if wraps else value
-    engine = (table.schema.metadata or {})[b"engine"].decode()
-    return Background(axes, value, f"{table.num_rows} walks, engine {engine}")
+    value = np.pad(value, [(0, int(wraps)) for wraps in periodic], mode="wrap")
+    return Background(axes, value, f"{table.num_rows} walks, engine {table.schema.metadata[b'engine'].decode()}")
 
 
-def read(path: Path, tuning: Tuning, others: Mapping[str, float]) -> pa.Table | None:
-    """The table of a file, if it is one and still the right one; raises `DirectoryError` if it cannot be read now."""
-    content = content_of(path)
+def stored_background(out: Path, tuning: Tuning, best: Mapping[str, float]) -> pa.Table | None:
+    """The table in a directory, if it is the right one; raises `DirectoryError` if it cannot be read now."""
+    content = content_of(out / LANDSCAPE)
     table = None if content is None else parquet_table(content)
-    if table is None:
-        return None
-    return table if (table.schema.metadata or {}).get(_KEY) == key(tuning, others).encode() else None
-
-
-def off_grid(tuning: Tuning, best: Mapping[str, float]) -> dict[str, float]:
-    """The best point's values of the tuned parameters that are not on the grid."""
-    return {name: best[name] for name in tuning.names if name not in grid_axes(tuning)}
+    right = table is not None and (table.schema.metadata or {}).get(b"landscape") == key(tuning, best).encode()
+    return table if right else None
 
 
 def has_background(tuning: Tuning) -> bool:
@@ -470,11 +478,12 @@ def has_background(tuning: Tuning) -> bool:
     return TRAJECTORY_ERROR not in tuning.objective.metrics
 
 
-def key(tuning: Tuning, others: Mapping[str, float]) -> str:
+def key(tuning: Tuning, best: Mapping[str, float]) -> str:
     """A hash of all that determines the grid: not the path over it, so not optimizer, estimator, starts and seed."""
-    walk = tuning.without_path()
-    nodes: Sequence[list[float]] = [values.tolist() for values in grid_axes(tuning).values()]
-    return hashlib.sha256(json.dumps([walk.digest(), nodes, dict(others)]).encode()).hexdigest()[:16]
+    axes = grid_axes(tuning)
+    others = {name: best[name] for name in tuning.names if name not in axes}
+    decisive = [tuning.without_path().digest(), [nodes.tolist() for nodes in axes.values()], others]
+    return hashlib.sha256(json.dumps(decisive).encode()).hexdigest()[:16]
 
 
 # ---
@@ -495,35 +504,32 @@ def path_figure(traces: Traces, background: Background | None = None) -> Figure:
     if background is not None:
         rest = len(traces.tuning.tuned) - len(background.axes)
         beneath = f"landscape: {background.walks}" + (", the other parameters as in the best point" if rest else "")
-    return (_plane if len(traces.tuning.tuned) > 1 else _line)(traces, background, beneath)
-
-
-def _plane(traces: Traces, background: Background | None, beneath: str) -> Figure:
-    x, y = traces.tuning.tuned[:2]
+    if len(traces.tuning.tuned) == 1:
+        return _line(traces, background, beneath)
+    pair = traces.tuning.tuned[:2]
     note = f"ring: start; dot: end; star: best; {beneath or 'colour: objective'}"
-    figure = page(f"Path over {spoken(x.name)} and {spoken(y.name)}", 6.9, 5.4, note)
+    figure = page(f"Path over {spoken(pair[0].name)} and {spoken(pair[1].name)}", 6.9, 5.4, note)
     ax = figure.subplots()
     ax.set_facecolor("white" if background is None else MISSING)
-    ends = [np.array([traces.in_shown_unit(each.name, end) for end in (each.low, each.high)]) for each in (x, y)]
+    ends = [traces.in_shown_unit(each.name, np.array(each.bounds)) for each in pair]
     if background is not None:
         _draw_background(figure, ax, traces, background)
     else:
         _draw_values(figure, ax, traces)
-    spans = [float(np.ptp(pair)) for pair in ends]
-    paths = [traces.in_shown_unit(each.name, traces.unwrapped(each)) for each in (x, y)]
+    paths = [traces.in_shown_unit(each.name, traces.unwrapped(each)) for each in pair]
     for start in traces.drawn():
         path, turns = [path[:, start] for path in paths], []
-        for tuned, values, (low, high) in zip((x, y), path, ends, strict=True):
+        for tuned, values, (low, high) in zip(pair, path, ends, strict=True):
             first, last = (
                 math.floor((end - low) / (high - low)) * tuned.periodic for end in (values.min(), values.max())
             )
             turns.append(range(first, last + 1))
         copies = list(itertools.product(*turns))  # so that all pieces of the path lie within the bounds
-        _draw_path(ax, path, copies, spans, "thin" if background is None else "best" if start == traces.best[1] else "")
-    best = [float(traces.in_shown_unit(each.name, traces.column(each.name)[traces.best])) for each in (x, y)]
-    star(ax, best[0], best[1], 230, 1.2)
-    pairs = zip((x, y), ends, strict=True)
-    quantities = [ShownValues(each.name, traces.quantity(each.name).unit, pair) for each, pair in pairs]
+        look: Literal["best", "", "thin"] = "best" if start == traces.best[1] else ""
+        _draw_path(ax, path, copies, [float(np.ptp(end)) for end in ends], "thin" if background is None else look)
+    best = [float(traces.in_shown_unit(each.name, traces.column(each.name)[traces.best])) for each in pair]
+    star(ax, *best, 230, 1.2)
+    quantities = [ShownValues(t.name, traces.quantity(t.name).unit, end) for t, end in zip(pair, ends, strict=True)]
     set_scales(ax, *quantities)
     ax.set(xlabel=quantities[0].label, ylabel=quantities[1].label, xlim=ends[0], ylim=ends[1])
     return figure
@@ -619,7 +625,7 @@ def _draw_path(
 # Which figures and video a tuning gives.
 
 
-def figures_of(tuning: Tuning, history: pa.Table, background: Background | None = None) -> Iterator[tuple[str, Figure]]:
+def tuning_figures_of(tuning: Tuning, history: pa.Table, background: Background | None = None) -> Figures:
     """The figures of a tuning: `objective`, `parameters`, `gradients` where it has some, and `path`.
 
     Args:
@@ -635,7 +641,7 @@ def figures_of(tuning: Tuning, history: pa.Table, background: Background | None 
     yield "path", path_figure(traces, background)
 
 
-def figures(out: Path) -> Figures:
+def tuning_figures(out: Path) -> Figures:
     """The figures of a tuning's directory, as far as it is complete.
 
     Raises:
@@ -649,8 +655,8 @@ def figures(out: Path) -> Figures:
         )
     traces = Traces.of(tuning, history)
     best = {name: float(traces.column(name)[traces.best]) for name in tuning.names}
-    table = read(out / LANDSCAPE, tuning, off_grid(tuning, best)) if has_background(tuning) else None
-    return figures_of(tuning, history, None if table is None else background_of(tuning, table))
+    table = stored_background(out, tuning, best) if has_background(tuning) else None
+    return tuning_figures_of(tuning, history, background_of(tuning, table))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -669,7 +675,7 @@ class Pictures:
 
 
 def make_pictures(
-    directory: Directory,
+    directory: TuningDirectory,
     simulator: Callable[[], SimulatorLike] | None,
     watch: Watch,
     history: pa.Table,
@@ -683,7 +689,7 @@ def make_pictures(
         simulator: creates the simulator for them on first use; None: nothing is simulated.
         watch: is told what is being made, and the share of it.
         history: the tuning's table.
-        start, best: the point it began with and the best one, see `nermo_mjx.optimize.tuning_directory`.
+        start, best: the point it began with and the best one, see `nermo_mjx.optimize.directory`.
     """
     tuning, out, notes = directory.tuning, directory.out, list[str]()
 
@@ -692,22 +698,21 @@ def make_pictures(
 
     plots: list[Path] = []
     if tuning.plots:
-        background, others = None, off_grid(tuning, best["parameters"])
+        table = None
         if simulator is not None and has_background(tuning):
-            table = read(out / LANDSCAPE, tuning, others)
+            table = stored_background(out, tuning, best["parameters"])
             if table is None:
                 drawing("landscape")
                 try:
-                    table = simulate(tuning, others, simulator(), lambda share: drawing("landscape", share))
-                    directory.set_aside("of another best point, or damaged", LANDSCAPE)
-                    directory.write(LANDSCAPE, parquet_bytes(table))
+                    table = simulate(tuning, best["parameters"], simulator(), lambda share: drawing("landscape", share))
+                    directory.held.set_aside("of another best point, or damaged", [LANDSCAPE], watch.warn)
+                    directory.held.write(LANDSCAPE, parquet_bytes(table))
                 except ParameterError as error:
                     notes.append(
                         f"There is no landscape behind the paths, because some of it cannot be walked: {error}"
                     )
-            background = None if table is None else background_of(tuning, table)
         drawing("plots")
-        plots = write_figures(figures_of(tuning, history, background), out / "plots")
+        plots = write_figures(tuning_figures_of(tuning, history, background_of(tuning, table)), out / "plots")
     video = out / VIDEO if tuning.video and simulator is not None else None
     if video is not None and simulator is not None and not video.exists():
         try:
@@ -781,3 +786,272 @@ def render_video(
     report = None if progress is None else lambda done, frames: progress(done / frames)
     look: dict[str, Any] = {"width": WIDTH, "height": HEIGHT, "camera": CAMERA}
     return render_side_by_side(panes, model, path, fps=FPS, speed=SPEED, progress=report, **look)
+
+
+# ---
+# The figures of a search: how it converged, its front or its atlas; and any columns of its table.
+
+
+#: Pairs of measures that an atlas of three or more shows.
+_MOST_PAIRS: Final = 6
+
+
+def search_figures_of(search: Search, results: Results) -> Figures:
+    """(file name, figure) of a search's table; nothing where no point is allowed."""
+    found = Evaluations.of(search, results)
+    if found.best() is None:
+        return
+    if search.aim.measures:
+        yield "atlas", atlas(found)
+        yield "coverage", coverage(found)
+    elif search.aim.pareto:
+        yield "front", front(found)
+        yield "hypervolume", hypervolume(found)
+    else:
+        yield "convergence", convergence(found)
+    metric = search.aim.objective.terms[0].metric
+    yield from ((name, figure) for name, figure in survey_figures(results, metric) if name.endswith("-parallel"))
+
+
+def search_figures(
+    out: Path,
+    *,
+    x: str | None = None,
+    y: str | None = None,
+    color: str | None = None,
+    notify: Callable[[str], None] | None = None,
+) -> Figures:
+    """The figures of a search's directory, as far as it goes.
+
+    Args:
+        out: the directory.
+        x, y, color: columns of one figure, see `nermo_mjx.sweep.plots.chosen_figure`.
+        notify: not called: a search is drawn as far as it is.
+
+    Raises:
+        ParameterError: there is no such column.
+        SpecError: its search.yaml cannot be read.
+        DirectoryError: there is nothing to draw, or it cannot be read.
+    """
+    search, files = Search.from_file(out / SEARCH), part_files(out)
+    if not files:
+        command = f"nermo-mjx search {out / SEARCH} --out {out}"
+        raise DirectoryError(f"{out} holds no results of its search yet: run {command}.")
+    results = Results(files)
+    if x is not None:
+        return chosen_figure(results, x, y, color)
+    if y is not None or color is not None:
+        raise ParameterError("x is not given, beside y or color: name it, too.")
+    if Evaluations.of(search, results).best() is None:
+        raise DirectoryError(f"there is nothing to draw of {out}: no point is within the constraints.")
+    return search_figures_of(search, results)
+
+
+def convergence(found: Evaluations) -> Figure:
+    """Every evaluated point, in the order in which they were asked for, and the best so far."""
+    quantity = _objective(found)
+    values, allowed = quantity.values, found.scores.allowed
+    number = np.arange(1, len(values) + 1)
+    cost = np.where(allowed, found.scores.cost[:, 0], np.inf)
+    best = int(np.argmin(cost))
+    first = np.concatenate([[True], cost[1:] < np.minimum.accumulate(cost)[:-1]])  # better than all before it
+    leading = np.maximum.accumulate(np.where(first, np.arange(len(cost)), 0))
+    note = f"{_counted(found)}; line: best so far; star: best, {quantity.shown(values[best])} at {_at(found, best)}"
+    figure = page(f"{_title(quantity)} over the evaluations", _WIDTH, 4.4, note)
+    ax = figure.subplots()
+    ax.scatter(number[allowed], values[allowed], s=9, color=BAND, lw=0, rasterized=len(values) > 2000)
+    reached = np.isfinite(cost[leading])
+    ax.step(number[reached], values[leading][reached], where="post", color=LINE)
+    star(ax, number[best], values[best], 170, zorder=5)
+    if not allowed.all():  # short lines at the bottom where a point fell or broke a constraint
+        height = np.full(int((~allowed).sum()), 0.01)
+        ax.plot(number[~allowed], height, "|", color=MUTED, ms=5, transform=ax.get_xaxis_transform())
+    terms = found.search.aim.objective.terms
+    higher = len(terms) == 1 and terms[0].aim == "maximize"
+    low, high = np.nanquantile(values[allowed], [0.01, 1.0] if higher else [0.0, 0.99])
+    room = 0.06 * max(high - low, 1e-9)
+    ax.set(ylim=(low - room, high + room), xlim=(0, len(values) + 1))
+    horizontal_grid(ax)
+    ax.set(xlabel="evaluations [1]", ylabel=quantity.label)
+    return figure
+
+
+def front(found: Evaluations) -> Figure:
+    """The first two objectives against each other, with the front of these two or of all."""
+    terms, best = found.search.aim.objective.terms, found.front()
+    allowed = np.flatnonzero(found.scores.allowed)
+    x, y = (_term_values(found, i) for i in (0, 1))
+    place = {int(point): i for i, point in enumerate(allowed)}
+    lines = []
+    for point in (int(best[i]) for i in named_points(x.values[best], y.values[best])):
+        both = f"{x.name} {x.shown(x.values[point])}, {y.name} {y.shown(y.values[point])}"
+        lines.append((place[point], f"{both}:  {_at(found, point)}"))
+    more = f"front of all {len(terms)} objectives; " if len(terms) > 2 else ""
+    across, up = (ShownValues(each.name, each.unit, each.values[allowed]) for each in (x, y))
+    first, second = ("max" if term.aim == "maximize" else "min" for term in terms[:2])
+    # A line along a front of more objectives would cross itself.
+    sides = (first, second) if len(terms) == 2 else ("nearest zero", "nearest zero")
+    title = f"{x.name} against {y.name}".replace("_", " ").capitalize()
+    places = np.array([place[int(point)] for point in best])
+    return trade_off(across, up, places, sides, lines, title, f"{_counted(found)}; {more}")
+
+
+def hypervolume(found: Evaluations) -> Figure:
+    """How much of the box between first batch and best values the front beats, over the evaluations."""
+    shares, worst = hypervolumes(found)
+    corner = []
+    for term, value in zip(found.search.aim.objective.terms, worst.tolist(), strict=True):
+        quantity = _quantity(found, term.metric, _as_metric(term, value))
+        corner.append(f"{term.metric} {quantity.shown(float(quantity.values))}")
+    note = (
+        f"{_counted(found)}; box: from the best of each objective to the worst of the first batch, {', '.join(corner)}"
+    )
+    figure = page("Hypervolume of the front over the evaluations", _WIDTH, 3.6, note)
+    ax = figure.subplots()
+    ax.step(_ends(found), 100 * shares, where="post", color=LINE)
+    ax.set(xlabel="evaluations [1]", ylabel="hypervolume [%]", xlim=(0, len(found.scores) + 1))
+    horizontal_grid(ax)
+    return figure
+
+
+def coverage(found: Evaluations) -> Figure:
+    """Filled cells and QD score over the evaluations."""
+    filled, total = atlas_progress(found)
+    cells, terms = int(np.prod([each.cells for each in found.search.aim.measures])), found.search.aim.objective.terms
+    note = f"{_counted(found)}; {filled[-1]:,} of {cells:,} cells are filled; QD score: sum over the filled cells of "
+    note += "what their best is better than the worst of the first batch"
+    figure = page("Filled cells and QD score over the evaluations", _WIDTH, 4.8, note)
+    top, bottom = figure.subplots(2, 1, sharex=True)
+    top.step(_ends(found), filled, where="post", color=LINE)
+    top.set_ylabel("filled cells [1]")
+    scale = ShownValues("", "", total)
+    if len(terms) == 1 and terms[0].aim != "hold":
+        scale = _quantity(found, terms[0].metric, total * terms[0].scale / terms[0].weight)
+    bottom.step(_ends(found), scale.values, where="post", color=LINE)
+    bottom.set_ylabel(f"QD score [{scale.unit or 1}]")
+    for ax in (top, bottom):
+        ax.set_ylim(bottom=0)
+        horizontal_grid(ax)
+    bottom.set(xlabel="evaluations [1]", xlim=(0, len(found.scores) + 1))
+    return figure
+
+
+def atlas(found: Evaluations) -> Figure:
+    """The best in each cell: bars over one measure, a map over two, maps over the pairs of more."""
+    measures, quantity = found.search.aim.measures, _objective(found)
+    cells, points = elites_of(found.search.aim, found.scores)
+    best = int(points[np.argmax(found.scores.quality[points])])
+    total = int(np.prod([each.cells for each in measures]))
+    note = f"{_counted(found)}; {len(cells):,} of {total:,} cells are filled; star: best, "
+    note += f"{quantity.shown(quantity.values[best])} at {_at(found, best)}"
+    title = f"{_title(quantity)}: the best in each cell"
+    if len(measures) == 1:
+        return _bars(found, points, quantity, best, title, note)
+    pairs = list(itertools.combinations(range(len(measures)), 2))[:_MOST_PAIRS]
+    if len(pairs) > 1:
+        note += "; each map shows the best over all other measures"
+    columns = min(len(pairs), 2)
+    rows = -(-len(pairs) // columns)
+    figure = blank(_WIDTH, 1.1 + 4.2 * rows / (1 if columns == 1 else 1.3))
+    axes = np.atleast_1d(figure.subplots(rows, columns)).ravel().tolist()
+    scale, extend = colour_scale(quantity.values[points])
+    for ax in axes[len(pairs) :]:
+        ax.remove()
+    for ax, pair in zip(axes, pairs, strict=False):
+        _map(ax, found, points, quantity, scale, pair, best)
+    bar = ScalarMappable(scale, COLOURS)
+    colour_bar(figure, axes[: len(pairs)], bar, quantity.label, shrink=0.9, extend=extend)
+    return around(figure, title, note)
+
+
+def _map(
+    ax: Axes, found: Evaluations, points: np.ndarray, z: ShownValues, scale: Normalize, pair: tuple[int, int], best: int
+) -> None:
+    """Cells of two measures, coloured by the best point in each."""
+    measures = [found.search.aim.measures[i] for i in pair]
+    places, edges, at = [], [], []
+    for i, each in zip(pair, measures, strict=True):
+        share = (found.scores.measures[points, i] - each.low) / (each.high - each.low)
+        places.append(np.clip((share * each.cells).astype(int), 0, each.cells - 1))
+        edges.append(_edges(found, each))
+        at.append(_quantity(found, each.metric, found.scores.measures[best, i]).values)
+    grid = np.full([each.cells for each in measures], np.nan)
+    order = np.argsort(found.scores.quality[points], kind="stable")  # the best of several comes last
+    grid[places[0][order], places[1][order]] = z.values[points[order]]
+    ax.set_facecolor("#fafafa")
+    ax.pcolormesh(edges[0].values, edges[1].values, np.ma.masked_invalid(grid.T), norm=scale, cmap=COLOURS)
+    star(ax, at[0], at[1], 190, 1.3, zorder=5)
+    set_scales(ax, *edges)
+    ax.set(xlabel=edges[0].label, ylabel=edges[1].label)
+
+
+def _bars(found: Evaluations, points: np.ndarray, z: ShownValues, best: int, title: str, note: str) -> Figure:
+    """The best point over one measure."""
+    (measure,) = found.search.aim.measures
+    figure = page(title, _WIDTH, 3.9, note)
+    ax = figure.subplots()
+    edges = _edges(found, measure)
+    cell = cells_of(found.search.aim, found.scores.measures[points])
+    values = z.values[points]
+    floor = min(float(values.min()), 0.0) if np.ptp(values) == 0 else float(values.min() - 0.1 * np.ptp(values))
+    ax.bar(edges.values[cell], values - floor, np.diff(edges.values)[cell], floor, align="edge", color=BAND, ec="white")
+    at = _quantity(found, measure.metric, found.scores.measures[best, 0])
+    star(ax, at.values, z.values[best], 170, zorder=5)
+    ax.set(xlabel=edges.label, ylabel=z.label, xlim=(edges.values[0], edges.values[-1]))
+    horizontal_grid(ax)
+    return figure
+
+
+def _objective(found: Evaluations) -> ShownValues:
+    """The objective of all points, in the metric's unit where it is one metric, NaN where a run failed."""
+    terms = found.search.aim.objective.terms
+    if len(terms) == 1 and terms[0].aim != "hold":
+        return _term_values(found, 0)
+    return ShownValues("objective", "", found.scores.cost[:, 0])
+
+
+def _term_values(found: Evaluations, place: int) -> ShownValues:
+    """The metric of a term, or what it adds where it holds the metric at a value."""
+    term, cost = found.search.aim.objective.terms[place], found.scores.cost[:, place]
+    if term.aim == "hold":
+        return ShownValues(f"{term.metric} off {term.at:g}", "", cost)
+    return _quantity(found, term.metric, _as_metric(term, cost))
+
+
+def _as_metric(term: Term, cost: np.ndarray | float) -> np.ndarray | float:
+    """The metric of a cost, of a term that maximizes or minimizes it."""
+    return cost if term.aim == "hold" else cost * term.scale / term.weight * (-1.0 if term.aim == "maximize" else 1.0)
+
+
+def _quantity(found: Evaluations, metric: str, values: np.ndarray | float) -> ShownValues:
+    return shown(metric, found.search.sweep.metrics[metric].unit, values)
+
+
+def _edges(found: Evaluations, measure: Measure) -> ShownValues:
+    """The edges of a measure's cells."""
+    return _quantity(found, measure.metric, np.linspace(measure.low, measure.high, measure.cells + 1))
+
+
+def _title(quantity: ShownValues) -> str:
+    return quantity.name.replace("_", " ").capitalize()
+
+
+def _at(found: Evaluations, point: int) -> str:
+    """The first parameters of a point, as people read them."""
+    known, names = found.search.sweep.parameters, list(found.search.names[:6])
+    values = found.means(names, np.array([point]))
+    quantities = [shown(name, known[name].unit, values[name][0]) for name in names]
+    return ", ".join(f"{each.name} {each.shown(float(each.values))}" for each in quantities)
+
+
+def _counted(found: Evaluations) -> str:
+    lost, broken = int((~found.scores.ok).sum()), int((found.scores.ok & ~found.scores.allowed).sum())
+    text = f"{len(found.scores):,} evaluations by {found.search.method.name.replace('_', '-').upper()}"
+    text += f", each the mean of {found.search.repeats} runs" if found.search.repeats > 1 else ""
+    text += f"; {lost:,} fell" if lost else ""
+    return text + (f"; {broken:,} broke a constraint" if broken else "")
+
+
+def _ends(found: Evaluations) -> np.ndarray:
+    """Evaluations at the end of each batch."""
+    return np.cumsum(np.bincount(found.batch))
