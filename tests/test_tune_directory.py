@@ -1,16 +1,26 @@
-"""A tuning's directory: which code made each row, that it can be moved, and that nothing is lost in it."""
+"""A tuning's directory: which code made it, that it can be moved, and that damage costs no more than an iteration."""
 
 import dataclasses
+import errno
+import resource
 import shutil
+import signal
+from pathlib import Path
 
+import jax
+import numpy as np
+import orbax.checkpoint as ocp
 import pytest
-from test_tune_run import lasting, tune
+from test_tune_run import lasting, same, tune
 from tune_fake import SPEC, FakeProblem
 
 from nermo_mjx.optimize import Tuning, load_tuning, read_history, run, run_tuning
+from nermo_mjx.optimize.directory import History, TuningDirectory, history_columns
 from nermo_mjx.optimize.figures import tuning_figures
+from nermo_mjx.optimize.methods import initial_state
 from nermo_mjx.robot import load_robot
-from nermo_mjx.runs import Interrupted, OtherCode, Watch, codes_of
+from nermo_mjx.runs import DirectoryError, Interrupted, OtherCode, Watch, codes_of
+from nermo_mjx.runs.checkpoints import KEPT
 from nermo_mjx.runs.files import WrongDirectory
 
 pytestmark = pytest.mark.compiles
@@ -124,3 +134,236 @@ def test_another_recording_is_another_tuning(tmp_path):
     with pytest.raises(WrongDirectory, match="of another tuning, with another recording; choose another directory"):
         run_tuning(by_name["c"], tmp_path / "out", problem=FakeProblem(by_name["c"]))
     assert (tmp_path / "out" / "recording.npz").read_bytes() == b"one"
+
+
+TUNING = {
+    "tune": {"duty": {"bounds": [0.4, 0.7]}, "stride": {"bounds": [0.5, 1.0]}},
+    "objective": [{"maximize": "speed"}],
+    "starts": 3,
+}
+FRICTION = Tuning.from_dict(TUNING).parameters["contact.friction"].default
+
+
+@pytest.fixture
+def done(tmp_path):
+    """A finished tuning."""
+    return tune(tmp_path / "out")[0]
+
+
+def steps(out):
+    return sorted(int(path.name) for path in (out / "checkpoints").iterdir() if path.name.isdecimal())
+
+
+@pytest.mark.parametrize(
+    "optimizer",
+    [
+        "adam",
+        {"name": "sgd", "momentum": 0.9, "clip": 1.0},
+        {"learning_rate": {"cosine": {"init_value": 1, "decay_steps": 9}}},
+    ],
+)
+def test_a_state_comes_back_as_it_was(tmp_path, optimizer):
+    """Every leaf, of any optimizer, with its type and its bits, NaN included."""
+    tuning = Tuning.from_dict(TUNING | {"optimizer": optimizer})
+    state = initial_state(tuning)
+    rows = np.random.default_rng(0).standard_normal((2, 3, len(history_columns(tuning, ("speed",)))))
+    rows[0, 0, 0] = np.nan
+    history = History(tuning, ("speed",), rows, ((0, "one"), (1, "other")))
+    state = jax.tree.map(lambda leaf: (leaf + 1) / 3 if leaf.dtype == np.float32 else leaf + 5, state)
+    with TuningDirectory(tmp_path, tuning) as directory:
+        directory.claim(History(tuning))
+        directory.keep(state, history)
+    with TuningDirectory(tmp_path, tuning) as directory:
+        found = directory.restore()
+    assert jax.tree.structure(found[0]) == jax.tree.structure(state)
+    for a, b in zip(jax.tree.leaves(found[0]), jax.tree.leaves(state), strict=True):
+        assert a.dtype == b.dtype
+        assert np.asarray(a).tobytes() == np.asarray(b).tobytes()
+    assert found[1].rows.tobytes() == rows.tobytes()
+    assert (found[1].metrics, found[1].codes) == (history.metrics, history.codes)
+
+
+def test_the_last_few_are_kept(done):
+    """One checkpoint an iteration; the newest three stay."""
+    assert steps(done.out) == list(range(8 - KEPT, 8))
+    with ocp.StandardCheckpointer() as reader:  # whoever has Orbax, and not this package, can read them
+        stored = reader.restore(Path(done.out, "checkpoints", "7", "tuning").absolute())["state"]
+    np.testing.assert_array_equal(stored["u"], done.state.u)
+
+
+def content(folder):
+    """Every file below a folder."""
+    return {path.relative_to(folder): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def data_files(out, step):
+    return [path for path in (out / "checkpoints" / str(step)).rglob("d/*") if path.is_file()]
+
+
+def cut(out, step):
+    for path in data_files(out, step):
+        path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+
+
+def flip_bits(out, step):
+    """One in each eighth byte; Orbax keeps some of its files twice."""
+    for path in data_files(out, step):
+        content = bytearray(path.read_bytes())
+        content[::8] = bytes(byte ^ 16 for byte in content[::8])
+        path.write_bytes(content)
+
+
+def empty(out, step):
+    shutil.rmtree(out / "checkpoints" / str(step))
+    (out / "checkpoints" / str(step)).mkdir()
+
+
+def without_about(out, step):
+    shutil.rmtree(out / "checkpoints" / str(step) / "about")
+
+
+def flipped_about(out, step):
+    """Another precision stands there, and the text is still JSON."""
+    path = out / "checkpoints" / str(step) / "about" / "metadata"
+    path.write_text(path.read_text().replace('"precision": "float32"', '"precision": "float64"'))
+
+
+def without_numbers(out, step):
+    shutil.rmtree(out / "checkpoints" / str(step) / "tuning")
+
+
+def swapped(out, step):
+    """The numbers of another iteration."""
+    without_numbers(out, step)
+    shutil.copytree(out / "checkpoints" / str(step - 1) / "tuning", out / "checkpoints" / str(step) / "tuning")
+
+
+@pytest.mark.parametrize("damage", [cut, flip_bits, empty, without_about, flipped_about, without_numbers, swapped])
+def test_a_damaged_checkpoint_falls_back_to_the_one_before(done, damage):
+    """If the newest is damaged in any way, it is moved aside, the iteration is repeated, and the result is the same."""
+    damage(done.out, steps(done.out)[-1])
+    before, said = content(done.out / "checkpoints" / "7"), []
+    result, problem = tune(done.out, watch=Watch(warn=said.append))
+    assert len(problem.batches) == 1
+    assert same(result, done)
+    assert steps(done.out) == list(range(8 - KEPT, 8))
+    assert content(done.out / "checkpoints" / "7.aside-1") == before
+    assert f"checkpoint 7 in {done.out / 'checkpoints'} is damaged; it is kept as 7.aside-1." in said
+
+
+def test_all_damaged_begins_again(done):
+    """Nothing whole is left: the tuning starts from its beginning, and ends the same; what it had is kept aside."""
+    made = {
+        name: (done.out / name).read_bytes() for name in ("history.parquet", "best.json", "tuned.yaml", "tuning.yaml")
+    }
+    for step in steps(done.out):
+        cut(done.out, step)
+    said = []
+    result, problem = tune(done.out, watch=Watch(warn=said.append))
+    assert len(problem.batches) == 7
+    assert same(result, done)
+    for step in (5, 6, 7):
+        assert (done.out / "checkpoints" / f"{step}.aside-1").is_dir()
+    for name, before in made.items():
+        assert (done.out / f"{name}.aside-1").read_bytes() == before
+    assert len(said) == 7
+
+
+def test_what_a_killed_process_left_half_written_is_removed(done):
+    """Orbax writes beside and renames; a directory that was never renamed is no checkpoint."""
+    half = done.out / "checkpoints" / "8.orbax-checkpoint-tmp-1"
+    shutil.copytree(done.out / "checkpoints" / "7", half)
+    (done.out / ".history.parquet.7.nermo-tmp").write_text("half")
+    result, problem = tune(done.out)
+    assert problem.batches == []
+    assert same(result, done)
+    assert not half.exists()
+    assert not list(done.out.glob(".*.nermo-tmp"))
+
+
+def test_a_full_disk_is_one_sentence(tmp_path, capfd):
+    """If the system rejects more bytes, finished work is kept, nothing else is printed, and it can be resumed later."""
+    handler, limits = signal.signal(signal.SIGXFSZ, signal.SIG_IGN), resource.getrlimit(resource.RLIMIT_FSIZE)
+    tuning, problem = Tuning.from_dict(SPEC), FakeProblem(Tuning.from_dict(SPEC))
+
+    def fill(progress):
+        if progress.done == 3:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (3000, limits[1]))
+
+    try:
+        with pytest.raises(DirectoryError, match=r"cannot write in .*: File too large\. What is finished is kept"):
+            run_tuning(tuning, tmp_path, problem=problem, watch=Watch(fill))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+        signal.signal(signal.SIGXFSZ, handler)
+    assert capfd.readouterr().err == ""
+    assert steps(tmp_path) == [1, 2, 3]
+    assert tune(tmp_path)[0].iterations_run == 4
+
+
+def test_another_precision_is_refused_and_nothing_is_lost(done):
+    """A tuning in float32 cannot be resumed in float64: its numbers would differ."""
+    before = steps(done.out)
+    with (
+        jax.enable_x64(True),
+        pytest.raises(DirectoryError, match="was started in float32, and JAX now computes in float64"),
+    ):
+        tune(done.out)
+    assert steps(done.out) == before
+
+
+def test_checkpoints_of_another_tuning_are_refused(tmp_path, done):
+    """Copied in from elsewhere, they are neither taken nor lost, whatever is accepted."""
+    other = tmp_path / "other"
+    tune(other, {"iterations": 1, "seed": 8})
+    for path in (other / "checkpoints").iterdir():
+        shutil.rmtree(path)
+    shutil.copytree(done.out / "checkpoints" / "7", other / "checkpoints" / "7")
+    before = content(other)
+    for accept in (False, True):
+        with pytest.raises(WrongDirectory, match=r"of another tuning, with another seed \(3 there, 8 here\); choose"):
+            tune(other, {"iterations": 1, "seed": 8}, accept_new_code=accept)
+    assert content(other) == before
+
+
+def changed_default(monkeypatch, name, value):
+    """A new version with another default of one parameter."""
+    known = Tuning.parameters.fget
+
+    def parameters(self):
+        about = known(self)
+        return about | {name: dataclasses.replace(about[name], default=value)}
+
+    monkeypatch.setattr(Tuning, "parameters", property(parameters))
+
+
+def test_a_changed_default_is_refused_by_name_and_loses_nothing(done, monkeypatch):
+    """A new version with another default: checkpoints and history are kept until the user resumes them."""
+    before = content(done.out)
+    changed_default(monkeypatch, "contact.friction", 0.77)
+    sentence = rf"with other defaults: contact\.friction \({FRICTION:g} there, 0\.77 here\); .*--accept-new-code"
+    with pytest.raises(OtherCode, match=sentence):
+        tune(done.out, {"iterations": 8})
+    assert content(done.out) == before
+    result, problem = tune(done.out, {"iterations": 8}, accept_new_code=True)
+    assert len(problem.batches) == 2
+    assert lasting(result.history).slice(0, 14).equals(lasting(done.history))
+
+
+@pytest.mark.parametrize("broken", ["the file system", "orbax"])
+def test_a_disk_that_does_not_answer_ends_it_and_changes_nothing(done, monkeypatch, broken):
+    """Read again later, the checkpoint may be whole: the command ends in one sentence."""
+    before = content(done.out)
+
+    def fail(*_, **__):
+        raise OSError(errno.EIO, "Input/output error")
+
+    with monkeypatch.context() as patch:
+        if broken == "orbax":
+            patch.setattr(ocp.CheckpointManager, "restore", fail)
+        else:
+            patch.setattr(Path, "read_bytes", fail)
+        with pytest.raises(DirectoryError, match=r"checkpoint 7 in .* cannot be read: Input/output error; nothing was"):
+            tune(done.out)
+    assert content(done.out) == before
+    assert tune(done.out)[1].batches == []
