@@ -299,7 +299,7 @@ def test_a_tuning_can_be_prolonged(tmp_path, reference):
 def test_a_directory_belongs_to_one_tuning(tmp_path, change, word):
     """Another seed, optimizer or objective is refused in a sentence that says what differs."""
     tune(tmp_path, {"iterations": 2})
-    with pytest.raises(DirectoryError, match=f"holds another tuning, with another {word} .*choose another directory"):
+    with pytest.raises(DirectoryError, match=f"holds another tuning, with another {word}.*choose another directory"):
         tune(tmp_path, change)
     (tmp_path / "tuning.yaml").unlink()
     with pytest.raises(DirectoryError, match="checkpoints of an unknown tuning"):

@@ -91,6 +91,22 @@ class TuneState:
     best_value: Float[Array, " starts"]
     best_iteration: Int[Array, " starts"]
 
+    def after(self, u: Any, optimizer: Any, better: Any, better_u: Any, value: Any) -> TuneState:
+        """The state one iteration later, at u.
+
+        Args:
+            better, better_u, value: which starts found a better point (starts,), the point and its objective.
+        """
+        return TuneState(
+            u=u,
+            optimizer=optimizer,
+            iteration=self.iteration + 1,
+            key=self.key,
+            best_u=jnp.where(better[:, None], better_u, self.best_u),
+            best_value=jnp.where(better, value, self.best_value).astype(self.best_value.dtype),
+            best_iteration=jnp.where(better, self.iteration, self.best_iteration),
+        )
+
 
 def initial_state(tuning: Tuning) -> TuneState:
     """The state before the first iteration."""
@@ -240,18 +256,11 @@ def _advanced(
     )
     forward = confine(bounds, state.u + step)
     waits = lost & (not optimizer.reads_values)
-    after = TuneState(
-        u=jnp.where(waits[:, None], 0.5 * (state.u + best_u), forward),
-        optimizer=jax.tree.map(
-            lambda new, old: jnp.where(waits.reshape(-1, *[1] * (new.ndim - 1)), old, new), updated, state.optimizer
-        ),
-        iteration=state.iteration + 1,
-        key=state.key,
-        best_u=best_u,
-        best_value=jnp.where(better, value[:, 0], state.best_value),
-        best_iteration=jnp.where(better, state.iteration, state.best_iteration),
+    u = jnp.where(waits[:, None], 0.5 * (state.u + best_u), forward)
+    kept = jax.tree.map(
+        lambda new, old: jnp.where(waits.reshape(-1, *[1] * (new.ndim - 1)), old, new), updated, state.optimizer
     )
-    return after, found, ok[:, 0], slope(bounds, state.u)
+    return state.after(u, kept, better, state.u, value[:, 0]), found, ok[:, 0], slope(bounds, state.u)
 
 
 # ---
@@ -337,16 +346,8 @@ def _moved(
     chosen = value.argmin(axis=1)
     lowest = jnp.take_along_axis(value, chosen[:, None], axis=1)[:, 0]
     u = jnp.take_along_axis(tried, chosen[:, None, None], axis=1)[:, 0]
-    better = lowest < state.best_value
-    after = TuneState(
-        u=u,
-        optimizer=jax.vmap(search.taken)(line, chosen > 0, jnp.linalg.norm(u - state.u, axis=1)),
-        iteration=state.iteration + 1,
-        key=state.key,
-        best_u=jnp.where(better[:, None], u, state.best_u),
-        best_value=jnp.where(better, lowest, state.best_value).astype(state.best_value.dtype),
-        best_iteration=jnp.where(better, state.iteration, state.best_iteration),
-    )
+    line = jax.vmap(search.taken)(line, chosen > 0, jnp.linalg.norm(u - state.u, axis=1))
+    after = state.after(u, line, lowest < state.best_value, u, lowest)
     return after, jnp.isfinite(value[:, 0]), (~used).reshape(len(u), -1).sum(axis=1)
 
 
@@ -555,14 +556,7 @@ class GenerationTuner(Tuner):
         value = np.where(ok, np.asarray(found.value, float), np.nan)
         self._rank(value)
         better = jnp.asarray(np.where(ok, value, np.inf) < np.asarray(state.best_value))
-        after = dataclasses.replace(
-            state,
-            u=u,
-            iteration=state.iteration + 1,
-            best_u=jnp.where(better[:, None], u, state.best_u),
-            best_value=jnp.where(better, jnp.asarray(value, state.best_value.dtype), state.best_value),
-            best_iteration=jnp.where(better, state.iteration, state.best_iteration),
-        )
+        after = state.after(u, state.optimizer, better, u, jnp.asarray(value, state.best_value.dtype))
         return after, _iterate(from_unconstrained(self.bounds, u), found, ok, len(value) * self.seconds)
 
     def _next(self) -> None:

@@ -34,28 +34,38 @@ from nermo_mjx.sweep.simulating import SimulatorLike
 _LEAST_SPREAD: Final = (1e-3, 1e-2)
 
 
-class WalkProblem:
+class _TuningProblem:
+    """A problem made of a tuning.
+
+    Args:
+        tuning: what is tuned.
+        reference: replaces the tuning's recording, whose file need not be there then.
+
+    Raises:
+        ParameterError: the tuning's recording cannot be compared with its walk.
+    """
+
+    def __init__(self, tuning: Tuning, reference: Reference | None = None) -> None:
+        self.tuning, self.names, self.reference = tuning, tuning.names, reference
+
+    def __reduce__(self) -> tuple[type[_TuningProblem], tuple[Any, ...]]:
+        """For another machine, which lacks the recording and rebuilds everything else."""
+        return type(self), (self.tuning, self.reference)
+
+
+class WalkProblem(_TuningProblem):
     """Implements `objective.Problem` in MJX; one world per point.
 
     Points that a line search tries need no gradient, and walk on the engine `c`: that costs a tenth of MJX on a CPU.
     """
 
     def __init__(self, tuning: Tuning, reference: Reference | None = None) -> None:
-        """
-        Args:
-            tuning: what is tuned.
-            reference: replaces the tuning's recording, whose file need not be there then.
-
-        Raises:
-            ParameterError: the tuning's recording cannot be compared with its walk.
-        """
-        self.tuning, self.names = tuning, tuning.names
+        super().__init__(tuning, reference)
         self.mode = choose_mode(len(self.names), tuning.mode)
         self.gradient_cost = cost(len(self.names), self.mode)
         lowest = dict(zip(self.names, map(float, tuning.bounds.low), strict=True))
         self.rollout = Rollout(tuning.setup, tuning.run, slowest=lowest.get("frequency"))
         self.simulated_seconds = self.rollout.seconds(tuning.constants | lowest)
-        self.reference = reference
         if reference is None and tuning.recording is not None:
             self.reference = load_reference(tuning.recording, self.rollout, self.simulated_seconds)
         identity = self._identity()
@@ -65,10 +75,6 @@ class WalkProblem:
         self._walks: SimulatedProblem | None = None
         if tuning.optimizer.searches and tuning.method.has_gradient:
             self._walks = SimulatedProblem(tuning, self.reference, Simulator(tuning.setup, "c"))
-
-    def __reduce__(self) -> tuple[type[WalkProblem], tuple[Any, ...]]:
-        """For another machine, which lacks the recording and rebuilds everything else."""
-        return WalkProblem, (self.tuning, self.reference)
 
     def evaluate(self, points: Float[Array, "n p"], gradient: bool) -> Evaluation:
         """See `objective.Problem.evaluate`."""
@@ -154,22 +160,17 @@ def load_reference(path: Path, rollout: Rollout, seconds: float) -> Reference:
 # The simulation behind a tuning without derivatives: walks in MuJoCo C, and slopes from their neighbours.
 
 
-class SimulatedProblem:
-    """Implements `objective.Problem` on the engine `c`; a gradient costs the runs of a point's neighbours."""
+class SimulatedProblem(_TuningProblem):
+    """Implements `objective.Problem` on the engine `c`; a gradient costs the runs of a point's neighbours.
+
+    Args:
+        simulator: replaces `Simulator(tuning.setup, "c")`.
+    """
 
     def __init__(
         self, tuning: Tuning, reference: Reference | None = None, simulator: SimulatorLike | None = None
     ) -> None:
-        """
-        Args:
-            tuning: what is tuned.
-            reference: replaces the tuning's recording, whose file need not be there then.
-            simulator: replaces `Simulator(tuning.setup, "c")`.
-
-        Raises:
-            ParameterError: the tuning's recording cannot be compared with its walk.
-        """
-        self.tuning, self.names, self.reference = tuning, tuning.names, reference
+        super().__init__(tuning, reference)
         self.simulator: Any = simulator or Simulator(tuning.setup, "c")
         method = tuning.method
         self.gradient_cost = 1.0 + (method.neighbours(len(self.names)) if isinstance(method, Differences) else 0)
@@ -178,10 +179,6 @@ class SimulatedProblem:
         if reference is None and tuning.recording is not None:
             rollout = Rollout(tuning.setup, tuning.run, slowest=slowest.get("frequency"))
             self.reference = load_reference(tuning.recording, rollout, self.simulated_seconds)
-
-    def __reduce__(self) -> tuple[type[SimulatedProblem], tuple[Any, ...]]:
-        """For another machine, which lacks the recording and rebuilds everything else."""
-        return SimulatedProblem, (self.tuning, self.reference)
 
     def evaluate(self, points: Float[Array, "n p"], gradient: bool) -> Evaluation:
         """See `objective.Problem.evaluate`; in NumPy: differences of float64 become slopes unrounded.

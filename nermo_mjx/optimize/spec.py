@@ -466,17 +466,19 @@ def _without_false(spec: Spec) -> dict[str, Any]:
     return {name: value for name, value in written(spec).items() if value is not False}
 
 
+def _refuse_distance(doc: Document, run: Run) -> None:
+    """Fail if runs end at a distance where derivatives are wanted."""
+    if run.distance is not None:
+        why = "such a length jumps by whole cycles and has no derivative; give run: {cycles: 8}."
+        doc.fail(("pilot", "straight", "distance"), f"ends each run at a distance: {why}")
+
+
 def _read_tuning(doc: Document, *, recorded: bool = True) -> Tuning:
     with known_names(doc):
         doc = written_out(doc)
         file = read(doc, TuningFile)
     walk = read_walk(doc, file)
-    if "distance" in walk["pilot"]:
-        doc.fail(
-            ("pilot", "straight", "distance"),
-            "ends each run at a distance: such a length jumps by whole cycles and has no derivative; give run: "
-            "{cycles: 8}.",
-        )
+    _refuse_distance(doc, walk["run"])
     objective, recording, method = read_objective(doc, file.objective), None, file.method
     compared = TRAJECTORY_ERROR in objective.metrics
     if file.recording is not None:
@@ -892,11 +894,8 @@ def _read_search(doc: Document) -> Search:
         asked = {"objective": "one objective", "pareto": "several objectives", "atlas": "an atlas"}[aim.kind]
         names = ", ".join(each.name for each in allowed)
         doc.fail(("method",), f"is {method.name}, which is not for {asked}: allowed are {names}.")
-    if isinstance(method, CmaMega) and walk["run"].distance is not None:
-        doc.fail(
-            ("pilot", "straight", "distance"),
-            "ends each run at a distance, which has no derivative: method cma_mega needs run: {cycles: 8}.",
-        )
+    if isinstance(method, CmaMega):
+        _refuse_distance(doc, walk["run"])
     if file.keep.elites is not None and not aim.measures:
         doc.fail(("keep", "elites"), "is for an atlas: take {best: N}.")
     if wrong := too_many((file.batch or 0) * sweep.repeats):
