@@ -56,7 +56,6 @@ from nermo_mjx.rollout import Simulator
 from nermo_mjx.rollout.differentiable import Rollout, choose_mode, cost
 from nermo_mjx.rollout.run import START_SPREAD
 from nermo_mjx.runs import RunDirectory, session, stamp
-from nermo_mjx.runs.code import CodeStamp
 from nermo_mjx.runs.directory import engine_of
 from nermo_mjx.runs.job import SILENT, JobFailed, Progress, Watch, resumable
 from nermo_mjx.runs.rows import part_files
@@ -384,37 +383,35 @@ def run_search(
 
 
 class SearchLoop:
-    """The batches of a search, one after the other.
-
-    Attributes:
-        evaluated: points that were evaluated here, and not read.
-        evaluations, seconds: points so far, and the simulated time of their runs [s].
-        best: the best objective so far; filled: filled cells of an atlas.
-    """
+    """The batches of a search, one after the other; `evaluated` points were evaluated here, and not read."""
 
     def __init__(self, batches: Batches, workers: Workers, computer: SweepSimulator, watch: Watch) -> None:
         self._batches, self._workers, self._computer, self._watch = batches, workers, computer, watch
         self._search, self._size = batches.search, batches.search.batch or 1
-        self.evaluated = self.evaluations = self._resumed = 0
-        self.seconds = 0.0
-        self.best: float | None = None
+        self.evaluated = self._evaluations = self._resumed = 0
+        self._seconds, self._measured = 0.0, False  # simulated so far; whether some run walked to its end
+        self._best: float | None = None
         self._cells = set[int]()
-        self._measured = False
 
     def run(self, gradients: Gradients | None, accept: bool) -> None:
         """Ask for batches until the budget is used up; simulate what the directory lacks, and tell the results."""
         search, repeats, stamp, published = self._search, self._search.repeats, None, time.monotonic()
         method, shares, batch = searcher(search, self._size), np.empty((0, len(search.names))), 0
-        while search.reached(self.evaluations, self.seconds) < 1.0:
+        while search.reached(self._evaluations, self._seconds) < 1.0:
             request = method.ask()
             shares = np.concatenate([shares, request.points])
             # Repeats stand side by side; draws follow from a point and the repeat.
-            first = self.evaluations * repeats
+            first = self._evaluations * repeats
             rows = Sample(search.sweep, shares).take(np.arange(first, len(shares) * repeats))
             table = self._batches.read(batch, rows)
             if table is None:
-                if stamp is None:
-                    stamp = self._begin(accept)
+                if stamp is None:  # the first one that is missing
+                    self._resumed = self._evaluations
+                    self._report()
+                    stamp = self._workers.begin(self._computer)
+                    self._batches.runs.take_codes([stamp], accept=accept)
+                    about = session(engine=self._computer.engine, code=stamp.id, begun_at=self._evaluations)
+                    self._batches.held.note_session(about)
                 found, slopes = self._simulate(batch, rows), None
                 if request.gradients:
                     gradients = gradients or WalkGradients(search)
@@ -423,33 +420,23 @@ class SearchLoop:
                     slopes = slopes.reshape(request.gradients, repeats, *slopes.shape[1:]).mean(axis=1)
                 table = self._batches.write(batch, rows, first, found, stamp, slopes)
                 self.evaluated += len(request.points)
-            self.evaluations, batch = len(shares), batch + 1
+            self._evaluations, batch = len(shares), batch + 1
             seconds = search.seconds(rows.values, len(rows))
-            self.seconds += float(np.sum(seconds))
-            self.seconds += gradient_cost(search) * float(np.sum(seconds[: request.gradients * repeats]))
+            self._seconds += float(np.sum(seconds))
+            self._seconds += gradient_cost(search) * float(np.sum(seconds[: request.gradients * repeats]))
             method.tell(self._scores(table, request.gradients))
             self._report()
             if stamp is not None and time.monotonic() - published > PUBLISHED_EVERY:
                 publish(self._batches, complete=False)
                 published = time.monotonic()
 
-    def _begin(self, accept: bool) -> CodeStamp:
-        """Make ready what simulates, before the first batch that is missing."""
-        self._resumed = self.evaluations
-        self._report()
-        stamp = self._workers.begin(self._computer)
-        self._batches.runs.take_codes([stamp], accept=accept)
-        about = session(engine=self._computer.engine, code=stamp.id, begun_at=self.evaluations)
-        self._batches.held.note_session(about)
-        return stamp
-
     def _report(self, share: float = 0.0) -> None:
         """Report how far all is; `share` of the next batch is done."""
         search = self._search
         part = share * (search.reached(self._size, 0.0) if search.evaluations is not None else 0.0)
-        fraction = min(1.0, search.reached(self.evaluations, self.seconds) + part)
+        fraction = min(1.0, search.reached(self._evaluations, self._seconds) + part)
         cells = {"cells": float(len(self._cells))} if search.aim.measures else {}
-        done = Progress(fraction, self.evaluations, search.evaluations, self._resumed, best=self.best, numbers=cells)
+        done = Progress(fraction, self._evaluations, search.evaluations, self._resumed, best=self._best, numbers=cells)
         self._watch.progress(done)
 
     def _simulate(self, batch: int, rows: Rows) -> Simulated:
@@ -498,7 +485,7 @@ class SearchLoop:
             self._cells |= {int(cell) for cell in cells_of(aim, scores.measures)[scores.allowed] if cell >= 0}
         if not aim.pareto and scores.allowed.any():
             least = float(scores.cost[scores.allowed, 0].min())
-            self.best = least if self.best is None else min(self.best, least)
+            self._best = least if self._best is None else min(self._best, least)
         jacobian = self._batches.gradients(table, gradients) if gradients else None
         return dataclasses.replace(scores, jacobian=jacobian)
 
