@@ -70,7 +70,7 @@ def test_constraints_hold_at_the_best_point(tmp_path):
 @pytest.mark.parametrize(
     ("spec", "batches"),
     [
-        (SPEED | {"budget": 12, "subject_to": {"roll_std": {"max": 0.001}}}, [24]),
+        (SPEED | {"budget": 12, "subject_to": {"roll_std": {"max": 0.001}}}, [12, 12]),
         (ATLAS | {"vary": WALK["vary"] | {"frequency": {"uniform": [1.41, 1.5]}}, "budget": 48}, [16, 16, 16]),
     ],
     ids=["constraints", "falls"],

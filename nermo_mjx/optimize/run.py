@@ -176,7 +176,7 @@ def run_tuning(
                 numbers = {name: float(column[np.nanargmin(found.value)]) for name, column in columns.items()}
             if best is not None:
                 numbers["simulated_seconds"] = best["simulated_seconds"]
-            report(best and best["objective"], numbers)
+            report(None if best is None else best["objective"], numbers)
         best = directory.publish(history)
         if best is None:
             raise JobFailed(

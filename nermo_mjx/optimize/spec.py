@@ -479,7 +479,8 @@ def _read_tuning(doc: Document, *, recorded: bool = True) -> Tuning:
         file = read(doc, TuningFile)
     walk = read_walk(doc, file)
     _refuse_distance(doc, walk["run"])
-    objective, recording, method = read_objective(doc, file.objective), None, file.method
+    objective, method = read_objective(doc, file.objective), file.method
+    recording: Path | None = None
     compared = TRAJECTORY_ERROR in objective.metrics
     if file.recording is not None:
         if not isinstance(file.recording, str):
