@@ -65,13 +65,11 @@ from nermo_mjx.runs.text import to_json
 from nermo_mjx.specs.controllers import with_code_copied
 from nermo_mjx.specs.described import write_described
 from nermo_mjx.specs.reading import SpecError, changes
-from nermo_mjx.sweep.replay import SweepRow
-from nermo_mjx.sweep.results import RECORDINGS, Results, read_table
+from nermo_mjx.sweep.replay import SweepRow, recording_file
 from nermo_mjx.sweep.sampling import Rows
-from nermo_mjx.sweep.series import recording_file
 from nermo_mjx.sweep.simulating import Simulated, SweepSimulator
 from nermo_mjx.sweep.store import keys_of_rows
-from nermo_mjx.sweep.table import Columns, chunk_table, columns_of, meta
+from nermo_mjx.sweep.table import RECORDINGS, Columns, Results, chunk_table, columns_of, meta, read_table
 
 TUNING: Final = "tuning.yaml"
 SEARCH: Final = "search.yaml"
@@ -858,20 +856,9 @@ def find_evaluation(out: str | os.PathLike[str], row: int) -> SweepRow:
     stored = table.slice(row, 1).to_pylist()[0]
     values = {name: np.array([stored[name]]) for name in columns_of(table, "varied", "randomized")}
     index = {name: np.array([stored[name]]) for name in ("variant", "repeat", "seed")}
-    walk = search.sweep.structures[0]
-    rate = walk.setup.cycle_rate(walk.constants | {name: column[0] for name, column in values.items()})
-    begin, end = walk.run.seconds(rate)
-    return SweepRow(
-        out=out,
-        sweep=search.sweep,
-        row=row,
-        line=Rows(**index, values=values, structure=np.zeros(1, int)),
-        begin=float(begin),
-        end=float(end),
-        engine=pq.read_schema(part_files(out)[0]).metadata[b"engine"].decode(),
-        stored=stored,
-        outdated=False,
-    )
+    line = Rows(**index, values=values, structure=np.zeros(1, int))
+    engine = pq.read_schema(part_files(out)[0]).metadata[b"engine"].decode()
+    return SweepRow(out, search.sweep, row, line, engine, stored)
 
 
 # ---

@@ -60,9 +60,8 @@ from nermo_mjx.runs.files import DirectoryError, content_of, parquet_bytes, parq
 from nermo_mjx.runs.job import Progress, Watch
 from nermo_mjx.runs.rows import part_files
 from nermo_mjx.sweep.plots import chosen_figure, named_points, survey_figures, trade_off
-from nermo_mjx.sweep.results import Results
 from nermo_mjx.sweep.simulating import SimulatorLike
-from nermo_mjx.sweep.table import Columns, meta
+from nermo_mjx.sweep.table import Columns, Results, meta
 from nermo_mjx.view import RecordingError, VideoError, check_video, recording_of
 from nermo_mjx.view.video import Pane, render_side_by_side
 

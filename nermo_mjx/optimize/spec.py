@@ -51,7 +51,7 @@ from nermo_mjx.specs.values import (
     check_value,
 )
 from nermo_mjx.specs.walk import WalkFields, WalkSpec, check_sources, check_workspace, read_walk, written_out
-from nermo_mjx.sweep.axes import AxisForm, read_axis, read_draw
+from nermo_mjx.sweep.axes import Axis, read_axis, read_draw
 from nermo_mjx.sweep.spec import Randomized, Sweep, start_draws
 from nermo_mjx.sweep.structures import Structure
 
@@ -734,7 +734,7 @@ class SearchFile(WalkFields):
     model_config = ConfigDict(json_schema_extra={"required": ["vary"]}, use_attribute_docstrings=True)
     what: ClassVar = "a field of a search"
     sources: ClassVar = "'vary', 'set' or 'randomize'"
-    vary: Annotated[dict[str, AxisForm], ByParameter()] = Field({})
+    vary: Annotated[dict[str, Axis], ByParameter()] = Field({})
     """searched parameters with their bounds"""
     objective: Annotated[list[Term], OneOrMore()] = optional("a term, or several whose sum is minimized")
     pareto: list[Term] = optional("several objectives, each a term")
