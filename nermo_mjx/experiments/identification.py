@@ -139,29 +139,44 @@ class Walking:
         return speed, np.asarray(result.status) == "ok"
 
 
-class CandidateFile:
-    """Earlier walks, in a file of JSON lines; the first line describes the search.
+class Candidates:
+    """Walks candidates in batches of one size, and remembers each batch in a file of JSON lines.
 
-    A killed search loses at most one batch: a truncated line was being written.
+    The file's first line describes the search. A killed search loses at most one batch: a truncated line was being
+    written.
 
     Args:
-        path: the file; created if it does not exist.
+        workers: simulate; they begin `Walking`.
+        cases: parameters of `CASES`, (cases,) each; those outside the space that is searched keep these values.
+        batch: number of candidates simulated together; one shape compiles once.
+        report: called after each batch.
+        path: the file; created if it does not exist. None writes none.
         about: settings of the search and the robot, which determine the candidates.
         code: short name of the code that adds candidates, see `nermo_mjx.runs.code`.
 
-    Attributes:
-        known: points (n, d) as bytes -> speed, and whether the walk was completed, (n, cases) each.
-
     Raises:
         ParameterError: the file belongs to another search.
-        DirectoryError: it cannot be written.
-        OSError: it cannot be read.
+        DirectoryError: it cannot be read or written.
     """
 
-    def __init__(self, path: Path, about: dict[str, object], code: str) -> None:
-        self.path, self.code = path, code
-        self.known: dict[bytes, tuple[np.ndarray, np.ndarray]] = {}
-        first, rows = (found := _rows_of(path))[:1], found[1:]
+    def __init__(
+        self,
+        workers: Workers,
+        cases: Mapping[str, np.ndarray],
+        batch: int,
+        report: Callable[[], None],
+        path: Path | None,
+        about: dict[str, object],
+        code: str,
+    ) -> None:
+        self._workers, self._cases, self._batch, self._report = workers, cases, batch, report
+        self._path, self._code = path, code
+        #: Points (batch, d) as bytes -> speed, and whether the walk was completed, (batch, cases) each.
+        self._known: dict[bytes, tuple[np.ndarray, np.ndarray]] = {}
+        if path is None:
+            return
+        with clear_errors(path.parent):
+            first, rows = (found := _rows_of(path))[:1], found[1:]
         if not first:
             self._append(about)
         elif first[0] != json.loads(json.dumps(about)):
@@ -169,16 +184,47 @@ class CandidateFile:
         for row in rows:
             if {"points", "speed", "walked"} <= set(row):
                 walks = np.array(row["speed"], float), np.array(row["walked"], bool)
-                self.known[np.array(row["points"], float).tobytes()] = walks
+                self._known[np.array(row["points"], float).tobytes()] = walks
 
-    def keep(self, points: np.ndarray, speed: np.ndarray, walked: np.ndarray) -> None:
-        """Remember the speeds of points."""
-        found = {"points": points.tolist(), "speed": speed.tolist(), "walked": walked.tolist()}
-        self._append({"code": self.code, **found})
+    def walk(self, points: np.ndarray, space: Mapping[str, ensemble.Free]) -> tuple[dict[str, np.ndarray], np.ndarray]:
+        """The figures and the objective of points (n, d) of the unit cube, whose axes are a space; (n,) each.
+
+        Raises:
+            WorkersLost: no worker is left; finished walks are kept.
+        """
+        blocks = np.array_split(points, -(-len(points) // self._batch))
+        # A batch that is not full is padded with its own points.
+        batches = [np.resize(block, (self._batch, len(space))) for block in blocks]
+        missing = [k for k, batch in enumerate(batches) if batch.tobytes() not in self._known]
+        for _ in range(len(batches) - len(missing)):
+            self._report()
+
+        def tasks() -> Iterator[tuple[int, dict[str, np.ndarray]]]:
+            for k in missing:
+                values = {name: np.tile(column, self._batch) for name, column in self._cases.items()}
+                own = ensemble.parameters_of(batches[k], space)
+                yield k, values | {name: np.repeat(column, len(CASES)) for name, column in own.items()}
+
+        try:
+            for k, columns in self._workers.results(tasks(), lambda key, share: None):
+                speed, walked = (column.reshape(self._batch, -1) for column in columns)
+                self._known[batches[k].tobytes()] = speed, walked
+                row = {"points": batches[k].tolist(), "speed": speed.tolist(), "walked": walked.tolist()}
+                self._append({"code": self._code, **row})
+                self._report()
+        except TaskFailed as failed:
+            raise failed.error from None
+        walks = [self._known[batch.tobytes()] for batch in batches]
+        speed, walked = (
+            np.concatenate([walk[i][: len(block)] for walk, block in zip(walks, blocks, strict=True)]) for i in (0, 1)
+        )
+        found = figures(speed)
+        return found, objective(found, ~walked.all(axis=1))
 
     def _append(self, row: dict[str, object]) -> None:
-        with clear_errors(self.path.parent):
-            append_line(self.path, json.dumps(row))
+        if self._path is not None:
+            with clear_errors(self._path.parent):
+                append_line(self._path, json.dumps(row))
 
 
 def _rows_of(path: Path) -> list[dict[str, Any]]:
@@ -190,88 +236,6 @@ def _rows_of(path: Path) -> list[dict[str, Any]]:
         except FileError:
             rows.append({})
     return rows
-
-
-@dataclasses.dataclass
-class Candidates:
-    """Evaluates points of a space, and records all of them and the best.
-
-    Args:
-        workers: that have started `Walking`; parameters outside the space keep their defaults.
-        cases: parameters of `CASES`, (cases,) each.
-        space: d free parameters, the axes of the unit cube.
-        batch: number of candidates simulated together; one shape compiles once.
-        memory: of earlier simulations.
-        report: called after each batch.
-    """
-
-    workers: Workers
-    cases: Mapping[str, np.ndarray]
-    space: Mapping[str, ensemble.Free]
-    batch: int
-    memory: CandidateFile | None
-    report: Callable[[], None]
-    points: list[np.ndarray] = dataclasses.field(default_factory=list)
-    costs: list[float] = dataclasses.field(default_factory=list)
-    best: float = math.inf
-    best_point: Any = None
-    first_figures: dict[str, float] = dataclasses.field(default_factory=dict)
-    best_figures: dict[str, float] = dataclasses.field(default_factory=dict)
-
-    def evaluate(self, points: np.ndarray) -> np.ndarray:
-        """Objective of points (n, d) of the unit cube, (n,); in batches of as equal a size as possible.
-
-        Raises:
-            WorkersLost: no worker is left; finished walks are kept.
-        """
-        blocks = np.array_split(points, -(-len(points) // self.batch))
-        walked, costs = self._walk(blocks), []
-        for k, block in enumerate(blocks):
-            speed, completed = (column[: len(block)] for column in walked[k])
-            found = figures(speed)
-            costs.append(objective(found, ~np.all(completed, axis=1)))
-            if not self.costs:
-                self.first_figures = {name: float(column[0]) for name, column in found.items()}
-            least = int(np.argmin(costs[-1]))
-            if costs[-1][least] < self.best:
-                self.best, self.best_point = float(costs[-1][least]), block[least]
-                self.best_figures = {name: float(column[least]) for name, column in found.items()}
-            self.points += list(block)
-            self.costs += costs[-1].tolist()
-        return np.concatenate(costs)
-
-    def near(self, tolerance: float) -> np.ndarray:
-        """Points within a tolerance of the objective, (k, d), in the order they were tried."""
-        within = [point for point, cost in zip(self.points, self.costs, strict=True) if cost <= tolerance]
-        return np.reshape(within, (len(within), len(self.space)))
-
-    def _walk(self, blocks: list[np.ndarray]) -> dict[int, tuple[np.ndarray, np.ndarray]]:
-        """For each block, padded to a batch: speed in each case, and whether the walk was completed, (n, cases)."""
-        # An incomplete batch is padded with its own points.
-        batches = [np.resize(block, (self.batch, len(self.space))) for block in blocks]
-        found = {}
-        for k, points in enumerate(batches):
-            if self.memory is not None and points.tobytes() in self.memory.known:
-                found[k] = self.memory.known[points.tobytes()]
-                self.report()
-
-        def tasks() -> Iterator[tuple[int, dict[str, np.ndarray]]]:
-            for k, points in enumerate(batches):
-                if k not in found:
-                    values = {name: np.tile(column, len(points)) for name, column in self.cases.items()}
-                    own = ensemble.parameters_of(points, self.space)
-                    yield k, values | {name: np.repeat(column, len(CASES)) for name, column in own.items()}
-
-        try:
-            for k, columns in self.workers.results(tasks(), lambda key, share: None):
-                speed, walked = (column.reshape(self.batch, -1) for column in columns)
-                found[k] = speed, walked
-                if self.memory is not None:
-                    self.memory.keep(batches[k], speed, walked)
-                self.report()
-        except TaskFailed as failed:
-            raise failed.error from None
-        return found
 
 
 # --- search
@@ -337,7 +301,7 @@ class Search:
 def identify(
     wanted: Search,
     engine: str = "auto",
-    memory: CandidateFile | None = None,
+    memory: Path | None = None,
     watch: Watch = SILENT,
     workers: Workers | None = None,
 ) -> Identified:
@@ -345,42 +309,59 @@ def identify(
 
     Args:
         engine: of the simulations.
-        memory: of earlier simulations, which are not repeated.
+        memory: file of the candidates, which are not simulated again; see `Candidates`.
         watch: is told the share done.
         workers: what simulates; by default this process. The numbers are the same: a task is a batch, and results are
             processed in the order of the batches.
 
     Raises:
+        ParameterError, DirectoryError: as for `Candidates`.
         WorkersLost: no worker is left.
     """
     population, bodies, seed, free = wanted.population, wanted.bodies, wanted.seed, ensemble.FREE_IN[wanted.profile]
-    workers, defaults = workers or LocalWorkers(), WALKS.defaults() | body_values(wanted.profile)
-    workers.begin(Walking(resolve_engine(engine)))
+    walking, workers, robot = Walking(resolve_engine(engine)), workers or LocalWorkers(), WALKS.defaults()
+    defaults = robot | body_values(wanted.profile)
     cases = worlds(CASES, defaults, Settings((wanted.profile,), repeats=1, seed=seed)).values
-    first, swept = -(-(wanted.samples + 1) // population), (wanted.sweeps + 1) * -(-bodies // population)
-    batches, done = first + wanted.generations + swept, 0
+    batches = -(-(wanted.samples + 1) // population) + wanted.generations
+    batches, done = batches + (wanted.sweeps + 1) * -(-bodies // population), 0
 
     def report() -> None:
         nonlocal done
         done += 1
         watch.progress(Progress(done / batches))
 
-    search = Candidates(workers, cases, free, population, memory, report)
+    # The ensemble's settings do not determine the candidates, only their number.
+    begun = {name: getattr(wanted, name) for name in ("samples", "generations", "population", "seed", "profile")}
+    code = walking.stamp().id if memory else ""
+    candidates = Candidates(workers, cases, population, report, memory, begun | {"defaults": robot}, code)
+    workers.begin(walking)
+    tried: list[tuple[np.ndarray, dict[str, np.ndarray], np.ndarray]] = []
+
+    def evaluate(points: np.ndarray) -> np.ndarray:
+        tried.append((points, *candidates.walk(points, free)))
+        return tried[-1][-1]
+
+    def so_far() -> tuple[np.ndarray, np.ndarray, int]:
+        points, costs = (np.concatenate([each[i] for each in tried]) for i in (0, 2))
+        return points, costs, int(np.argmin(costs))
+
     design = qmc.Sobol(len(free), rng=seed).random_base2((wanted.samples - 1).bit_length())[: wanted.samples]
-    search.evaluate(np.vstack([ensemble.point_of(STARTS[wanted.profile], free), design]))
-    evolution = strategy(search.best_point, 0.15, population, np.random.default_rng(seed + 1), bounds=[0.0, 1.0])
+    evaluate(np.vstack([ensemble.point_of(STARTS[wanted.profile], free), design]))
+    points, costs, least = so_far()
+    evolution = strategy(points[least], 0.15, population, np.random.default_rng(seed + 1), bounds=[0.0, 1.0])
     for _ in range(wanted.generations):
-        points = np.array(evolution.ask())
-        evolution.tell(list(points), search.evaluate(points).tolist())
-    best = {name: float(value) for name, value in ensemble.parameters_of(search.best_point, free).items()}
+        asked = np.array(evolution.ask())
+        evolution.tell(list(asked), evaluate(asked).tolist())
+    points, costs, least = so_far()
+    best = {name: float(value) for name, value in ensemble.parameters_of(points[least], free).items()}
     several = None
     if bodies:
-        wide = Candidates(workers, cases, free | ensemble.UNCERTAIN, population, memory, report)
+        space, tolerance = free | ensemble.UNCERTAIN, wanted.tolerance
         # The first sweep also starts around the search's points within the tolerance, at the default frictions.
-        near, tolerance, space = search.near(wanted.tolerance), wanted.tolerance, free | ensemble.UNCERTAIN
+        near = points[costs <= tolerance]
         friction = np.tile(ensemble.point_of(defaults, ensemble.UNCERTAIN), (len(near), 1))
         found = ensemble.sample(
-            wide.evaluate,
+            lambda points: candidates.walk(points, space)[1],
             len(space),
             tolerance=tolerance,
             size=bodies,
@@ -388,22 +369,25 @@ def identify(
             seed=seed,
             seeds=np.hstack([near, friction]),
         )
-        first = search.best <= tolerance
-        kept = ensemble.thin(found, bodies - first, seed)
-        drawn, costs, weights = ensemble.parameters_of(kept.points, space), kept.costs, kept.weights
+        with_best = bool(costs[least] <= tolerance)
+        kept = ensemble.thin(found, bodies - with_best, seed)
+        drawn, objectives, weights = ensemble.parameters_of(kept.points, space), kept.costs, kept.weights
         values = {name: drawn[name] for name in ensemble.names(space)}
-        if first:  # the best one is the first, with the average weight of the others
+        if with_best:  # it is the first, with the average weight of the others
             values = {name: np.append(best.get(name, defaults[name]), column) for name, column in values.items()}
-            costs = np.append(search.best, costs)
+            objectives = np.append(costs[least], objectives)
             weights = np.append(1.0, weights * len(weights)) / (1 + len(weights))
-        several = ensemble.Bodies(values, costs, weights, tolerance, found)
+        several = ensemble.Bodies(values, objectives, weights, tolerance, found)
     watch.progress(Progress(1.0))
 
-    def with_residuals(found: Mapping[str, float]) -> dict[str, tuple[float, float]]:
-        return {name: (value, float(TARGETS[name].residual(np.asarray(value)))) for name, value in found.items()}
+    def with_residuals(which: int) -> dict[str, tuple[float, float]]:
+        columns = {name: np.concatenate([found[name] for _, found, _ in tried]) for name in TARGETS}
+        return {name: (float(of[which]), float(TARGETS[name].residual(of[which]))) for name, of in columns.items()}
 
-    end, start = with_residuals(search.best_figures), with_residuals(search.first_figures)
-    return Identified(best, search.best, search.costs[0], end, start, tuple(search.costs), several)
+    objectives = tuple(costs.tolist())
+    return Identified(
+        best, objectives[least], objectives[0], with_residuals(least), with_residuals(0), objectives, several
+    )
 
 
 # --- a directory
@@ -471,11 +455,7 @@ def run_identification(
         about = session(settings=settings, engine=code.engine)
         held.note_session(about)
         started = time.monotonic()
-        # Settings that determine the candidates; the ensemble's settings only determine its extent.
-        begun = {name: settings[name] for name in ("samples", "generations", "population", "seed", "profile")}
-        with clear_errors(folder):
-            memory = CandidateFile(folder / FILE, begun | {"defaults": defaults}, code.id)
-        identified = identify(search, code.engine, memory, watch, workers)
+        identified = identify(search, code.engine, folder / FILE, watch, workers)
         made = {"model": code.model, "defaults": defaults, "codes": list(codes_of(folder))}
         content = {**_content(identified, search.profile), **made, **about, "wall_seconds": time.monotonic() - started}
         # The result first: whatever happens to the plots, the search is not lost.
