@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import pytest
 
 from nermo_mjx.experiments import plots
-from nermo_mjx.experiments.cases import BODY, Column, Outcome, Settings
+from nermo_mjx.experiments.cases import BODY, Column, Outcome, Settings, columns_about
 from nermo_mjx.experiments.published import Figure
 from nermo_mjx.experiments.run import EXPERIMENTS, Experiment
 from nermo_mjx.robot import load_robot
@@ -24,6 +27,8 @@ ABOUT = {
     "followed": Column("1", "whether the path was followed"),
     "status": Column("1", "ok, or what became of the run"),
 }
+#: The simulated profiles, in the order of the figures.
+BOTH = ("as_published", "exact")
 #: Name of its recording.
 RUN = "trt, 0.8 Hz, with spine"
 #: Speeds [m/s] of the trot at 0.5 and 0.8 Hz, in each profile.
@@ -88,6 +93,26 @@ def pretend(monkeypatch: pytest.MonkeyPatch) -> dict[str, Fake]:
         monkeypatch.setitem(EXPERIMENTS, name, fake.experiment())
     monkeypatch.setattr(plots, "figures_of", lambda outcome, lines: [])
     return made
+
+
+def made_up(
+    experiment: str,
+    cases: Iterable[Mapping[str, Any]],
+    measured: Mapping[str, Any],
+    profiles: Sequence[str] = BOTH,
+    repeats: int = 2,
+    recordings: Mapping[str, Recording] | None = None,
+) -> Outcome:
+    """An outcome: every case in each profile and repeat; `measured` are numbers or functions of the labels."""
+    rows = [
+        {"profile": profile, **case, "repeat": repeat}
+        for profile, case, repeat in itertools.product(profiles, cases, range(repeats))
+    ]
+    for row in rows:
+        row |= {name: value(row) if callable(value) else value for name, value in measured.items()}
+    columns = {name: np.array([row[name] for row in rows]) for name in rows[0]}
+    about = columns_about(experiment)
+    return Outcome(experiment, columns, {name: about.get(name, Column("1", "")) for name in columns}, recordings or {})
 
 
 def recording() -> Recording:

@@ -19,11 +19,7 @@ ALL = {
     "spine": "stride_extension+balance+harmonics", "trajectory": "free", "steering": "mix", "tail": "articulated",
     "tail_motion": "swing", "head": "gaze", "pilot": "arc", "physics": "fast",
 }  # fmt: skip
-TERRAINS = (
-    "planks",
-    "rough",
-    *(pytest.param(scene, marks=pytest.mark.long) for scene in ("ramp", "logs", "stairs", "slalom")),
-)
+LONG_TERRAINS = [pytest.param(scene, marks=pytest.mark.long) for scene in ("ramp", "logs", "stairs", "slalom")]
 COMBINED = (
     {"spine": "stride_extension"},
     {"gait": "trt1", "spine": "balance", "steering": "spine", "pilot": "open_loop"},
@@ -103,7 +99,7 @@ def test_each_parameter_alone():
     check(setup, chosen, 0.5)
 
 
-@pytest.mark.parametrize("scene", TERRAINS)
+@pytest.mark.parametrize("scene", ["planks", "rough", *LONG_TERRAINS])
 def test_each_parameter_of_a_terrain(scene):
     setup = Setup(scene=scene, physics="fast")
     worlds = [{name: value} for name, both in ends(setup).items() if name.startswith("terrain") for value in both]

@@ -5,9 +5,10 @@ import itertools
 
 import numpy as np
 import pytest
+from experiment_fake import made_up
 
 from nermo_mjx.experiments import stands, walks
-from nermo_mjx.experiments.cases import Case, Column, Outcome, clock, texts
+from nermo_mjx.experiments.cases import Case, Outcome, clock, texts
 from nermo_mjx.experiments.published import (
     KINDS,
     Figure,
@@ -158,21 +159,9 @@ def test_a_wrong_word_in_the_file_is_refused():
 # --- the words
 
 
-def table(experiment: str, cases, measured, profiles=("as_published", "exact"), repeats=2) -> Outcome:
-    """An outcome: every case in each profile and repeat; `measured` are numbers or functions of the labels."""
-    rows = [
-        {"profile": profile, **case, "repeat": repeat}
-        for profile, case, repeat in itertools.product(profiles, cases, range(repeats))
-    ]
-    for row in rows:
-        row |= {name: value(row) if callable(value) else value for name, value in measured.items()}
-    columns = {name: np.array([row[name] for row in rows]) for name in rows[0]}
-    return Outcome(experiment, columns, {name: Column("1", "") for name in columns}, {})
-
-
 def line_table(**measured) -> Outcome:
     cases = [dict(case.labels) for case in walks.line_cases() if "as_published" in case.profiles]
-    return table("straight-line", cases, {"speed": 0.1, **measured})
+    return made_up("straight-line", cases, {"speed": 0.1, **measured})
 
 
 def test_speeds_are_in_the_controllers_clock_and_angles_in_degrees():
@@ -218,7 +207,7 @@ def test_the_circle_that_is_lost_is_named_and_strategies_are_compared_where_both
 
     cases = [dict(case.labels) for case in walks.turn_cases() if "as_published" in case.profiles]
     lost = {"gait": "lat", "frequency": 0.8, "strategy": "spine", "radius": 0.5}
-    outcome = table("turning", cases, {
+    outcome = made_up("turning", cases, {
         "speed": speed, "followed": lambda row: any(row[name] != value for name, value in lost.items()),
         "time": lambda row: 1 / speed(row), "turning_radius": radius,
         "theory_radius": 0.2, "theory_equal_strides": 0.4,
@@ -251,7 +240,7 @@ def test_every_figure_is_measured_where_its_columns_are():
         measured = {column: lambda row: random.uniform(0.9, 1.1) for column in columns if column not in cases[0].labels}
         measured |= {"followed": 1.0} if name == "turning" else {}
         parts = [
-            table(name, [dict(case.labels) for case in cases if profile in case.profiles], measured, (profile,))
+            made_up(name, [dict(case.labels) for case in cases if profile in case.profiles], measured, (profile,))
             for profile in three
         ]
         columns = {column: np.concatenate([part.columns[column] for part in parts]) for column in parts[0].columns}
@@ -273,8 +262,8 @@ def test_trends_are_what_they_say():
 
 def test_intervals_are_over_starts_and_bodies_and_say_whether_they_cover():
     """38 bodies of 81 to 118 mm/s and two starts of 90 and 92: 5 and 95 % of the 40."""
-    own = table("maze", [{}], {"speed": lambda row: 90.0 + 2 * row["repeat"]})
-    bodies = table("maze", [{"body": i + 1} for i in range(38)], {"speed": lambda row: 80.0 + row["body"]}, repeats=1)
+    own = made_up("maze", [{}], {"speed": lambda row: 90.0 + 2 * row["repeat"]})
+    bodies = made_up("maze", [{"body": i + 1} for i in range(38)], {"speed": lambda row: 80.0 + row["body"]}, repeats=1)
     chosen = [
         Figure("speed", "predicted", "number", 'mean("speed")', 100.0),
         Figure("far", "predicted", "number", 'mean("speed")', 200.0),

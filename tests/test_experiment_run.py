@@ -313,14 +313,9 @@ def test_other_code_is_refused_until_it_is_accepted_and_the_report_tells_the_row
 def test_a_directory_that_lost_its_history_is_refused_until_it_is_accepted(fakes, tmp_path, monkeypatch):
     """No kind, no codes, no note of the files written: what is not drawn alike is moved aside then."""
     ran(tmp_path)
-    for picture, aside in (("speed, 0.48", []), ("other", ["turning-speed.png.aside-1", "turning-speed.svg.aside-1"])):
+    for text, aside in (("speed, 0.48", []), ("other", ["turning-speed.png.aside-1", "turning-speed.svg.aside-1"])):
         (tmp_path / "run.json").unlink()
-        path = tmp_path / "results" / "turning.json"
-        entry = json.loads(path.read_text())
-        path.write_text(json.dumps({key: value for key, value in entry.items() if key not in ("files", "code")}))
-        monkeypatch.setattr(
-            plots, "figures_of", lambda outcome, lines, text=picture: [("turning-speed", text.encode())]
-        )
+        monkeypatch.setattr(plots, "figures_of", lambda *_, text=text: [("turning-speed", text.encode())])
         with pytest.raises(OtherCode, match="does not say which code made it"):
             ran(tmp_path)
         assert ran(tmp_path, accept_new_code=True).kept
@@ -450,9 +445,8 @@ HOLD = 5 / 7
 
 
 def drawn(n, seed=0, **more):
-    """The same bodies in all profiles."""
-    values = {"contact.friction": np.roll(FRICTION, seed)[:n]} | more
-    return dict.fromkeys(("exact", "as_published", "as_built"), values)
+    """Bodies without the ensemble."""
+    return {"contact.friction": np.roll(FRICTION, seed)[:n]} | more
 
 
 @pytest.fixture
@@ -507,7 +501,7 @@ def test_a_line_has_the_interval_of_its_bodies_and_starts_and_says_whether_it_co
 
 
 def test_bodies_walk_once_where_they_are_judged_without_what_is_set_for_all(bodies, tmp_path, monkeypatch):
-    """Simulation is judged as published, the hardware as built: each with the bodies of its own set-up."""
+    """Simulation is judged as published, the hardware as built."""
     chosen = EXPERIMENTS["maze"]
     figures = (chosen.figures[0], dataclasses.replace(chosen.figures[0], figure="hardware", profile="as_built"))
     monkeypatch.setitem(EXPERIMENTS, "maze", dataclasses.replace(chosen, own_figures=figures))
@@ -577,11 +571,9 @@ def test_workers_that_are_lost_leave_the_experiments_that_are_done(bodies, tmp_p
     assert stored(tmp_path) is None, "those of other settings are none of these results"
 
 
-def test_the_identified_ensembles_give_parameters_of_the_body_in_each_set_up():
-    bodies = run.draw(2, 0)
-    assert set(bodies) == {"exact", "as_published", "as_built"}
-    for values in bodies.values():
-        assert all(len(column) == 2 for column in values.values())
-        for experiment in EXPERIMENTS.values():
-            assert set(values) <= experiment.settable, experiment.name
-    assert bodies["as_published"]["servo.kp"].min() > 5.0
+def test_the_identified_ensemble_gives_parameters_of_the_body():
+    drawn_bodies = run.draw(2, 0)
+    assert all(len(column) == 2 for column in drawn_bodies.values())
+    for experiment in EXPERIMENTS.values():
+        assert set(drawn_bodies) <= experiment.settable, experiment.name
+    assert drawn_bodies["servo.kp"].min() > 5.0

@@ -1,4 +1,4 @@
-"""The test stands: force, speed, work and bend against virtual work, the kinematics, and the springs' energy."""
+"""The body alone and on test stands, against closed forms, virtual work, the kinematics, and the springs' energy."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from nermo_mjx.experiments import stands
-from nermo_mjx.experiments.cases import Settings
+from nermo_mjx.experiments.cases import Settings, texts
 from nermo_mjx.experiments.plots import figures_of
 from nermo_mjx.experiments.published import compare
 from nermo_mjx.experiments.stands import Stand
@@ -21,6 +21,11 @@ from nermo_mjx.robot.parameters import LEGS, ROUTINGS
 from nermo_mjx.robot.quantity import replace_quantities
 
 PAIRS = ("front", "rear")
+
+
+@pytest.fixture(scope="module")
+def body():
+    return stands.run_body(Settings())
 
 
 @pytest.fixture(scope="module")
@@ -91,12 +96,12 @@ def test_both_planes_move_the_hip_as_each_does(of_spine):
         assert both == pytest.approx(np.hypot(lateral, vertical), rel=0.03)
 
 
-def test_the_load_case_holds_and_so_does_what_the_thesis_says_of_the_routings(of_leg, of_spine):
+def test_the_load_case_holds_and_so_does_what_the_thesis_says_of_the_routings(body, of_leg, of_spine):
     """A.1 with chains of hinges; Table 5.2 in words, but for the lever arm of type 2, whose guide was chosen."""
-    for outcome in (of_leg, of_spine):
+    for outcome in (body, of_leg, of_spine):
         lines = compare(outcome)
         assert all(line.exact is not None and line.kind == "chosen" for line in lines)
-        failing = [line.figure for line in lines if not line.holds]
+        failing = [line.figure for line in lines if not line.holds and outcome is not body]
         assert failing in ([], ["routing type 2 has a shorter lever arm on the knee than type 1"])
         assert set(outcome.columns) <= set(outcome.about)
 
@@ -109,8 +114,57 @@ def test_both_stands_are_drawn(of_leg, of_spine):
         assert [len(ax.patches) for ax in figure.axes] == [bars] * 4
 
 
-def test_what_a_stand_does_not_have_is_refused():
+@pytest.mark.parametrize(
+    ("measure", "name"),
+    [(stands.run_body, "frequency"), (stands.run_leg, "frequency"), (stands.run_leg, "servo.back_emf")],
+)
+def test_what_does_not_apply_is_refused(measure, name):
     """What is no parameter of the body, and a motor's back-EMF, which the stand's servos do not have."""
-    for name in ("frequency", "servo.back_emf"):
-        with pytest.raises(ParameterError, match=name):
-            stands.run_leg(Settings(values={name: 0.5}))
+    with pytest.raises(ParameterError, match=name):
+        measure(Settings(values={name: 0.5}))
+
+
+# --- the body alone
+
+
+def test_a_row_a_profile_and_the_same_in_both(body):
+    assert body.columns["profile"].tolist() == ["exact", "as_published", "as_built"]
+    for name in texts("columns")["body"]:
+        assert body.columns[name][0] == body.columns[name][1], name
+
+
+@pytest.mark.parametrize(
+    ("column", "angle"),
+    [("bend_front_knee", 0.125 / 0.135), ("bend_rear_knee", 0.125 / 0.19), ("bend_spine", 4 * 0.125 / 1.2)],
+)
+def test_springs_bend_by_torque_over_stiffness(body, column, angle):
+    """Table A.1: 0.135, 0.19 and four times 1.2 N m/rad in series."""
+    assert body.mean(column, profile="exact") == pytest.approx(angle, rel=1e-3)
+
+
+def test_another_spring_bends_otherwise():
+    stiff = stands.run_body(Settings(("exact",), values={"stiffness.front_knee": 0.27}))
+    assert stiff.mean("bend_front_knee", profile="exact") == pytest.approx(0.125 / 0.27, rel=1e-3)
+
+
+def test_a_spine_of_little_damping_is_waited_for():
+    """An identified body's spine still swings after the default one's time; the bend under load is the same."""
+    soft = stands.run_body(Settings(("exact",), values={"damping.spine": 0.0034}))
+    assert soft.mean("bend_spine") == pytest.approx(4 * 0.125 / 1.2, rel=1e-3)
+
+
+def test_the_published_dimensions_are_the_robots(body):
+    """Nermo-Lite: 270 g and 11 servos; Nermo: 405 x 91 x 90 mm, within a quarter; A.5: 121.9 mm between the axes."""
+    assert body.mean("mass", profile="exact") == pytest.approx(0.270, rel=0.01)
+    assert body.mean("servos", profile="exact") == 11
+    for column, size in (("length", 0.405), ("height", 0.091), ("width", 0.090)):
+        assert body.mean(column, profile="exact") == pytest.approx(size, rel=0.25), column
+    assert body.mean("scapula_pelvis", profile="exact") == pytest.approx(0.1219, abs=2e-4)
+
+
+def test_bodies_have_their_own_rows():
+    masses = np.array([0.16, 0.17])
+    several = stands.run_body(Settings(("exact",), bodies={"mass.front": masses}))
+    assert several.columns["body"].tolist() == [1, 2]
+    np.testing.assert_allclose(np.diff(several.columns["mass"]), 0.01)
+    assert "body" not in stands.run_body(Settings(("exact",))).columns

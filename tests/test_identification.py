@@ -6,18 +6,8 @@ import types
 import numpy as np
 import pytest
 
-from nermo_mjx.experiments import identification
-from nermo_mjx.experiments.ensemble import (
-    ALL,
-    FREE,
-    TOLERANCE,
-    UNCERTAIN,
-    correlations,
-    names,
-    parameters_of,
-    point_of,
-    quantiles,
-)
+from nermo_mjx.experiments import ensemble, identification
+from nermo_mjx.experiments.ensemble import ALL, FREE, TOLERANCE, UNCERTAIN, names, parameters_of, point_of
 from nermo_mjx.experiments.identification import CASES, START, TARGETS, Search, figures, identify, objective
 from nermo_mjx.robot.identified import read_ensemble
 from nermo_mjx.robot.model_parameters import ModelParameters
@@ -266,48 +256,28 @@ def test_another_robot_does_not_go_on_with_the_candidates(pretended, tmp_path, m
         identification.run_identification(tmp_path, **settings)
 
 
-def killed(pretended, out, **options):
-    """An identification that was killed after three generations; its settings."""
-    settings = {**SMALL, "generations": 4, "bodies": 0, "engine": "c", **options}
+def test_candidates_of_other_code_are_refused_until_they_are_accepted(pretended, tmp_path, monkeypatch):
+    """Each line says which code walked it, and none is walked twice; the last line was being written at the kill."""
+    settings = {**SMALL, "generations": 4, "bodies": 0}
     pretended.dies_after = 3
     with pytest.raises(KeyboardInterrupt):
-        identification.run_identification(out, **settings)
+        identification.run_identification(tmp_path, **settings, engine="mjx")
     pretended.dies_after, pretended.calls = None, 0
-    return settings
-
-
-def test_candidates_of_other_code_are_refused_until_they_are_accepted(pretended, tmp_path, monkeypatch):
-    """Each line says which code walked it; none is walked twice."""
-    settings = killed(pretended, tmp_path, engine="mjx")
+    path = tmp_path / "candidates.jsonl"
+    before, cut = path.read_text(), '{"points": [[0.1, 0\n'
+    path.write_text(before + cut.rstrip())
     monkeypatch.setattr("nermo_mjx.runs.code.__version__", "9.9.9")
     with pytest.raises(OtherCode, match=r"made by other code: nermo-mjx .*, not 9\.9\.9; .*--accept-new-code"):
-        identification.run_identification(tmp_path, **settings)
+        identification.run_identification(tmp_path, **settings, engine="mjx")
     assert not pretended.calls
-    content = identification.run_identification(tmp_path, **settings | {"engine": "auto"}, accept_new_code=True)
+    content = identification.run_identification(tmp_path, **settings, accept_new_code=True)
     assert content["engine"] == "mjx", "that with which it was begun"
-    codes = [json.loads(line).get("code") for line in (tmp_path / "candidates.jsonl").read_text().splitlines()[1:]]
+    assert path.read_text().startswith(before + cut), "what was there stays as it was"
+    codes = [json.loads(line)["code"] for line in path.read_text().replace(cut, "").splitlines()[1:]]
     former, new = codes_of(tmp_path)
     assert codes == [former] * 3 + [new] * pretended.calls
     assert content["codes"] == [former, new]
     assert f"code {former}, {new};" in (tmp_path / "identification.md").read_text()
-
-
-def test_a_search_of_unknown_code_goes_on_when_it_is_accepted(pretended, tmp_path):
-    """Its candidates name no code, and the last line was being written when it was killed."""
-    settings = killed(pretended, tmp_path)
-    (tmp_path / "run.json").unlink()
-    path = tmp_path / "candidates.jsonl"
-    first, *rest = (json.loads(line) for line in path.read_text().splitlines())
-    rows = [first, *rest]
-    for row in rows:
-        row.pop("code", None)
-    path.write_text("".join(json.dumps(row) + "\n" for row in rows) + '{"points": [[0.1, 0')
-    with pytest.raises(OtherCode, match="does not say which code made it"):
-        identification.run_identification(tmp_path, **settings)
-    identification.run_identification(tmp_path, **settings, accept_new_code=True)
-    again = [json.loads(line) for line in path.read_text().splitlines() if not line.endswith("[[0.1, 0")]
-    assert again[: len(rows)] == rows, "what was there stays as it was"
-    assert len(again) == len(rows) + pretended.calls
 
 
 def test_the_files_of_an_ensemble_agree(pretended, tmp_path):
@@ -322,19 +292,19 @@ def test_the_files_of_an_ensemble_agree(pretended, tmp_path):
         "Files in the way were not as this program wrote them: moved aside in "
         f"{tmp_path}, to ensemble.csv.aside-1 and 1 more."
     ]
-    ensemble = json.loads((tmp_path / "identification.json").read_text())["ensemble"]
+    content = json.loads((tmp_path / "identification.json").read_text())["ensemble"]
     lines = (tmp_path / "ensemble.csv").read_text().splitlines()
     stored = read_ensemble(lines)
-    assert len(stored) == ensemble["size"] == 32
+    assert len(stored) == content["size"] == 32
     assert str(tmp_path) not in "\n".join(lines)
     for name, column in stored.values.items():
-        np.testing.assert_array_equal(column, ensemble["bodies"][name])
-    np.testing.assert_allclose(stored.objective, ensemble["bodies"]["objective"], atol=5e-5)
-    for name, about in ensemble["parameters"].items():
+        np.testing.assert_array_equal(column, content["bodies"][name])
+    np.testing.assert_allclose(stored.objective, content["bodies"]["objective"], atol=5e-5)
+    for name, about in content["parameters"].items():
         low, middle, high = about["quantiles"]
         assert about["low"] <= low <= middle <= high <= about["high"]
-        assert ensemble["correlations"][name][name] == pytest.approx(1.0)
-    assert [each["candidates"] for each in ensemble["sweeps"]] == [32] * len(ensemble["sweeps"])
+        assert content["correlations"][name][name] == pytest.approx(1.0)
+    assert [each["candidates"] for each in content["sweeps"]] == [32] * len(content["sweeps"])
     text = (tmp_path / "identification.md").read_text()
     assert "contact.tail_friction" in text
     assert (tmp_path / "plots" / "identification-ensemble.png").stat().st_size > 0
@@ -346,10 +316,10 @@ def test_quantiles_and_correlations_are_weighted():
     random = np.random.default_rng(0)
     values, weights = random.uniform(1, 2, 400), random.integers(1, 4, 400)
     np.testing.assert_allclose(
-        quantiles(values, weights), np.quantile(np.repeat(values, weights), [0.05, 0.5, 0.95]), atol=0.01
+        ensemble.quantiles(values, weights), np.quantile(np.repeat(values, weights), [0.05, 0.5, 0.95]), atol=0.01
     )
     other = values * random.uniform(1, 2, 400)
-    found = correlations({"a": values, "b": other}, weights)
+    found = ensemble.correlations({"a": values, "b": other}, weights)
     repeated = np.log([np.repeat(values, weights), np.repeat(other, weights)])
     assert found["a"]["b"] == pytest.approx(np.corrcoef(repeated)[0, 1])
 

@@ -223,33 +223,14 @@ def mutated_bytes(content: bytes, draw: random.Random) -> bytes:
         elif act == 2:
             changed[at:at] = changed[at : at + length] * draw.choice((1, 3))
         elif act == 3:
-            changed[at:at] = draw.choice(
-                (b"[" * 300, b'{"a":', b"\x00", b"\xff\xfe", b"1e999", b"null", b"\x1b[2J", b"-")
-            )
+            changed[at:at] = draw.choice(ODD_BYTES)
         elif draw.random() < 0.2:
             del changed[at:]
     return bytes(changed)
 
 
-ODD = (
-    None,
-    True,
-    0,
-    -1,
-    10**30,
-    1e300,
-    -0.5,
-    float("nan"),
-    "",
-    "a",
-    "\x1b[2J",
-    "1",
-    [],
-    [[]],
-    {},
-    {"a": None},
-    ["a", 1],
-)
+ODD_NUMBERS = (None, True, 0, -1, 10**30, 1e300, -0.5, float("nan"))
+ODD = (*ODD_NUMBERS, "", "a", "\x1b[2J", "1", [], [[]], {}, {"a": None}, ["a", 1])
 
 
 def mutated_values(value: Any, draw: random.Random) -> Any:

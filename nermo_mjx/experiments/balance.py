@@ -24,7 +24,7 @@ from scipy.spatial.transform import Rotation
 from nermo_mjx.control import spine_modes
 from nermo_mjx.control.parameters import AS_BUILT, ControlParameters, Spine, body_values
 from nermo_mjx.experiments.cases import BODY, Outcome, Settings, clock
-from nermo_mjx.experiments.theory import stability
+from nermo_mjx.kinematics import body as kinematics
 from nermo_mjx.kinematics.body import attitude, diagonal_distance, hips, shoulders
 from nermo_mjx.kinematics.leg import forward, four_legs, inverse
 from nermo_mjx.kinematics.spine import joint_angle
@@ -374,7 +374,7 @@ SETTABLE: Final = frozenset(SPINE_NAMES) | {
 OFFSET_COMPENSATION: Final = 1.0
 
 
-def run(settings: Settings, scene: str = "balance_stand") -> Outcome:
+def run(settings: Settings) -> Outcome:
     """Run the balance experiment.
 
     The recordings also hold `readings` as sensors, and in their metadata `phases`: begin and end of each phase in
@@ -383,7 +383,6 @@ def run(settings: Settings, scene: str = "balance_stand") -> Outcome:
     Args:
         settings: of the profiles the body and the clock apply; quick: one repeat; values: body parameters such as
             `contact.friction`, and `SPINE_NAMES`.
-        scene: see `RobotConfig`.
 
     Raises:
         ParameterError: a parameter that does not apply here.
@@ -421,7 +420,7 @@ def run(settings: Settings, scene: str = "balance_stand") -> Outcome:
     )
     check_quantities(model_parameters)
     check_quantities(spine, "spine.")
-    robot = load_robot(scene=scene)
+    robot = load_robot(scene="balance_stand")
     loop = BalanceLoop(robot)
     engine = make_engine(settings.engine, robot, loop)
 
@@ -476,7 +475,9 @@ def run(settings: Settings, scene: str = "balance_stand") -> Outcome:
         time, sensors = (1 + np.arange(length)) * loop.dt, {name: of[i, :length] for name, of in named.items()}
         shown = readings(limbs[i], model, traces[0][i, :length], sensors)
         row = row | measure(limbs[i], time / ratio, sensors, shown, sole)
-        rows.append(row | {"theory_margin": stability(robot.mass_model, feet, limbs[i], float(bends[i]))})
+        ground = np.asarray(kinematics.feet_positions(float(bends[i]), feet, Geometry()))
+        com = np.asarray(kinematics.centre_of_mass(robot.mass_model, float(bends[i]), Geometry()))
+        rows.append(row | {"theory_margin": float(inside(limbs[i], com[None], ground[None])[0])})  # (5.35)
         if row["repeat"] == row.get(BODY, 0) == 0 and row["profile"] == labels[0]["profile"]:
             case = f"balance {row['leg']}" + (" sbc" if row["sbc"] else "")
             metadata = {

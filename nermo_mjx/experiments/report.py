@@ -168,7 +168,7 @@ def collect(entries: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
 
     lines = [line for entry in entries.values() for line in entry["lines"]]
     latest = max(entries.values(), key=lambda entry: entry["started"], default={})
-    hidden, unlike = ("experiment", "lines", "files", "finished"), []
+    hidden, unlike = ("experiment", "lines", "finished"), []
     for name in list(entries)[1:]:
         first = next(iter(entries))
         if found := differences(conditions(entries[name]), conditions(entries[first])):

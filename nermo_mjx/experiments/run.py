@@ -388,10 +388,8 @@ def run_experiments(
     policy = None if controller is None else ReplacementPolicy.of(os.fspath(controller))
     settings = Settings(profiles, repeats, seed, quick, values or {}, policy)
     # Values set for all worlds also apply to the bodies.
-    drawn = {} if bodies is None else draw(bodies, seed)
-    drawn = {
-        profile: {name: of for name, of in own.items() if name not in settings.values} for profile, own in drawn.items()
-    }
+    several = {} if bodies is None else draw(bodies, seed)
+    several = {name: of for name, of in several.items() if name not in settings.values}
     for each in chosen:
         if policy is not None and not each.walks:
             walking = ", ".join(name for name, other in EXPERIMENTS.items() if other.walks)
@@ -409,14 +407,14 @@ def run_experiments(
         if engine == "auto" and not again:
             engine = engine_of(directory.out) or engine
         code = Simulation(resolve_engine(engine)).stamp()
-        call = _Call(Written(held), directory, settings, code, drawn, again, video and not quick, watch)
+        call = _Call(Written(held), directory, settings, code, several, again, video and not quick, watch)
         # All are looked up before anything runs, so that an error costs no simulation.
         kept = {each.name: None if again else call.kept(each) for each in chosen}
         holds_rows = any((directory.out / "results").glob("*.parquet"))
         held.take_code(code, holds_rows=holds_rows, accept=again or accept_new_code)
         if policy is not None:
             held.write(policy.file, policy.content)
-        if drawn or None in kept.values():
+        if several or None in kept.values():
             held.note_session(session(experiments=list(kept)))
         parts = [part for each in chosen for part in call.missing(each, kept[each.name])]
         stored, left, results = call.simulated(parts, workers or LocalWorkers()), {part.label for part in parts}, []
@@ -433,8 +431,8 @@ def run_experiments(
 AT_ONCE: Final = 16
 
 
-def draw(bodies: int, seed: int) -> dict[str, dict[str, np.ndarray]]:
-    """Bodies that walk as published in the set-up of the tests: profile -> parameter name -> (bodies,) values.
+def draw(bodies: int, seed: int) -> dict[str, np.ndarray]:
+    """Bodies that walk as published in the set-up of the tests, for all profiles: parameter name -> (bodies,) values.
 
     Raises:
         ParameterError: not a whole number of at least 1, or there are fewer.
@@ -442,7 +440,7 @@ def draw(bodies: int, seed: int) -> dict[str, dict[str, np.ndarray]]:
     from nermo_mjx.robot import identified
 
     cases.check_whole("bodies", bodies, 1)
-    return dict.fromkeys(("exact", "as_published", "as_built"), identified.choose(bodies, seed))
+    return identified.choose(bodies, seed)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -452,8 +450,7 @@ class Part:
     Attributes:
         name: of the experiment.
         run: simulates it; settings: its settings, except for the engine.
-        bodies: number of all bodies of a profile; 0 for the experiment's own.
-        begin: the first of these; before, total: bodies of all profiles before these, and in all.
+        bodies: number of all bodies of a profile; 0 for the experiment's own. begin: the first of these.
     """
 
     name: str
@@ -461,8 +458,11 @@ class Part:
     settings: Settings
     bodies: int = 0
     begin: int = 0
-    before: int = 0
-    total: int = 1
+
+    @property
+    def worlds(self) -> int:
+        """Its share of the work of all parts of a label."""
+        return max(self.settings.body_count, 1)
 
     @property
     def label(self) -> str:
@@ -492,13 +492,13 @@ class Simulation:
 
 @dataclasses.dataclass(frozen=True)
 class _Call:
-    """What all experiments of one call share; `bodies` by profile, if any are requested."""
+    """What all experiments of one call share; `bodies` if any are requested."""
 
     written: Written
     directory: Directory
     settings: Settings
     code: CodeStamp
-    bodies: Mapping[str, Mapping[str, np.ndarray]]
+    bodies: Mapping[str, np.ndarray]
     again: bool
     video: bool
     watch: Watch
@@ -526,22 +526,19 @@ class _Call:
             return parts
         judged = {figure.profile for figure in chosen.figures}
         profiles = [name for name in self.settings.profiles if name in judged] or list(self.settings.profiles)
-        count = self.settings.but(bodies=self.bodies[profiles[0]]).body_count
-        for number, profile in enumerate(profiles):
+        count = self.settings.but(bodies=self.bodies).body_count
+        for profile in profiles:
             for k in range(0, count, AT_ONCE):
-                some = {name: of[k : k + AT_ONCE] for name, of in self.bodies[profile].items()}
+                some = {name: of[k : k + AT_ONCE] for name, of in self.bodies.items()}
                 once = self.settings.but(profiles=[profile], repeats=1, seed=self.settings.seed + k, bodies=some)
-                total = len(profiles) * count
-                parts.append(Part(chosen.name, chosen.run, once, count, k, number * count + k, total))
+                parts.append(Part(chosen.name, chosen.run, once, count, k))
         return parts
 
     @property
     def drawn(self) -> str:
         """Hash of the bodies, to identify those in a directory."""
-        content = {
-            profile: {name: np.asarray(of, float).tolist() for name, of in sorted(values.items())}
-            for profile, values in sorted(self.bodies.items())
-        }
+        values = {name: np.asarray(of, float).tolist() for name, of in sorted(self.bodies.items())}
+        content = dict.fromkeys(sorted(PROFILES), values)
         return hashlib.sha256(json.dumps(content).encode()).hexdigest()[:16]
 
     def _outdated(self, bodies: Stored | None) -> bool:
@@ -563,9 +560,10 @@ class _Call:
                 yield key, part
 
         def tell(key: int, share: float) -> None:
-            part = parts[key]
-            bodies = max(part.settings.body_count, 1)
-            self._tell(part.label, (part.before + share * bodies) / part.total)
+            label = parts[key].label
+            total = sum(part.worlds for part in parts if part.label == label)
+            done = sum(parts[k].worlds for k in came[label]) + share * parts[key].worlds * (key not in came[label])
+            self._tell(label, done / total)
 
         try:
             if parts:
@@ -574,9 +572,7 @@ class _Call:
                 part = parts[key]
                 several = came[part.label]
                 several[key] = found
-                # Remote workers do not report progress.
-                done = sum(max(parts[k].settings.body_count, 1) for k in several)
-                self._tell(part.label, done / part.total)
+                tell(key, 1.0)  # remote workers do not report progress
                 if len(several) < sum(each.label == part.label for each in parts):
                     continue
                 seconds = sum(seconds for _, seconds in several.values())

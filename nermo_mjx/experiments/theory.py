@@ -1,4 +1,4 @@
-"""The publication's theory for a case: speed, turning radii, and the position of the centre of mass.
+"""The publication's theory for a case: speed and turning radii.
 
 All of it assumes feet that do not slip; the formulas are those of `control.turning` and `kinematics`.
 """
@@ -18,10 +18,9 @@ from jaxtyping import Array
 from nermo_mjx.control import turning
 from nermo_mjx.control.parameters import STEERING, ControlParameters
 from nermo_mjx.control.trajectory import neutral_feet
-from nermo_mjx.kinematics.body import centre_of_mass, diagonal_distance, feet_positions, stride_gain
+from nermo_mjx.kinematics.body import feet_positions, stride_gain
 from nermo_mjx.kinematics.spine import joint_angle, transform
 from nermo_mjx.robot.geometry import Geometry
-from nermo_mjx.robot.masses import MassModel
 from nermo_mjx.robot.parameters import SPINE
 
 #: Number of times in a stance over which `equal_stride_radius` averages.
@@ -52,15 +51,6 @@ def stride_gain_of(servo: float) -> float:
 @jax.jit
 def _stride_gain(servo: ArrayLike) -> Array:
     return stride_gain(joint_angle(servo, _ROBOT), _ROBOT)
-
-
-def standing_pitch() -> float:
-    """Pitch of the torso that stands on the four neutral feet (Table A.7), positive nose down [rad].
-
-    The front feet's level is below that of the rear feet, so that the robot stands with its nose up by a degree.
-    """
-    front, _, rear, _ = np.asarray(feet_positions(0.0, neutral_feet(ControlParameters().stance), _ROBOT), float)
-    return float(np.arctan2(front[2] - rear[2], rear[1] - front[1]))
 
 
 @functools.cache
@@ -111,23 +101,3 @@ def equal_stride_radius(servo: float, stride: float = 0.06) -> float:
             motions.append(np.linalg.lstsq(rows, -back.ravel(), rcond=None)[0])
     along_x, along_y, turn = np.mean(motions, axis=0)
     return float(np.hypot(along_x, along_y) / abs(turn))
-
-
-def stability(masses: MassModel, feet: np.ndarray, limb: int, theta_v: float = 0.0) -> float:
-    """Distance of the centre of mass inside the support triangle when one leg is lifted (5.35) [m].
-
-    Negative: it lies beyond the diagonal, and the robot tips onto the lifted leg.
-
-    Args:
-        masses: the robot's.
-        feet: (y, z) of each foot from its axis, (4, 2) [m].
-        limb: index of the lifted one in `LIMBS`.
-        theta_v: angle of each spine joint [rad].
-    """
-    ground = np.asarray(feet_positions(theta_v, feet, _ROBOT))[..., :2]
-    com = np.asarray(centre_of_mass(masses, theta_v, _ROBOT))[:2]
-    # The other diagonal and the foot diagonally opposite to the lifted one support the robot.
-    front, rear = (1, 2) if limb in (0, 3) else (0, 3)
-    third = ground[3 - limb]
-    side = np.sign(diagonal_distance(third, ground[front], ground[rear]))
-    return float(side * diagonal_distance(com, ground[front], ground[rear]))
