@@ -1,15 +1,7 @@
 """Batched digital twin of Nermo, the tendon-driven robotic mouse with a compliant spine, on MuJoCo and MJX.
 
-The public surface: `load_robot` and `RobotConfig`; `Setup`, `Run` and `Simulator` (a batch from named parameters to
-named metrics); `Rollout` (the same walk as a differentiable function); `METRICS`, `all_metrics` and
-`all_parameters`; `metric` for custom ones;
-`control_parameters` (a pytree of arrays) and the published `Controller`; `ControllerLike`, `Sensors`, `ServoAngles`,
-`leg_servos`, `parameter_tree` and `quantity` for a custom controller; `make_engine`; `Sweep`, `run_sweep`,
-`merge_sweeps` and `read_table`; `Search` and `run_search`; `Tuning`, `run_tuning`, `read_history` and `run_landscape`;
-`run_experiment` and `run_experiments`; `servo_table`; `Recording`, `render` (a video) and `show` (a page, also in a
-notebook);
-`compiler_options` for custom programs; and the geometry in `kinematics`. Names are imported on first use, and
-importing changes nothing in the process: see `nermo_mjx.runtime`.
+The public names are in `__all__`. They are imported on first use, and importing changes nothing in the process: see
+`nermo_mjx.runtime`.
 """
 
 from __future__ import annotations

@@ -15,7 +15,7 @@ import importlib.metadata
 import logging
 import os
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
 
@@ -70,18 +70,12 @@ class Program:
             try:
                 kept = export.export(self._jitted)(*arguments)
                 _write(path, bytes(kept.serialize()))
-            except (
-                ImportError,
-                NotImplementedError,
-                ValueError,
-            ) as refused:  # what this JAX version or platform cannot export
+            # What this JAX version or platform cannot export.
+            except (ImportError, NotImplementedError, ValueError) as refused:
                 logging.getLogger(__name__).info("%s is not kept: %s", path.name, refused)
                 return self._jitted
         # Compiled here, once: its results are committed to its device, and `jit` would recompile for such arguments.
-        program: Callable[..., Any] = (
-            jax.jit(kept.call, compiler_options=compiler_options()).lower(*arguments).compile()
-        )
-        return program
+        return jax.jit(kept.call, compiler_options=compiler_options()).lower(*arguments).compile()
 
 
 def _folder() -> Path | None:
@@ -150,15 +144,11 @@ def _write(path: Path, content: bytes) -> None:
 
 def _prune(folder: Path) -> None:
     """Remove the least recently used files until the rest fits."""
-    total = 0
-    for _, size, path in sorted(_files(folder), reverse=True):
+    files, total = [], 0
+    for path in folder.iterdir():
+        with contextlib.suppress(FileNotFoundError):  # another process has removed it
+            files.append((path.stat().st_mtime, path.stat().st_size, path))
+    for _, size, path in sorted(files, reverse=True):
         total += size
         if total > MOST_BYTES:
             path.unlink(missing_ok=True)
-
-
-def _files(folder: Path) -> Iterator[tuple[float, int, Path]]:
-    for path in folder.iterdir():
-        with contextlib.suppress(FileNotFoundError):  # another process has removed it
-            about = path.stat()
-            yield about.st_mtime, about.st_size, path

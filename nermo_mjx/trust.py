@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import contextlib
-import functools
 import re
 from collections.abc import Callable, Iterator
 from contextvars import ContextVar
-from typing import Final, ParamSpec, TypeVar
+from typing import Final
 
 
 class FileError(Exception):
@@ -40,8 +39,6 @@ def one_line(text: str) -> str:
 # Whose Python is run.
 
 
-P = ParamSpec("P")
-T = TypeVar("T")
 #: Whether the Python that files name may be run, and what is told before.
 RUNS_CODE: ContextVar[bool] = ContextVar("RUNS_CODE", default=True)
 TELL: ContextVar[Callable[[str], None]] = ContextVar("TELL", default=lambda sentence: None)
@@ -49,20 +46,9 @@ TELL: ContextVar[Callable[[str], None]] = ContextVar("TELL", default=lambda sent
 
 @contextlib.contextmanager
 def only_reading() -> Iterator[None]:
-    """Inside of it no Python that a file names is run."""
+    """Inside of it, or of a function that it decorates, no Python that a file names is run."""
     token = RUNS_CODE.set(False)
     try:
         yield
     finally:
         RUNS_CODE.reset(token)
-
-
-def only_reads(function: Callable[P, T]) -> Callable[P, T]:
-    """Decorates a function that runs no Python that a file names."""
-
-    @functools.wraps(function)
-    def reading(*given: P.args, **named: P.kwargs) -> T:
-        with only_reading():
-            return function(*given, **named)
-
-    return reading

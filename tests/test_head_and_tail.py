@@ -30,12 +30,12 @@ PACE = Pace(*(jnp.asarray(value, jnp.float32) for value in (0.0, 1.0, 0.0, 0.8))
 
 def sensors_at(rotation: Rotation, gyro: tuple[float, float, float] = (0.0, 0.0, 0.0), spine: float = 0.0) -> Sensors:
     """What the robot reads with its torso turned so."""
-    shapes = {"servo_angle": 11, "servo_velocity": 11, "servo_torque": 11, "knee_angle": 4, "foot_force": 4,
-              "foot_position": (4, 3), "foot_velocity": (4, 3), "tail_force": (), "contact_distance": ()}  # fmt: skip
-    zero = {f.name: jnp.zeros(shapes.get(f.name, 3)) for f in dataclasses.fields(Sensors)}
-    servo = zero["servo_angle"].at[SERVOS.index("spine")].set(spine)
+    robot = load_robot()
+    still = robot.sensors(jnp.zeros(robot.model.nsensordata))
+    servo = still.servo_angle.at[SERVOS.index("spine")].set(spine)
     w_first = jnp.asarray(rotation.as_quat(scalar_first=True), jnp.float32)
-    return Sensors(**zero | {"orientation": w_first, "gyro": jnp.asarray(gyro, jnp.float32), "servo_angle": servo})
+    turning = jnp.asarray(gyro, jnp.float32)
+    return dataclasses.replace(still, orientation=w_first, gyro=turning, servo_angle=servo)
 
 
 def params_with(**values: float) -> ControlParameters:

@@ -276,14 +276,10 @@ def test_the_back_emf_takes_torque_and_current():
     """At half the no-load speed and full voltage half the stall torque is left, and half the stall current flows."""
     servo = dataclasses.replace(ModelParameters().servo, back_emf=0.4)
     full, half = np.full((STEPS, 1), 0.157), np.full((STEPS, 1), 0.5 * 6.0 / 0.4)
-    nothing = electrical.Drawn(*np.zeros(3))
-    drawn, back = (
-        electrical.update(nothing, electrical.motor_torque(full, speed, servo.brake), speed, servo, 2.0)
-        for speed in (half, 3.0 * half)  # and driven above its no-load speed
-    )
     supply = electrical.Supply(servo, ModelParameters().battery)
-    assert electrical.result(drawn, 2.0, supply)["servo_current"] == pytest.approx(0.008 + 0.5 * (0.8 - 0.008))
-    assert electrical.result(back, 2.0, supply)["servo_current"] == pytest.approx(0.008)
+    for speed, current in ((half, 0.008 + 0.5 * (0.8 - 0.008)), (3.0 * half, 0.008)):  # and above its no-load speed
+        drawn = electrical.drawn(full - servo.brake * speed, speed, servo)
+        assert electrical.result(drawn, 1.0, supply)["servo_current"] == pytest.approx(current)
 
 
 @pytest.mark.parametrize("limit", [0.01, 0.157, 2.0])
@@ -294,7 +290,7 @@ def test_power_is_at_least_work_whatever_the_motor(limit, stall, back_emf):
     random = np.random.default_rng(0)
     servo = dataclasses.replace(ModelParameters().servo, torque_limit=limit, stall_current=stall, back_emf=back_emf)
     torque, speed = limit * random.uniform(-1.0, 1.0, (STEPS, 40)), random.uniform(-20.0, 20.0, (STEPS, 40))
-    drawn = electrical.update(electrical.Drawn(*np.zeros(3)), torque, speed, servo, 1.0)
+    drawn = electrical.drawn(torque, speed, servo)
     power = electrical.result(drawn, 1.0, electrical.Supply(servo, ModelParameters().battery))["electrical_power"]
     assert power >= np.maximum(torque * speed, 0.0).sum(axis=1).mean()
 
@@ -716,9 +712,9 @@ def test_a_fall_is_kept_and_freezes_what_was_measured(how):
     assert result["speed"] == pytest.approx(0.08)
     assert abs(result["roll_max"]) < 1e-6
     np.testing.assert_array_equal(history.fell, np.arange(401) >= 200)
-    for name in ("time", "work", "way", "mean", "square", "low", "high", "loaded", "slid"):
-        frozen = getattr(history, name)[199:]
-        np.testing.assert_array_equal(frozen, np.broadcast_to(frozen[0], frozen.shape), err_msg=name)
+    measured = {name: getattr(history, name) for name in ("time", "way", "mean", "square", "low", "high")}
+    for name, values in (measured | history.sums).items():
+        np.testing.assert_array_equal(values[199:], np.broadcast_to(values[199], values[199:].shape), err_msg=name)
 
 
 def test_a_deep_tilt_is_not_yet_a_fall():

@@ -283,11 +283,6 @@ def test_a_tuning_may_tune_another_controllers_parameters() -> None:
     assert Tuning.from_text(tuning.to_yaml()).digest() == tuning.digest()
 
 
-def test_other_files_still_name_the_published_parameters() -> None:
-    Sweep.from_dict(SPEC)
-    assert Sweep.from_dict({"vary": {"stride": [0.5, 1.0]}}).variants == 2
-
-
 # --- under jax.grad
 
 

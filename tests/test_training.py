@@ -225,11 +225,7 @@ def choosing(policy, tmp_path):
         return dict(zip(("planks", "ramp"), shares[walked[-1]], strict=True))
 
     with RunDirectory(tmp_path, "training") as held:
-        yield (
-            lambda warned=None: Choice(held, walks, ([] if warned is None else warned).append),
-            after,
-            walked,
-        )
+        yield (lambda warned=None: Choice(held, walks, ([] if warned is None else warned).append), after, walked)
 
 
 def _policy_after(robot, learned):

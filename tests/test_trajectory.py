@@ -12,7 +12,6 @@ from nermo_mjx.control import trajectory
 from nermo_mjx.control.parameters import Stance, Tracking
 
 position = jax.jit(trajectory.position, static_argnames="form")
-weights = jax.jit(trajectory.weights, static_argnames="form")
 
 KNOTS = np.array([0.0, 0.5, 1.0])
 PROGRESS = np.linspace(0.0, 1.0, 101)
@@ -41,12 +40,6 @@ def test_the_other_forms_are_the_polyline_and_the_parabola_through_the_points(va
     parabola = np.stack([np.polyval(np.polyfit(KNOTS, column, 2), PROGRESS) for column in points.T], axis=-1)
     np.testing.assert_allclose(path(points, "linear"), line, atol=1e-7)
     np.testing.assert_allclose(path(points, "parabolic"), parabola, atol=1e-7)
-
-
-@pytest.mark.parametrize("form", trajectory.FORMS)
-def test_the_weights_of_the_control_points_sum_to_one(form):
-    """So a path moves with its points, and a foot whose points coincide stands still."""
-    np.testing.assert_allclose(weights(PROGRESS, form).sum(axis=-2), 1.0, atol=1e-6)
 
 
 def test_the_derivative_of_the_path_is_finite_and_continuous_over_the_mid_point():

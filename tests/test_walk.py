@@ -106,19 +106,6 @@ def test_the_articulated_tail_walks_like_the_rigid_one(simulator):
     assert jointed.metrics["speed"][0] == pytest.approx(rigid, rel=0.10)
 
 
-def test_the_published_lag_shortens_the_stride(simulator):
-    """Closing 11 % of the foot error a tick, at one clock, walks slower than exact tracking."""
-    result = simulator(gait="trt").run({"frequency": 0.8, "tracking.foot_gain": np.array([1.0, 0.11])}, LONG)
-    assert result.metrics["speed"][1] < 0.97 * result.metrics["speed"][0]
-
-
-def test_as_published_profile_walks(simulator):
-    """The published lag and clock ratio together walk upright, and slower than theory: 0.096 m/s on a clock of 0.4."""
-    result = simulator(gait="trt", profile="as_published").run({"frequency": 0.8}, LONG)
-    assert result.status[0] == "ok"
-    assert 0.05 < result.metrics["speed"][0] < 0.096 / 0.4
-
-
 def test_servos_turn_no_faster_than_their_speed(simulator):
     """No servo's target changes by more than its speed allows, and a slow servo shortens the stride."""
     speed = np.array([1.0, 15.0])

@@ -27,7 +27,7 @@ from nermo_mjx.control import pilot, spine_modes, trajectory
 from nermo_mjx.control.head_and_tail import HeadAngles, HeadLike, Pace, TailLike, named_head, named_tail
 from nermo_mjx.control.parameters import ControlParameters, Stance, published_values, with_gait_factor
 from nermo_mjx.control.path import PATHS, PathPoint, course_through
-from nermo_mjx.control.pilot import Command, Drive, External, Follow, OpenLoop, PilotLike, Walk
+from nermo_mjx.control.pilot import WAYPOINTS, Command, Drive, External, Follow, OpenLoop, PilotLike, Walk
 from nermo_mjx.control.protocol import leg_servos
 from nermo_mjx.control.spine_modes import SagittalLike, SagittalModes, SpineLike, SpineModes
 from nermo_mjx.control.stepping import FREE, FreeStepping, GaitLike, Stepping
@@ -143,27 +143,23 @@ class Controller:
 
     def __post_init__(self) -> None:
         choice("routing", self.routing, ROUTINGS)
-        _check_rates(self.control_rate, self.pilot_rate)
+        for name in ("control_rate", "pilot_rate"):
+            if not (math.isfinite(rate := getattr(self, name)) and rate > 0.0):
+                raise ParameterError(f"{name} is {rate:g}: allowed is (0, inf) Hz.")
+        ratio = self.control_rate / self.pilot_rate
+        if round(ratio) < 1 or abs(ratio - round(ratio)) > 1e-9 * ratio:
+            raise ParameterError(
+                f"pilot_rate is {self.pilot_rate:g}: allowed is {self.control_rate:g} Hz divided by a whole number."
+            )
 
     @property
     def dt(self) -> float:
         """Simulated duration of a control tick [s]."""
         return 1.0 / self.control_rate
 
-    @property
-    def ticks_per_pilot_tick(self) -> int:
-        """Control ticks for which the pilot's output is held."""
-        return round(self.control_rate / self.pilot_rate)
-
     def init(self, params: ControlParameters, sensors: Sensors, phase: Scalar | float = 0.0) -> ControllerState:
-        """State at the start: every leg is on its nominal path at `phase`, so that the robot starts in its gait's
-        posture.
-
-        Args:
-            params: unbatched parameters.
-            sensors: readings at the start.
-            phase: of the gait cycle; taken modulo 1.
-        """
+        """State at the start, from the readings at rest: every leg is on its nominal path at `phase` of the gait cycle,
+        taken modulo 1, so that the robot starts in its gait's posture."""
         state = self._start(params, phase)
         after = dataclasses.replace(
             state,
@@ -181,11 +177,15 @@ class Controller:
         self, params: ControlParameters, state: ControllerState, sensors: Sensors
     ) -> tuple[ControllerState, ServoAngles]:
         """One control tick: the state and the servo angles `dt` later."""
-        memory, drive = self._decide(params, state, sensors)
+        walk = self._walk(params, state)
+        decided, held = self.pilot.update(params, state.pilot, sensors, walk), (state.pilot, state.drive)
+        memory, drive = jax.tree.map(lambda now, before: jnp.where(walk.due, now, before), decided, held)
         gait, path = self.gait.update(params, state.gait, state.drive, drive, self.dt)
         spine = self.spine(params, gait.phase, drive.turn_rate, path, gait.stance)
-        pitch = attitude(sensors.orientation)[1]
-        vertical = self._vertical(params, gait.phase, drive.turn_rate, pitch, sensors.gyro[0])
+        vertical = None
+        if self.sagittal is not None:
+            pitch = attitude(sensors.orientation)[1]
+            vertical = self.sagittal(params, gait.phase, drive.turn_rate, pitch, sensors.gyro[0])
         closed = trajectory.share_closed(params.tracking, self.dt)
         foot = state.foot + closed * (path + self._compensation(params, spine, vertical, path, state.foot) - state.foot)
         pace = self._pace(params, gait.phase, drive)
@@ -194,9 +194,8 @@ class Controller:
 
         tick = state.tick + 1
         after = ControllerState(
-            tick=tick, time=tick * self.dt, pilot=memory, drive=drive, gait=gait, foot=foot, spine=spine, head=head,
-            head_angles=head_angles, tail=tail, tail_angle=tail_angle, spine_vertical=vertical,
-        )  # fmt: skip
+            tick, tick * self.dt, memory, drive, gait, foot, spine, head, head_angles, tail, tail_angle, vertical
+        )
         after = with_dtypes_of(state, after)
         return after, self.servo_angles(params, after)
 
@@ -244,19 +243,13 @@ class Controller:
         pace = self._pace(params, gait.phase, drive)
         head, head_angles = self.head.start(params, pace)
         tail, tail_angle = self.tail.start(params, pace)
-        state = ControllerState(
-            tick=jnp.zeros((), dtype=jnp.int32), time=jnp.zeros(()), pilot=memory, drive=drive, gait=gait, foot=foot,
-            spine=spine, head=head, head_angles=head_angles, tail=tail, tail_angle=tail_angle, spine_vertical=vertical,
-        )  # fmt: skip
-        return canonical(state)
+        tick, time = jnp.zeros((), dtype=jnp.int32), jnp.zeros(())
+        return canonical(
+            ControllerState(tick, time, memory, drive, gait, foot, spine, head, head_angles, tail, tail_angle, vertical)
+        )
 
     def _pace(self, params: ControlParameters, phase: Scalar, drive: Drive) -> Pace:
         return Pace(phase, drive.speed, drive.turn_rate, self.cycle_rate(params))
-
-    def _vertical(
-        self, params: ControlParameters, phase: Scalar, turn_rate: Scalar, pitch: Scalar, pitch_rate: Scalar
-    ) -> Scalar | None:
-        return None if self.sagittal is None else self.sagittal(params, phase, turn_rate, pitch, pitch_rate)
 
     def _compensation(
         self,
@@ -274,14 +267,8 @@ class Controller:
 
     def _walk(self, params: ControlParameters, state: ControllerState) -> Walk:
         speed, yaw_rate = self.gait.walked(params, state.gait, state.drive)
-        due = state.tick % self.ticks_per_pilot_tick == 0
+        due = state.tick % round(self.control_rate / self.pilot_rate) == 0
         return Walk(state.time, state.phase, speed, yaw_rate, due, self.pilot_rate)
-
-    def _decide(self, params: ControlParameters, state: ControllerState, sensors: Sensors) -> tuple[Any, Drive]:
-        """The pilot's memory and drive, updated at pilot ticks and held in between."""
-        walk = self._walk(params, state)
-        new, held = self.pilot.update(params, state.pilot, sensors, walk), (state.pilot, state.drive)
-        return jax.tree.map(lambda now, before: jnp.where(walk.due, now, before), new, held)
 
 
 def published_controller(
@@ -304,45 +291,40 @@ def published_controller(
     Stepping(form='cubic')
 
     Args:
-        spine: auxiliary modes, "none", "stride_extension", "balance", "harmonics", and of Nermo 4.1
-            "sagittal_extension" and "pitch_balance", or several joined by "+" (or a tuple of names).
-        pilot: "open_loop" holds `pilot.turn_rate`, "straight", "arc" and "waypoints" follow a path, "external" calls
-            `command`. All but the last command `gait.commanded_speed`.
-        waypoints: (x, y) of the points that the pilot "waypoints" passes [m], see `course.course_through`.
-        command: (speed, turn rate) at a simulated time, for the pilot "external"; see `pilot.tabulated`.
-        trajectory: form of the foot path, "cubic", "linear" or "parabolic"; "free" is the cubic one with parameters for
-            each limb and movable points, see `free_stepping`.
-        head: "none" holds it still, "gaze" keeps its direction in the world; see `control.head_and_tail`.
-        tail_motion: "none" holds it still, "swing", "counter_yaw" or "counter_roll"; see `control.head_and_tail`.
-        routing: knee tendon routing of the legs.
+        spine, pilot, waypoints, command, trajectory, head, tail_motion, routing: as in `Setup`; the spine's modes also
+            as a tuple of names.
         masses: two-mass model of the assembled robot, for the mode "balance".
         control_rate, pilot_rate: see `Controller`.
 
     Raises:
         ParameterError: an unknown name, or choices that cannot be combined.
     """
-    stepping = FreeStepping(routing=routing) if trajectory == FREE else Stepping(trajectory)
     modes = spine_modes.mode_names(spine)
-    lateral, vertical = (tuple(name for name in modes if name in kind)
-                         for kind in (spine_modes.LATERAL_MODES, spine_modes.SAGITTAL_MODES))  # fmt: skip
+    lateral = tuple(name for name in modes if name in spine_modes.LATERAL_MODES)
+    vertical = tuple(name for name in modes if name in spine_modes.SAGITTAL_MODES)
     return Controller(
-        named_pilot(pilot, waypoints, command), stepping, SpineModes(lateral, masses), routing, control_rate,
-        pilot_rate, head=named_head(head), tail=named_tail(tail_motion),
+        named_pilot(pilot, waypoints, command),
+        FreeStepping(routing=routing) if trajectory == FREE else Stepping(trajectory),
+        SpineModes(lateral, masses),
+        routing,
+        control_rate,
+        pilot_rate,
+        head=named_head(head),
+        tail=named_tail(tail_motion),
         sagittal=SagittalModes(vertical) if vertical else None,
-    )  # fmt: skip
+    )
 
 
 def named_pilot(name: str, waypoints: Sequence[Sequence[float]] | None, command: Command | None) -> PilotLike:
     """A pilot by its name; the arguments are those of `published_controller`."""
     choice("pilot", name, pilot.PILOTS)
-    if (name == "external") != (command is not None):
-        state = "missing" if command is None else "given"
-        raise ParameterError(f"command is {state}: the pilot 'external', and no other, takes one (pilot is {name!r}).")
-    if (name == pilot.WAYPOINTS) != (waypoints is not None):
-        state = "missing" if waypoints is None else "given"
-        raise ParameterError(
-            f"waypoints is {state}: the pilot 'waypoints', and no other, takes them (pilot is {name!r})."
-        )
+    owned = ("command", command, "external", "one"), ("waypoints", waypoints, WAYPOINTS, "them")
+    for field, given, owner, what in owned:
+        if (name == owner) != (given is not None):
+            state = "missing" if given is None else "given"
+            raise ParameterError(
+                f"{field} is {state}: the pilot {owner!r}, and no other, takes {what} (pilot is {name!r})."
+            )
     if waypoints is not None:
         return Follow(_course_through(tuple(tuple(map(float, point)) for point in waypoints)))
     if command is not None:
@@ -351,15 +333,6 @@ def named_pilot(name: str, waypoints: Sequence[Sequence[float]] | None, command:
 
 
 _course_through = functools.lru_cache(maxsize=32)(course_through)
-
-
-def _check_rates(control_rate: float, pilot_rate: float) -> None:
-    for name, rate in (("control_rate", control_rate), ("pilot_rate", pilot_rate)):
-        if not (math.isfinite(rate) and rate > 0.0):
-            raise ParameterError(f"{name} is {rate:g}: allowed is (0, inf) Hz.")
-    ratio = control_rate / pilot_rate
-    if round(ratio) < 1 or abs(ratio - round(ratio)) > 1e-9 * ratio:
-        raise ParameterError(f"pilot_rate is {pilot_rate:g}: allowed is {control_rate:g} Hz divided by a whole number.")
 
 
 # ---
@@ -393,12 +366,13 @@ def control_parameters(
     Raises:
         ParameterError: an unknown name, a number out of range, or a stride outside the legs' workspace.
     """
-    named: dict[str, Any] = {**published_values(gait, steering=steering, profile=profile)}
     start = ControlParameters(geometry=Geometry() if names_geometry(values) else None)
     known = dict(quantities(start))
     for name, value in values.items():
         known[choice("parameter", name, known)].check(name, value)
-    named |= with_gait_factor({name: np.asarray(value, float) for name, value in values.items()})
+    named = published_values(gait, steering=steering, profile=profile) | with_gait_factor(
+        {name: np.asarray(value, float) for name, value in values.items()}
+    )
     params = replace_quantities(start, {name: np.asarray(value, float) for name, value in named.items()})
     check_workspace(params, routing=routing)
     return params
@@ -421,7 +395,10 @@ def check(params: ControlParameters, *, routing: str = "type3") -> None:
 def check_workspace(params: ControlParameters, *, routing: str = "type3") -> None:
     """Reject strides, heights and amplitudes whose nominal foot path leaves a leg's workspace; see `check`."""
     stride = np.asarray(params.gait.stride, float) * np.asarray(params.stance.max_stride, float)
-    paths = _distinct(_Paths(params.stance, geometry_of(params), stride))
+    leaves, structure = jax.tree.flatten(_Paths(params.stance, geometry_of(params), stride))
+    columns = [leaf.ravel() for leaf in np.broadcast_arrays(*(np.asarray(leaf, float) for leaf in leaves))]
+    # The distinct combinations of a batch: usually one, because most sweeps vary other things.
+    paths: _Paths = jax.tree.unflatten(structure, np.unique(np.stack(columns), axis=1))
     start_jax()
     reached = np.asarray(_reachable(paths, routing))
     if reached.all():
@@ -439,16 +416,6 @@ class _Paths(NamedTuple):
     stride: Any
 
 
-def _distinct(paths: _Paths) -> _Paths:
-    """The distinct combinations of a batch: usually one, because most sweeps vary other things."""
-    leaves, structure = jax.tree.flatten(paths)
-    columns = np.stack(
-        [leaf.reshape(-1) for leaf in np.broadcast_arrays(*(np.asarray(each, float) for each in leaves))]
-    )
-    distinct: _Paths = jax.tree.unflatten(structure, np.unique(columns, axis=1))
-    return distinct
-
-
 @partial(jax.jit, static_argnames="routing")
 def _reachable(paths: _Paths, routing: str) -> Bool[Array, "batch 4"]:
     """Whether each limb's nominal stance and swing paths lie in its workspace."""
@@ -462,12 +429,19 @@ def _reachable(paths: _Paths, routing: str) -> Bool[Array, "batch 4"]:
 
 
 def _sentence(paths: _Paths, params: ControlParameters, limb: int, routing: str) -> str:
+    """What is wrong with the path of a limb that leaves its workspace, and what is allowed."""
     axle, stance, stride = LIMBS[limb].split("_")[0], paths.stance, float(paths.stride)
     height = float(getattr(stance, f"{axle}_z"))
     strides = np.linspace(0.0, stride, _STRIDE_STEPS)
     batch = jax.tree.map(lambda leaf: np.full(_STRIDE_STEPS, leaf), paths)._replace(stride=strides)
     reached = np.asarray(_reachable(batch, routing))[:, limb]
-    links = _links(paths.geometry, axle)
+    own, published = (dict(values_of(getattr(each, f"{axle}_leg"))) for each in (paths.geometry, Geometry()))
+    changed = [
+        f"geometry.{axle}_leg.{link} {float(length):g} m"
+        for link, length in own.items()
+        if abs(float(length) - float(published[link])) > 1e-9
+    ]
+    links = f", with {' and '.join(changed)}" if changed else ""
     if not reached[0]:
         behind, up, down = getattr(stance, f"{axle}_y"), stance.swing_amplitude, stance.stance_amplitude
         return (
@@ -484,12 +458,3 @@ def _sentence(paths: _Paths, params: ControlParameters, limb: int, routing: str)
         f"{name} is {value:g}{unit}: with stance.{axle}_z {height:g} m the {axle} feet reach a stride of "
         f"{longest:.3f} m{links}, so allowed is [0, {most:.3f}]{unit}."
     )
-
-
-def _links(geometry: Geometry, axle: str) -> str:
-    """The links of a pair of legs that are not the published ones, in words."""
-    name = f"{axle}_leg"
-    published = dict(values_of(getattr(Geometry(), name)))
-    own = [f"geometry.{name}.{link} {float(length):g} m" for link, length in values_of(getattr(geometry, name))
-           if abs(float(length) - float(published[link])) > 1e-9]  # fmt: skip
-    return f", with {' and '.join(own)}" if own else ""

@@ -12,7 +12,7 @@ the neck alone.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any, Final, NamedTuple, Protocol, TypeVar, runtime_checkable
 
 import jax.numpy as jnp
@@ -78,15 +78,7 @@ def begin(sensors: Sensors, geometry: Geometry) -> Course:
 
 
 def observe(course: Course, sensors: Sensors, bandwidth: Any, dt: float, geometry: Geometry) -> Course:
-    """The course one tick later.
-
-    Args:
-        course: before.
-        sensors: read now.
-        bandwidth: b [rad/s]; faster motion counts as sway.
-        dt: T, since the last tick [s].
-        geometry: of the robot.
-    """
+    """The course one tick of T = `dt` [s] later; motion faster than the bandwidth b [rad/s] counts as sway."""
     expected = course.heading + dt * course.rate
     surprise = wrapped(body_heading(sensors, geometry) - expected)
     gain = dt * bandwidth
@@ -99,9 +91,7 @@ def wrapped(angle: Array) -> Array:
 
 
 # ---
-# What control of the head and of the tail have in common: the protocol, and its two published forms.
-#
-# Both move with the gait, or against the torso's deviation from the robot's course (`sway`).
+# Control of the head or of the tail: with the gait, or against the torso's deviation from the robot's course.
 
 
 Angles_co = TypeVar("Angles_co", covariant=True)
@@ -123,51 +113,33 @@ class AppendageLike(Protocol[Angles_co]):
 
 
 @dataclasses.dataclass(frozen=True)
-class Memoryless(AppendageLike[Angles]):
-    """Angles that depend on the present only.
+class Appendage(AppendageLike[Angles]):
+    """Angles by functions; their memory is the robot's course, where they need it.
 
     Attributes:
         group: name of its parameters among the controller's.
-        angles: a function of these parameters, of the pace, and of the sensors, None before the first reading.
-    """
-
-    group: str
-    angles: Callable[[Any, Pace, Sensors | None], Angles]
-
-    def start(self, params: Any, pace: Pace) -> tuple[Any, Angles]:
-        return (), self.angles(getattr(params, self.group), pace, None)
-
-    def init(self, params: Any, memory: Any, sensors: Sensors) -> Any:
-        return memory
-
-    def update(self, params: Any, memory: Any, sensors: Sensors, pace: Pace, dt: float) -> tuple[Any, Angles]:
-        return memory, self.angles(getattr(params, self.group), pace, sensors)
-
-
-@dataclasses.dataclass(frozen=True)
-class OnCourse(AppendageLike[Angles]):
-    """Angles relative to the robot's course, which is observed with the bandwidth among the parameters.
-
-    Attributes:
-        group: name of its parameters among the controller's.
-        held: the angles before the first reading, a function of these parameters and of the pace.
-        angles: a function of these parameters, of the pace, of the sensors and of the course.
+        held: angles, a function of these parameters and of the pace.
+        moving: angles from the first reading on, also a function of the sensors and of the robot's course.
+        on_course: whether the course is observed, with the bandwidth among the parameters; else it is ().
     """
 
     group: str
     held: Callable[[Any, Pace], Angles]
-    angles: Callable[[Any, Pace, Sensors, Course], Angles]
+    moving: Callable[..., Angles] | None = None
+    on_course: bool = False
 
-    def start(self, params: Any, pace: Pace) -> tuple[Course, Angles]:
-        return Course(jnp.zeros(()), jnp.zeros(())), self.held(getattr(params, self.group), pace)
+    def start(self, params: Any, pace: Pace) -> tuple[Any, Angles]:
+        memory = Course(jnp.zeros(()), jnp.zeros(())) if self.on_course else ()
+        return memory, self.held(getattr(params, self.group), pace)
 
-    def init(self, params: Any, memory: Course, sensors: Sensors) -> Course:
-        return begin(sensors, geometry_of(params))
+    def init(self, params: Any, memory: Any, sensors: Sensors) -> Any:
+        return begin(sensors, geometry_of(params)) if self.on_course else memory
 
-    def update(self, params: Any, memory: Course, sensors: Sensors, pace: Pace, dt: float) -> tuple[Course, Angles]:
+    def update(self, params: Any, memory: Any, sensors: Sensors, pace: Pace, dt: float) -> tuple[Any, Angles]:
         own = getattr(params, self.group)
-        course = observe(memory, sensors, own.bandwidth * pace.cycle_rate, dt, geometry_of(params))
-        return course, self.angles(own, pace, sensors, course)
+        if self.on_course:
+            memory = observe(memory, sensors, own.bandwidth * pace.cycle_rate, dt, geometry_of(params))
+        return memory, self.held(own, pace) if self.moving is None else self.moving(own, pace, sensors, memory)
 
 
 GAZE: Final = "gaze"
@@ -192,12 +164,10 @@ class HeadAngles(NamedTuple):
     tilt: Scalars
 
 
-@runtime_checkable
-class HeadLike(AppendageLike[HeadAngles], Protocol):
-    """Head control, see `AppendageLike`."""
+HeadLike = AppendageLike[HeadAngles]
 
 
-def head_held(head: Head, pace: Pace, sensors: Sensors | None = None) -> HeadAngles:
+def head_held(head: Head, pace: Pace) -> HeadAngles:
     """Looks in the torso's direction, offset by `head.pan`, `head.tilt` and `head.into_turn`."""
     neck = head.pan + head.into_turn * pace.turn_rate
     return HeadAngles(neck, jnp.zeros_like(neck) + head.tilt)
@@ -213,7 +183,10 @@ def gaze(head: Head, pace: Pace, sensors: Sensors, course: Course) -> HeadAngles
     return HeadAngles(*(own + head.gain * (to - own) for own, to in zip(offset, wanted, strict=True)))
 
 
-_HEADS: Final[dict[str, HeadLike]] = {"none": Memoryless("head", head_held), GAZE: OnCourse("head", head_held, gaze)}
+_HEADS: Final[dict[str, HeadLike]] = {
+    "none": Appendage("head", head_held),
+    GAZE: Appendage("head", head_held, gaze, on_course=True),
+}
 HEADS: Final = tuple(_HEADS)
 
 
@@ -263,18 +236,16 @@ class Tail:
     )
 
 
-@runtime_checkable
-class TailLike(AppendageLike[Scalars], Protocol):
-    """Tail control, see `AppendageLike`: its angle is that of the tail's servo, positive bends the tip to the left
-    [rad]."""
+#: Its angle is that of the tail's servo, positive bends the tip to the left [rad].
+TailLike = AppendageLike[Scalars]
 
 
-def tail_held(tail: Tail, pace: Pace, sensors: Sensors | None = None) -> Scalars:
+def tail_held(tail: Tail, pace: Pace) -> Scalars:
     """Stays at `tail.angle`."""
     return jnp.zeros_like(pace.phase) + tail.angle
 
 
-def swing(tail: Tail, pace: Pace, sensors: Sensors | None = None) -> Scalars:
+def swing(tail: Tail, pace: Pace) -> Scalars:
     """Swings once per gait cycle about `tail.angle`, as in the author's software."""
     amplitude = jnp.minimum(tail.swing_gain * pace.speed**2, tail.swing_amplitude)
     return tail_held(tail, pace) + amplitude * jnp.cos(2.0 * jnp.pi * pace.phase + tail.swing_phase)
@@ -285,38 +256,39 @@ def counter_yaw(tail: Tail, pace: Pace, sensors: Sensors, course: Course) -> Sca
     return tail.angle - tail.yaw_gain * wrapped(attitude(sensors.orientation)[2] - course.heading)
 
 
-def counter_roll(tail: Tail, pace: Pace, sensors: Sensors | None = None) -> Scalars:
+def counter_roll(tail: Tail, pace: Pace, sensors: Sensors, course: Any) -> Scalars:
     """Bends to the side to which the torso leans, by `tail.roll_gain` times its roll."""
-    return tail_held(tail, pace) if sensors is None else tail.angle + tail.roll_gain * attitude(sensors.orientation)[0]
+    return tail.angle + tail.roll_gain * attitude(sensors.orientation)[0]
 
 
 @dataclasses.dataclass(frozen=True)
-class SeveralTails(TailLike):
+class SeveralTails(AppendageLike[Scalars]):
     """The sum of motions about `tail.angle`, of which a schedule switches some on and some off."""
 
     parts: tuple[TailLike, ...]
 
     def start(self, params: Any, pace: Pace) -> tuple[Any, Scalars]:
-        return self._sum(params, pace, [part.start(params, pace) for part in self.parts])
+        return _sum(params, pace, (part.start(params, pace) for part in self.parts))
 
     def init(self, params: Any, memory: Any, sensors: Sensors) -> Any:
         return tuple(part.init(params, own, sensors) for part, own in zip(self.parts, memory, strict=True))
 
     def update(self, params: Any, memory: Any, sensors: Sensors, pace: Pace, dt: float) -> tuple[Any, Scalars]:
-        each = zip(self.parts, memory, strict=True)
-        return self._sum(params, pace, [part.update(params, own, sensors, pace, dt) for part, own in each])
+        parts = zip(self.parts, memory, strict=True)
+        return _sum(params, pace, (part.update(params, own, sensors, pace, dt) for part, own in parts))
 
-    @staticmethod
-    def _sum(params: Any, pace: Pace, found: list[tuple[Any, Scalars]]) -> tuple[Any, Scalars]:
-        still = tail_held(params.tail, pace)
-        return tuple(memory for memory, _ in found), sum((angle - still for _, angle in found), still)
+
+def _sum(params: Any, pace: Pace, parts: Iterable[tuple[Any, Scalars]]) -> tuple[Any, Scalars]:
+    memories, angles = zip(*parts, strict=True)
+    still = tail_held(params.tail, pace)
+    return memories, sum((angle - still for angle in angles), still)
 
 
 _TAILS: Final[dict[str, TailLike]] = {
-    "none": Memoryless("tail", tail_held),
-    SWING: Memoryless("tail", swing),
-    COUNTER_YAW: OnCourse("tail", tail_held, counter_yaw),
-    COUNTER_ROLL: Memoryless("tail", counter_roll),
+    "none": Appendage("tail", tail_held),
+    SWING: Appendage("tail", swing),
+    COUNTER_YAW: Appendage("tail", tail_held, counter_yaw, on_course=True),
+    COUNTER_ROLL: Appendage("tail", tail_held, counter_roll),
 }
 TAIL_MOTIONS: Final = tuple(_TAILS)
 

@@ -28,41 +28,79 @@ from nermo_mjx.trust import RUNS_CODE, TELL, one_line
 # The user's Python files and modules, whose objects spec files and commands can name.
 
 
-def content_of_source(subject: str, source: str, form: str) -> tuple[str, bytes]:
-    """The file of a source, and its content.
+@dataclasses.dataclass(frozen=True)
+class Source:
+    """A Python file or module that a text names, with or without the name of an object in it.
 
-    Args:
+    Attributes:
         subject: the beginning of messages: `controller is 'bound.py:Bound'`.
-        source: `FILE.py` or the name of a module.
+        place: `FILE.py` or the name of a module.
+        name: of the object; "" without one.
         form: the expected form, for messages.
-
-    Raises:
-        ParameterError: the file or module does not exist or cannot be read.
     """
-    path = Path(source) if source.endswith(".py") else _file_of(subject, source, form)
-    try:
-        return str(path.resolve()), path.read_bytes()
-    except OSError as error:
-        raise ParameterError(f"{subject}: {path} cannot be read ({error.strerror}).") from None
 
+    subject: str
+    place: str
+    name: str
+    form: str
 
-def check_may_run(subject: str) -> None:
-    """Raise a `ParameterError` where no Python that a file names may be run."""
-    if not RUNS_CODE.get():
-        raise ParameterError(f"{subject}: it is code, which a command that only reads does not run.")
+    @classmethod
+    def named(cls, field: str, where: str, form: str) -> Source:
+        """What a text names: FILE.py, FILE.py:NAME, MODULE or MODULE:NAME.
 
+        Raises:
+            ParameterError: the text has another form.
+        """
+        place, colon, name = (where, "", "") if where.endswith(".py") else where.rpartition(":")
+        place, name = (place, name) if colon else (where, "")
+        if not place or (colon and not name.isidentifier()):
+            raise ParameterError(f"{field} {where!r}: expected {form}.")
+        return cls(f"{field} {where!r}", place, name, form)
 
-def module_of(subject: str, source: str, form: str) -> ModuleType:
-    """The module of a source; a file is executed once for each version of its content. The arguments are those of
-    `content_of_source`.
+    def content(self) -> tuple[str, bytes]:
+        """Path and content of the file.
 
-    Raises:
-        ParameterError: see `content_of_source`; or it cannot be imported, or nothing may be run here.
-    """
-    check_may_run(subject)
-    path, content = content_of_source(subject, source, form)
-    with told(f"{subject}: it cannot be imported"):
-        return _imported(source, path, content)
+        Raises:
+            ParameterError: the file or module does not exist or cannot be read.
+        """
+        path = Path(self.place)
+        if not self.place.endswith(".py"):
+            self._check_may_run()  # to find a module, Python runs the packages that it is in
+            try:
+                spec = importlib.util.find_spec(self.place)
+            except (ImportError, ValueError):
+                spec = None
+            if spec is None or spec.origin is None:
+                raise ParameterError(f"{self.subject}: there is no module {self.place!r} here; expected {self.form}.")
+            path = Path(spec.origin)
+        try:
+            return str(path.resolve()), path.read_bytes()
+        except OSError as error:
+            raise ParameterError(f"{self.subject}: {path} cannot be read ({error.strerror}).") from None
+
+    def digest(self, *names: str) -> str:
+        """A hash of names and of the file, not of what it imports; the errors are those of `content`."""
+        return hashlib.sha256("".join(f"{name}\0" for name in names).encode() + self.content()[1]).hexdigest()[:16]
+
+    def module(self) -> ModuleType:
+        """The module; a file is executed once for each version of its content.
+
+        Raises:
+            ParameterError: see `content`; or it cannot be imported, or nothing may be run here.
+        """
+        self._check_may_run()
+        path, content = self.content()
+        with user_code(f"{self.subject}: it cannot be imported"):
+            return _imported(self.place, path, content)
+
+    def missing(self, names: list[str]) -> ParameterError:
+        """The error for a name that it does not have, with the closest of those that it has."""
+        hint = did_you_mean(self.name, names)
+        return ParameterError(f"{self.subject}: {self.place} has no {self.name!r}{hint}")
+
+    def _check_may_run(self) -> None:
+        if not RUNS_CODE.get():
+            raise ParameterError(f"{self.subject}: it is code, which a command that only reads does not run.")
 
 
 #: Errors of functions that cannot be traced.
@@ -73,7 +111,7 @@ _OTHERS: Final = ("jax", "jaxlib", "numpy", "nermo_mjx", "importlib", "contextli
 
 
 @contextlib.contextmanager
-def told(subject: str) -> Iterator[None]:
+def user_code(subject: str) -> Iterator[None]:
     """Turn any error of the user's code into one sentence: the subject, the user's file and line, and what is wrong.
 
     Raises:
@@ -100,22 +138,6 @@ def told(subject: str) -> Iterator[None]:
             known = [field.name for field in dataclasses.fields(Sensors)]
             hint = f"{did_you_mean(str(error.name), known)} Sensors are {', '.join(known)}"
         raise ParameterError(f"{subject}{place}: {type(error).__name__}: {wrong}{hint}.") from None
-
-
-def no_such_name(subject: str, source: str, name: str, names: list[str]) -> ParameterError:
-    """The error for a name that a source does not have, with its closest existing name."""
-    return ParameterError(f"{subject}: {source} has no {name!r}{did_you_mean(name, names)}")
-
-
-def _file_of(subject: str, module: str, form: str) -> Path:
-    check_may_run(subject)  # to find a module, Python runs the packages that it is in
-    try:
-        spec = importlib.util.find_spec(module)
-    except (ImportError, ValueError):
-        spec = None
-    if spec is None or spec.origin is None:
-        raise ParameterError(f"{subject}: there is no module {module!r} here; expected {form}.")
-    return Path(spec.origin)
 
 
 @functools.lru_cache(maxsize=32)
@@ -147,13 +169,13 @@ def load_controller(where: str) -> Any:
     if is_data(where):
         # By name: a policy belongs to a room above this one, which only policies need.
         return importlib.import_module("nermo_mjx.learn.policy").load_policy(where)
-    source, name = _parts(where)
-    module = module_of(f"controller is {where!r}", source, FORM)
-    found = getattr(module, name, None)
-    if found is None:
-        public = [each for each in vars(module) if not each.startswith("_")]
-        raise no_such_name(f"controller is {where!r}", source, name, public)
-    controller = _made(where, found) if isinstance(found, (type, FunctionType)) else found
+    source = _source(where)
+    module = source.module()
+    controller = getattr(module, source.name, None)
+    if controller is None:
+        raise source.missing([each for each in vars(module) if not each.startswith("_")])
+    if isinstance(controller, (type, FunctionType)):
+        controller = _made(where, controller)
     check_form(controller)
     return controller
 
@@ -167,9 +189,8 @@ def controller_digest(where: str) -> str:
     if is_data(where):
         load_controller(where)
         return hashlib.sha256(Path(where).read_bytes()).hexdigest()[:16]
-    source, name = _parts(where)
-    _, content = content_of_source(f"controller is {where!r}", source, FORM)
-    return hashlib.sha256(f"{name}\0".encode() + content).hexdigest()[:16]
+    source = _source(where)
+    return source.digest(source.name)
 
 
 def is_data(where: str) -> bool:
@@ -184,7 +205,7 @@ def check_form(controller: Any) -> None:
         ParameterError: the message names what is missing, or what of it is wrong.
     """
     kind = type(controller).__name__
-    with told(f"controller is of type {kind}, which fails"):
+    with user_code(f"controller is of type {kind}, which fails"):
         missing = [name for name in REQUIRED if not hasattr(controller, name)]
         if missing:
             raise ParameterError(
@@ -209,14 +230,14 @@ def named_place(controller: Any, name: str) -> str:
     return f"controller has {name}{place}"
 
 
-def _parts(where: str) -> tuple[str, str]:
-    source, colon, name = where.rpartition(":")
-    if not colon or not source or not name.isidentifier():
-        raise ParameterError(f"controller is {where!r}: expected {FORM}.")
-    return source, name
+def _source(where: str) -> Source:
+    source = Source.named("controller is", where, FORM)
+    if not source.name:
+        raise ParameterError(f"{source.subject}: expected {FORM}.")
+    return source
 
 
 @functools.lru_cache(maxsize=32)
 def _made(where: str, maker: Any) -> Any:
-    with told(f"controller is {where!r}: it cannot be made without arguments"):
+    with user_code(f"controller is {where!r}: it cannot be made without arguments"):
         return maker()

@@ -129,13 +129,8 @@ class Follow(PilotLike):
     along: Callable[[Pilot, Array], PathPoint] | Course = straight
 
     def locate(self, params: ControlParameters, position: Float[Array, " 3"], progress: Scalar) -> PathPoint:
-        """The point of the path closest to a position.
-
-        Args:
-            params: unbatched.
-            position: in the world [m].
-            progress: of the last point, for a path that approaches itself [m].
-        """
+        """The point of the path closest to a position [m]; `progress` of the last one tells a path that approaches
+        itself where to look [m]."""
         if isinstance(self.along, Course):
             return locate(self.along, progress, position)
         return self.along(params.pilot, position)
@@ -178,11 +173,6 @@ def heading(point: PathPoint, sensors: Sensors, geometry: Geometry) -> Scalar:
     """Heading of the robot relative to the tangent of its path [rad], positive left, in (-pi, pi].
 
     A bent spine turns torso and hip to opposite sides of it, so it is the torso's minus half of the bend.
-
-    Args:
-        point: of the path, closest to the robot.
-        sensors: orientation and the spine's servo angle are used.
-        geometry: of the robot.
     """
     w, x, y, z = sensors.orientation
     ahead = jnp.stack([2.0 * (w * z - x * y), 2.0 * (x * x + z * z) - 1.0])
@@ -192,19 +182,11 @@ def heading(point: PathPoint, sensors: Sensors, geometry: Geometry) -> Scalar:
     return jnp.arctan2(across, along) - 0.5 * bend
 
 
-def steer(
-    pilot: Pilot,
-    error: Scalars,
-    change: Scalars,
-    guided: Scalars | float = 0.0,
-) -> Scalars:
-    """Turn rate of the published PD on the cross-track error, added to the guidance's; left of the path it is negative.
+def steer(pilot: Pilot, error: Scalars, change: Scalars, guided: Scalars | float = 0.0) -> Scalars:
+    """Turn rate of the published PD, added to that of the guidance and limited.
 
-    Args:
-        pilot: gains and output limit.
-        error: cross-track error, positive to the left of the path [m].
-        change: its change in 1/100 s of the controller's clock [m].
-        guided: turn rate of the guidance.
+    Its input is the cross-track error, positive to the left of the path [m], and the error's change in 1/100 s of the
+    controller's clock [m]; left of the path it is negative.
     """
     wanted = guided - (pilot.error_gain * error + pilot.change_gain * change)
     return jnp.clip(wanted, -pilot.output_limit, pilot.output_limit)
@@ -240,14 +222,14 @@ def tabulated(time: ArrayLike, speed: ArrayLike, turn_rate: ArrayLike, *, hold: 
     Raises:
         ParameterError: the columns have different lengths, are not finite, or are out of range.
     """
-    times = _column("command.time", time)
+    times = _column("time", time)
     if times.ndim != 1 or times.size == 0:
         raise ParameterError(f"command.time has shape {times.shape}: expected one dimension and at least one entry.")
     if (np.diff(times) <= 0).any():
         raise ParameterError(f"command.time is not increasing at {times[1:][np.diff(times) <= 0][0]:g} s.")
     columns = []
     for name, given, low, high in (("speed", speed, 0.0, np.inf), ("turn_rate", turn_rate, -1.0, 1.0)):
-        column = _column(f"command.{name}", given)
+        column = _column(name, given)
         if column.shape not in ((), times.shape):
             raise ParameterError(f"command.{name} has shape {column.shape}: expected {times.shape}, as command.time.")
         bad = (column < low) | (column > high)
@@ -261,9 +243,9 @@ def _column(name: str, values: Any) -> np.ndarray:
     try:
         column = np.asarray(values, dtype=float)
     except (TypeError, ValueError):
-        raise ParameterError(f"{name} is {values!r}: expected numbers.") from None
+        raise ParameterError(f"command.{name} is {values!r}: expected numbers.") from None
     if not np.isfinite(column).all():
-        raise ParameterError(f"{name} is {column[~np.isfinite(column)].flat[0]:g}: expected finite numbers.")
+        raise ParameterError(f"command.{name} is {column[~np.isfinite(column)].flat[0]:g}: expected finite numbers.")
     return column
 
 
@@ -320,12 +302,9 @@ class Guidance:
 
 
 def start(error: Scalar, heading: Scalar, speed: Scalar) -> Guidance:
-    """Estimate at rest: the robot is assumed to walk along its path, whatever the torso's direction.
+    """Estimate at rest, from the cross-track error [m], the heading from the path's tangent [rad] and the speed [m/s].
 
-    Args:
-        error: cross-track error [m].
-        heading: from the path's tangent [rad].
-        speed: of the walk [m/s].
+    The robot is assumed to walk along its path, whatever the torso's direction.
     """
     zero = jnp.zeros_like(error)
     return Guidance(
@@ -428,13 +407,7 @@ def correction(pilot: Pilot, state: Guidance, speed: Array, curvature: Array) ->
     than expected, it leaves the path faster the tighter the bend is.
 
     It is ramped up over the 2 / `bandwidth` gait cycles in which the observers learn the sway: until then, apparent
-    errors are mostly sway.
-
-    Args:
-        pilot: `look_ahead` [m], `damping` and `bandwidth`.
-        state: the estimate.
-        speed: of the walk [m/s].
-        curvature: of the path [1/m].
+    errors are mostly sway. `speed` is that of the walk [m/s], `curvature` that of the path [1/m].
     """
     per_way = jnp.sqrt(1.0 / pilot.look_ahead**2 + (curvature / BEND) ** 2)
     per_speed = 1.0 / jnp.maximum(speed, 0.01)

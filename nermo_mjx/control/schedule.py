@@ -14,7 +14,7 @@ by its gain, whose value while it acts is the world's own: amplitude of the stri
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Final, TypeVar
 
 import jax.numpy as jnp
@@ -138,14 +138,12 @@ class Schedule:
     value: dict[str, Any] = dataclasses.field(default_factory=dict)
 
 
-def schedule_of(
-    switches: Sequence[Switch], modes: Mapping[str, Iterable[str]], known: Mapping[str, Quantity]
-) -> Schedule:
+def schedule_of(start: Switch, switches: Sequence[Switch], known: Mapping[str, Quantity]) -> Schedule:
     """The schedule of switches.
 
     Args:
+        start: the modes that act at the start, of each of `MODES`.
         switches: in the order of time.
-        modes: that act at the start, of each of `MODES`.
         known: parameters of the controller, with their ranges.
 
     Raises:
@@ -153,24 +151,21 @@ def schedule_of(
     """
     if len(switches) > MOST:
         raise ParameterError(f"schedule has {len(switches)} switches: allowed are {MOST}.")
-    acting = {field: set(names) for field, names in modes.items()}
-    ever = {
-        field: names.union(*(switch.modes.get(field, ()) for switch in switches)) for field, names in acting.items()
-    }
+    acting: dict[str, set[str]] = {}
+    ever = {field: {name for each in (start, *switches) for name in each.modes.get(field, ())} for field in MODES}
     given: dict[str, float] = {}
     course: list[dict[str, tuple[float, float]]] = []
-    for number, switch in enumerate((None, *switches)):
-        values = {} if switch is None else switch.absolute()
-        modes_now = {} if switch is None else switch.modes
+    for number, switch in enumerate((start, *switches)):
+        values, modes = switch.absolute(), switch.modes
         try:
-            for name in [*values, *(gain for names in modes_now.values() for mode in names for gain in GAINS[mode])]:
+            for name in [*values, *(gain for names in modes.values() for mode in names for gain in GAINS[mode])]:
                 about = known[choice("parameter", name, known)]
                 if name in values:
                     about.check(name, values[name])
         except ParameterError as error:
             raise ParameterError(f"schedule.{number} is refused: {error}") from None
         given |= values
-        acting |= {field: set(names) for field, names in modes_now.items()}
+        acting |= {field: set(names) for field, names in modes.items()}
         off = {gain for field, names in ever.items() for name in names - acting[field] for gain in GAINS[name]}
         course.append({name: (0.0, value) for name, value in given.items()} | dict.fromkeys(off, (0.0, 0.0)))
     course += course[-1:] * (MOST - len(switches))

@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from typing import Any, Final, Protocol, runtime_checkable
+from collections.abc import Callable
+from typing import Any, Final
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Bool, Float
 
 from nermo_mjx.control import turning
@@ -39,31 +41,13 @@ SPINES: Final = (NO_MODE, *("+".join(some) for n in range(1, 6) for some in iter
 _FADE_LINEAR_BELOW = 1e-3
 
 
-@runtime_checkable
-class SpineLike(Protocol):
-    """Controls the spine. Values are unbatched."""
-
-    def __call__(
-        self,
-        params: Any,
-        phase: Scalar,
-        turn_rate: Scalar,
-        feet: Float[Array, "4 2"],
-        stance: Bool[Array, " 4"],
-    ) -> Scalar:
-        """Commanded spine servo angle, positive left [rad].
-
-        Args:
-            params: of the controller.
-            phase: of the gait cycle.
-            turn_rate: in [-1, 1], positive left.
-            feet: wanted (y, z) in their legs' frames [m].
-            stance: planned contact.
-        """
+#: Spine control: from the controller's parameters, the gait's phase, the turn rate in [-1, 1], the wanted feet (y, z)
+#: in their legs' frames [m] and the planned contact to the servo's angle, positive left [rad]. Values are unbatched.
+SpineLike = Callable[[Any, Scalar, Scalar, Float[Array, "4 2"], Bool[Array, " 4"]], Scalar]
 
 
 @dataclasses.dataclass(frozen=True)
-class SpineModes(SpineLike):
+class SpineModes:
     """The published spine: steering fused with the sum of the auxiliary modes.
 
     Attributes:
@@ -86,8 +70,10 @@ class SpineModes(SpineLike):
             raise ParameterError(
                 f"masses is None: the spine mode {'+'.join(self.modes)!r} needs the robot's mass model."
             )
-        if self.masses is not None:
-            object.__setattr__(self, "masses", _plain(self.masses))
+        if self.masses is not None:  # as plain numbers: hashable and comparable
+            plain = {name: np.asarray(value, float).tolist() for name, value in vars(self.masses).items()}
+            plain = {name: tuple(value) if isinstance(value, list) else value for name, value in plain.items()}
+            object.__setattr__(self, "masses", MassModel(**plain))
 
     def __call__(self, params: ControlParameters, phase: Array, turn_rate: Array, feet: Array, stance: Array) -> Scalar:
         auxiliary = jnp.zeros_like(phase)
@@ -116,14 +102,6 @@ def mode_names(spine: str | tuple[str, ...], modes: tuple[str, ...] = MODES) -> 
     return tuple(name for name in modes if name in chosen)
 
 
-def _plain(masses: MassModel) -> MassModel:
-    """The same values as plain numbers: hashable and comparable."""
-    return MassModel(
-        front_mass=float(masses.front_mass), rear_mass=float(masses.rear_mass),
-        front_com=tuple(map(float, masses.front_com)), rear_com=tuple(map(float, masses.rear_com)),
-    )  # fmt: skip
-
-
 def stride_extension(spine: Spine, phase: Scalars) -> Scalars:
     """Servo angle A cos(2 pi phase + psi) [rad], which compresses the diagonal in swing and extends the other
     (5.33)."""
@@ -145,14 +123,8 @@ def balance(
 ) -> Scalar:
     """Servo angle [rad] that brings the centre of mass over the stability diagonal, or inside the triangle (5.35).
 
-    Zero while all four feet are on the ground, where there is nothing to balance.
-
-    Args:
-        spine: `balance_lift` [m].
-        masses: two-mass model of the assembled robot.
-        feet: commanded feet (y, z) in their leg's frame [m].
-        stance: planned contact.
-        geometry: of the robot.
+    Zero while all four feet are on the ground, where there is nothing to balance. `masses` is the two-mass model of the
+    assembled robot, `feet` are the commanded ones (y, z) in their leg's frame [m], `stance` is their planned contact.
     """
     return servo_angle(balance_angle(masses, feet, stance, geometry, spine.balance_lift), geometry)
 
@@ -161,12 +133,8 @@ def fuse(spine: Spine, steering: Scalars, auxiliary: Scalars) -> Scalars:
     """q_sp = q_max (alpha_tr + (1 - |alpha_tr|)^s f_sp), in [-q_max, q_max] (5.45, 5.46) [rad].
 
     Erratum: (5.46) is printed without the absolute value, which is needed: otherwise a left turn would amplify the
-    other mode.
-
-    Args:
-        spine: q_max and s.
-        steering: alpha_tr in [-1, 1], positive left.
-        auxiliary: servo angle wanted by the auxiliary modes [rad]; f_sp = auxiliary / q_max, clipped to [-1, 1].
+    other mode. `steering` is alpha_tr in [-1, 1], positive left; f_sp is the servo angle wanted by the auxiliary modes
+    [rad] over q_max, clipped to [-1, 1].
     """
     return spine.max_servo_angle * jnp.clip(steering + shared_with_steering(spine, steering, auxiliary), -1.0, 1.0)
 
@@ -191,9 +159,7 @@ def compensation(
     `offset_at_feet` of their own, which is what the author's code takes.
 
     Args:
-        spine: `offset_compensation`, `offset_at_feet`.
         servo: lateral servo angle [rad].
-        geometry: of the robot.
         lifted: rise of both rear feet due to the vertical joints of Nermo 4.1 [m].
         feet: (y, z) in their legs' frames [m]; None for what the hips rise.
     """
@@ -215,26 +181,13 @@ def compensation(
 # down, extended when they lift off.
 
 
-@runtime_checkable
-class SagittalLike(Protocol):
-    """Controls the vertical servo of the spine. Values are unbatched."""
-
-    def __call__(
-        self, params: ControlParameters, phase: Scalar, turn_rate: Scalar, pitch: Scalar, pitch_rate: Scalar
-    ) -> Scalar:
-        """Commanded servo angle, positive lifts the hip [rad].
-
-        Args:
-            params: of the controller.
-            phase: of the gait cycle.
-            turn_rate: in [-1, 1], positive left.
-            pitch: of the torso from its IMU, positive nose down [rad].
-            pitch_rate: measured angular velocity about the same axis [rad/s].
-        """
+#: Control of the vertical servo: from the controller's parameters, the gait's phase, the turn rate, the torso's pitch
+#: by its IMU, positive nose down [rad], and its rate [rad/s] to the servo's angle, positive lifts the hip [rad].
+SagittalLike = Callable[[Any, Scalar, Scalar, Scalar, Scalar], Scalar]
 
 
 @dataclasses.dataclass(frozen=True)
-class SagittalModes(SagittalLike):
+class SagittalModes:
     """The sum of the chosen modes, reduced by steering as much as the lateral ones (5.46).
 
     Attributes:

@@ -141,7 +141,7 @@ class Stepping(GaitLike):
             return later + jnp.where(ago <= in_tick, ago / in_tick, 1.0) * (earlier - later)
 
         share = commanded(shares, since)
-        switched = trajectory.switches(limbs.stance, state.stance)
+        switched = limbs.stance != state.stance
         # A half-cycle shorter than a tick may go unnoticed; the foot has still moved along its path.
         skipped = ~switched & (since < in_tick - 0.5 * trajectory.SHORTEST_HALF)
         moved = self._moved(params, commanded(shares, since + other))

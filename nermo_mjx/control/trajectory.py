@@ -32,12 +32,8 @@ from nermo_mjx.shapes import Array, Broadcastable, PerLimb, PlanarPerLimb, Scala
 def signed_power(base: Broadcastable, exponent: Broadcastable, linear_below: float) -> Broadcastable:
     """sign(x)|x|^t for |x| >= linear_below, and the line through the origin to that point below it.
 
-    Continuous in x and t. With t < 1 the plain power has an infinite slope at 0, and a gradient through it is NaN.
-
-    Args:
-        base: x.
-        exponent: t > 0.
-        linear_below: end of the linear part; the largest slope is linear_below^(t - 1).
+    Continuous in x and t > 0. With t < 1 the plain power has an infinite slope at 0, and a gradient through it is NaN;
+    here the largest slope is linear_below^(t - 1).
     """
     return base * jnp.maximum(jnp.abs(base), linear_below) ** (exponent - 1.0)
 
@@ -212,12 +208,8 @@ def stance_share(duty: Broadcastable) -> Broadcastable:
 def limb_states(gait: Gait, phase: Scalars, longer: Float[Array, "*#batch 4"] | None = None) -> LimbStates:
     """A leg is in stance while (phase - offset) mod 1 < duty (Tables A.2, A.6).
 
-    Erratum: the duty factor is the stance share of the cycle; appendix A.4.1 words it as swing to stance.
-
-    Args:
-        gait: `offset` of shape (..., 4), `duty` of shape (...).
-        phase: of the gait cycle, in [0, 1).
-        longer: each limb's duty factor minus the gait's.
+    Erratum: the duty factor is the stance share of the cycle; appendix A.4.1 words it as swing to stance. `longer` is
+    each limb's duty factor minus the gait's.
     """
     duty = stance_share(gait.duty)[..., None]
     local = wrap(jnp.asarray(phase)[..., None] - gait.offset)
@@ -232,8 +224,3 @@ def limb_states(gait: Gait, phase: Scalars, longer: Float[Array, "*#batch 4"] | 
         swung = (local - own) / (1.0 - duty) * ((1.0 - duty) / (1.0 - own))
         progress = jnp.where(stance, local / duty * (duty / own), swung)
     return LimbStates(stance, jnp.minimum(progress, 1.0))
-
-
-def switches(now: TruthPerLimb, before: TruthPerLimb) -> TruthPerLimb:
-    """The switch flag: the leg has just begun a half-cycle and needs new control points."""
-    return now != before

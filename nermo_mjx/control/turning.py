@@ -37,13 +37,8 @@ def body_speed(gait: Gait, stride: Scalars) -> Scalars:
 
 
 def stride_length(gait: Gait, stance: Stance, speed: Scalars) -> Scalars:
-    """Stride for a commanded speed: (5.22) solved for the stride, saturated, times the normalised stride [m].
-
-    Args:
-        gait: frequency, gait factor and normalised stride.
-        stance: the saturating stride `max_stride` [m].
-        speed: commanded [m/s of the controller's clock].
-    """
+    """Stride for a commanded speed [m/s of the controller's clock]: (5.22) solved for the stride, saturated at
+    `max_stride`, times the normalised stride [m]."""
     per_stride = jnp.maximum(gait.frequency * gait.gait_factor, 1e-6)
     return jnp.clip(speed / per_stride, 0.0, stance.max_stride) * gait.stride
 
@@ -144,10 +139,7 @@ def path_curvature(params: ControlParameters, turn_rate: Scalars) -> Scalars:
 
 
 def walked(
-    params: ControlParameters,
-    points: Float[Array, "4 3 2"],
-    stance: Bool[Array, " 4"],
-    turn_rate: Scalar,
+    params: ControlParameters, points: Float[Array, "4 3 2"], stance: Bool[Array, " 4"], turn_rate: Scalar
 ) -> tuple[Scalar, Scalar]:
     """(speed [m/s], yaw rate [rad/s, positive left]) expected from the legs' current strides.
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Container, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 import jax
@@ -12,9 +12,8 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Float
 
-from nermo_mjx.control.controller import Controller
+from nermo_mjx.control.controller import Controller, canonical
 from nermo_mjx.control.protocol import ControllerLike
-from nermo_mjx.control.schedule import scheduled
 from nermo_mjx.dynamics.checkpointing import checkpointed_scan
 from nermo_mjx.dynamics.precision import full_precision
 from nermo_mjx.physics.mjx_engine import Carry, MjxEngine
@@ -23,8 +22,8 @@ from nermo_mjx.robot.geometry import names_geometry
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.rollout import metrics as measures
 from nermo_mjx.rollout.electrical import Supply
-from nermo_mjx.rollout.loop import ClosedLoop, LoopParameters, check_controller, loop_parameters
-from nermo_mjx.rollout.own_metrics import OwnMetric, check_metrics
+from nermo_mjx.rollout.loop import checked_loop, loop_parameters
+from nermo_mjx.rollout.own_metrics import OwnMetric
 from nermo_mjx.rollout.run import Run, StartPose
 from nermo_mjx.rollout.setup import Setup, Window, WorldParameters, with_own
 from nermo_mjx.shapes import Array, Scalar
@@ -87,11 +86,9 @@ class Rollout:
         if any(jnp.ndim(value) for value in lengths if value is not None):
             raise ParameterError("run has one length for each world: a differentiable run takes one for all.")
         self.slowest = slowest
-        self.robot = self.setup.load()
-        self.controller = self.setup.make_controller()
-        check_controller(self.robot, self.controller)
-        check_metrics(self.robot.config, self.setup.own_metrics)
-        self.engine = MjxEngine(self.robot, ClosedLoop(self.robot, self.controller, self.setup.own_metrics))
+        self.loop = checked_loop(self.setup)
+        self.robot, self.controller = self.loop.robot, self.loop.controller
+        self.engine = MjxEngine(self.robot, self.loop)
         self.variation = Variation(self.robot)
         self.start = StartPose(self.robot, self.controller)
 
@@ -139,11 +136,13 @@ class Rollout:
         values = {**self.setup.body, **values}
         params = self._parameters(values, policy)
         body = self.variation.differentiable(params.model, values)
-        loop, ticks = self._loop_parameters(params, self.seconds(values, policy), values)
+        begin, end = self.length.seconds(canonical(self.controller.cycle_rate(params.control)))
+        window = Window(begin=jnp.asarray(begin, float), end=jnp.asarray(end, float), distance=jnp.asarray(1e6))
+        loop = loop_parameters(self.robot, params, window, values)
+        ticks = math.ceil(self.seconds(values, policy) / self.controller.dt - 1e-6) + 1
         if qpos is None:
             geometry = params.model.geometry if names_geometry(values) else None
-            control = scheduled(loop.control, loop.schedule, 0.0, self.controller.cycle_rate(loop.control))
-            qpos = self.start.qpos(control, params.start, loop.terrain, geometry)
+            qpos = self.start.qpos(self.loop.control_at(loop, 0.0), params.start, loop.terrain, geometry)
         first = jnp.asarray(qpos, float)
         still = jnp.zeros((self.robot.model.nv,)) if qvel is None else jnp.asarray(qvel, float)
         carry = self.engine.start(loop, first, still, self.robot.sensordata_at_rest(first))
@@ -170,16 +169,7 @@ class Rollout:
         known = {name: value for name, value in values.items() if not _traced(value)}
         checked = self.setup.world(known, None if _traced(policy) else policy)
         self.setup.check(checked, jointly=len(known) == len(values) and not _traced(policy))
-        return jax.tree.map(_real, params)
-
-    def _loop_parameters(
-        self, params: WorldParameters, seconds: float, named: Container[str]
-    ) -> tuple[LoopParameters, int]:
-        """Parameters of the loop, and the number of ticks that covers a run of the given seconds."""
-        begin, end = self.length.seconds(_real(self.controller.cycle_rate(params.control)))
-        window = Window(begin=jnp.asarray(begin, float), end=jnp.asarray(end, float), distance=jnp.asarray(1e6))
-        loop = loop_parameters(self.robot, params, window, named)
-        return loop, math.ceil(seconds / self.controller.dt - 1e-6) + 1
+        return canonical(params)
 
     def seconds(self, values: Mapping[str, ArrayLike], policy: Any = None) -> float:
         """Simulated time of a run with these values [s]; of the slowest allowed one, if the frequency is traced.
@@ -210,12 +200,6 @@ class Rollout:
 def _traced(tree: Any) -> bool:
     """Whether any leaf is traced."""
     return any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(tree))
-
-
-def _real(leaf: Any) -> Array:
-    """Floats in JAX's default precision; integers and flags are unchanged."""
-    array = jnp.asarray(leaf)
-    return jnp.asarray(array, float) if jnp.issubdtype(array.dtype, jnp.floating) else array
 
 
 # ---
@@ -256,16 +240,14 @@ def value_and_gradient(
         mode: `forward` or `reverse`.
     """
 
-    def forward(point: Array) -> tuple[Array, Array, Any]:
-        def along(way: Array) -> tuple[Array, Array, Any]:
-            value, slope, rest = jax.jvp(function, (point,), (way,), has_aux=True)
-            return value, slope, rest
+    derivative: Any = jax.jacfwd if mode == "forward" else jax.grad
 
-        # Value and auxiliary output do not depend on the direction, so they are computed once.
-        return jax.vmap(along, out_axes=(None, 0, None))(jnp.eye(point.shape[0], dtype=point.dtype))
+    def evaluated(point: Array) -> tuple[Array, Array, Any]:
+        def with_value(point: Array) -> tuple[Array, Any]:
+            value, rest = function(point)
+            return value, (value, rest)
 
-    def reverse(point: Array) -> tuple[Array, Array, Any]:
-        (value, rest), gradient = jax.value_and_grad(function, has_aux=True)(point)
+        gradient, (value, rest) = derivative(with_value, has_aux=True)(point)
         return value, gradient, rest
 
-    return forward if mode == "forward" else reverse
+    return evaluated

@@ -17,7 +17,8 @@ mechanical work. Power that would flow back into the battery is not counted.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from collections.abc import Mapping
+from typing import Final, NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Float
@@ -38,63 +39,34 @@ class Supply(NamedTuple):
         return cls(body.servo, body.battery)
 
 
-class Drawn(NamedTuple):
-    """Sums over all servos, over time.
-
-    Attributes:
-        on: number of servos [s].
-        torque: of the motors' |tau| [N m s].
-        energy: of what they draw beside their idle current [J].
-    """
-
-    on: Scalar
-    torque: Scalar
-    energy: Scalar
+#: Integrals of `drawn`.
+DRAWN: Final = ("servos", "torque", "energy")
 
 
-def motor_torque(torque: Array, velocity: Array, brake: Any) -> Array:
-    """Torque of a servo's output [N m]; see `update`."""
-    return torque if brake is None else torque - brake * velocity
-
-
-def update(
-    drawn: Drawn,
-    torque: Float[Array, "steps n"],
-    velocity: Float[Array, "steps n"],
-    servo: Servo,
-    weight: Scalar,
-) -> Drawn:
-    """Add one control tick.
+def drawn(torque: Float[Array, "steps n"], velocity: Float[Array, "steps n"], servo: Servo) -> dict[str, Scalar]:
+    """Means over a tick of sums over the servos: their number, the motors' |torque| [N m], the power beside idle [W].
 
     Args:
-        drawn: sums so far.
-        torque: of the motors, after what the back-EMF takes [N m].
+        torque: of the motors, after what the back-EMF takes (`Servo.brake`) [N m].
         velocity: of the servos [rad/s].
         servo: parameters.
-        weight: how much of the tick is measured [s].
     """
     per_torque = (servo.stall_current - servo.idle_current) / servo.torque_limit
     heat = NOMINAL_VOLTAGE * per_torque / servo.torque_limit * torque**2
     power = heat + jnp.maximum(1.0, servo.back_emf * per_torque) * torque * velocity
     each = jnp.ones_like(torque), jnp.abs(torque), jnp.maximum(power, 0.0)
-    return Drawn(*(before + weight * now.sum(axis=-1).mean() for before, now in zip(drawn, each, strict=True)))
+    return {name: values.sum(axis=-1).mean() for name, values in zip(DRAWN, each, strict=True)}
 
 
-def result(drawn: Drawn, time: Scalar, supply: Supply) -> dict[str, Scalar]:
-    """The electrical metrics.
-
-    Args:
-        drawn: sums.
-        time: measured [s].
-        supply: parameters.
-    """
+def result(sums: Mapping[str, Scalar], time: Scalar, supply: Supply) -> dict[str, Scalar]:
+    """The electrical metrics, from the integrals of `drawn` over the measured time [s]."""
     servo, battery = supply
     per_torque = (servo.stall_current - servo.idle_current) / servo.torque_limit
-    idle = servo.idle_current * drawn.on / time
-    current = idle + drawn.energy / time / servo.supply_voltage
+    idle = servo.idle_current * sums["servos"] / time
+    current = idle + sums["energy"] / time / servo.supply_voltage
     seconds = 3600.0 * battery.capacity / (current + battery.electronics_current)
     return {
-        "motor_current": idle + per_torque * drawn.torque / time,
+        "motor_current": idle + per_torque * sums["torque"] / time,
         "servo_current": current,
         "electrical_power": servo.supply_voltage * current,
         "charge": current * time,

@@ -18,7 +18,7 @@ from nermo_mjx.kinematics.body import attitude, turned_back
 from nermo_mjx.robot import SERVOS, Sensors
 from nermo_mjx.robot.parameters import servos_by_count
 from nermo_mjx.rollout.path_metrics import root
-from nermo_mjx.shapes import Array, Quaternion, Scalar, Scalars, Spatial
+from nermo_mjx.shapes import Array, Quaternion, Scalar, Spatial
 
 _NECK = SERVOS.index("neck")
 
@@ -31,41 +31,33 @@ class EyeState:
     Attributes:
         angles: pitch and yaw of the head at the last tick [rad]; yaw is unwrapped.
         mean, square: Welford's running mean and sum of squared deviations of the angles.
-        motion: integral of the squared angular speed of the image [rad^2/s].
     """
 
     angles: Float[Array, " 2"]
     mean: Float[Array, " 2"]
     square: Float[Array, " 2"]
-    motion: Scalar
 
 
 def init(sensors: Sensors) -> EyeState:
     """Accumulators before the first tick, from the readings at rest."""
     angles = attitude(head_orientation(sensors))[1:]
     zero = jnp.zeros_like(angles)
-    return EyeState(angles, zero, zero, zero[0])
+    return EyeState(angles, zero, zero)
 
 
 def update(state: EyeState, sensors: Sensors, weight: Scalar, share: Scalar) -> EyeState:
-    """Add one tick.
-
-    Args:
-        state: accumulators so far.
-        sensors: readings of the tick's physics steps, leading axis (steps,).
-        weight: length of the measured part of the tick [s]; `share`: its share of the time measured so far.
-    """
-    last = jax.tree.map(lambda leaf: leaf[-1], sensors)
-    angles = state.angles + wrapped(attitude(head_orientation(last))[1:] - state.angles)
+    """Add one tick, by its last readings, with the length of its measured part [s] and that part's share of the time
+    measured so far."""
+    angles = state.angles + wrapped(attitude(head_orientation(sensors))[1:] - state.angles)
     deviation = angles - state.mean
     mean = state.mean + share * deviation
     square = state.square + weight * deviation * (angles - mean)
-    return EyeState(angles, mean, square, state.motion + weight * (picture_speed(sensors) ** 2).mean())
+    return EyeState(angles, mean, square)
 
 
 def result(state: EyeState, time: Scalar) -> dict[str, Scalar]:
     """The metrics by name; `time` is the measured time [s]."""
-    metrics = {"picture_motion": root(state.motion / time)}
+    metrics = {}
     for i, angle in enumerate(("pitch", "yaw")):
         metrics |= {f"head_{angle}_mean": state.mean[i], f"head_{angle}_std": root(state.square[i] / time)}
     return metrics
@@ -90,12 +82,6 @@ def _tilt_servo(sensors: Sensors) -> int | None:
     """Index of the servo that tilts the head; None if there is none."""
     names = servos_by_count(sensors.servo_angle.shape[-1])
     return names.index("head") if "head" in names else None
-
-
-def picture_speed(sensors: Sensors) -> Scalars:
-    """Angular speed of distant objects across the centre of the image [rad/s]."""
-    rate = head_rate(sensors)
-    return jnp.sqrt(rate[..., 0] ** 2 + rate[..., 2] ** 2 + 1e-12)
 
 
 def head_rate(sensors: Sensors) -> Spatial:

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from nermo_mjx.control.controller import Controller, canonical, with_dtypes_of
-from nermo_mjx.control.loading import named_place, told
+from nermo_mjx.control.loading import named_place, user_code
 from nermo_mjx.control.protocol import ControllerLike, FollowsPath, PlansContact
 from nermo_mjx.control.schedule import Schedule, scheduled
 from nermo_mjx.robot import ParameterError, Robot, Sensors, ServoAngles
@@ -52,14 +52,7 @@ class LoopParameters:
 
 
 def loop_parameters(robot: Robot, world: WorldParameters, window: Window, named: Container[str]) -> LoopParameters:
-    """Parameters of the loop of worlds.
-
-    Args:
-        robot: that runs.
-        world: all parameters.
-        window: when to measure.
-        named: those that are not the robot's defaults.
-    """
+    """Parameters of the loop of worlds, measured in the window; `named` are those that are not the robot's defaults."""
     servo = world.model.servo
     brake = servo.brake if "servo.back_emf" in named else None
     terrain = terrain_of(robot, world)
@@ -189,7 +182,7 @@ def check_controller(robot: Robot, controller: ControllerLike) -> None:
     params = controller.parameters
 
     def traced(name: str, *given: Any, settle: Callable[[Any], Any] = lambda made: made) -> Any:
-        with told(f"{named_place(controller, name)}, which fails"):
+        with user_code(f"{named_place(controller, name)}, which fails"):
             return jax.eval_shape(lambda *args: settle(getattr(controller, name)(*args)), *given)
 
     def refuse(name: str, why: str) -> NoReturn:
@@ -244,7 +237,7 @@ def _check_at_rest(robot: Robot, controller: ControllerLike) -> None:
     start_jax()
     with jax.ensure_compile_time_eval():
         reading = robot.sensordata_at_rest(jnp.asarray(robot.model.qpos0))
-    with told("controller fails"):
+    with user_code("controller fails"):
         made = jax.jit(start)(controller.parameters, reading)
     for name, several in made.items():
         for leaf in jax.tree.leaves(several):
@@ -255,13 +248,19 @@ def _check_at_rest(robot: Robot, controller: ControllerLike) -> None:
                 )
 
 
-def check_code(setup: Setup) -> None:
-    """Reject a setup's own controller or metrics where their functions are wrong, before anything is simulated.
+def checked_loop(setup: Setup) -> ClosedLoop:
+    """The loop of a setup, whose own controller and metrics have been checked.
 
     Raises:
         ParameterError: see `check_controller` and `check_metrics`; its first word is the setup's field.
     """
+    loop = ClosedLoop(setup.load(), setup.make_controller(), setup.own_metrics)
+    check_controller(loop.robot, loop.controller)
+    check_metrics(loop.robot.config, loop.own)
+    return loop
+
+
+def check_code(setup: Setup) -> None:
+    """Reject a setup's own controller or metrics, before anything is simulated; see `checked_loop`."""
     if setup.controller is not None or setup.metrics:
-        robot = setup.load()
-        check_controller(robot, setup.make_controller())
-        check_metrics(robot.config, setup.own_metrics)
+        checked_loop(setup)

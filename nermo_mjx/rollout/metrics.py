@@ -28,9 +28,8 @@ from nermo_mjx.kinematics.body import attitude, uprightness
 from nermo_mjx.robot import LIMBS, ModelParameters, Sensors
 from nermo_mjx.robot.model_parameters import Servo
 from nermo_mjx.rollout import electrical, eye_metrics, path_metrics, reduction, transitions
-from nermo_mjx.rollout.measuring import MeasuredPart, begins_in_run, measured_part
 from nermo_mjx.rollout.own_metrics import ANGLES, METRICS, PAIRS, OwnMetric
-from nermo_mjx.rollout.path_metrics import root
+from nermo_mjx.rollout.path_metrics import MeasuredPart, begins_in_run, measured_part, root
 from nermo_mjx.rollout.setup import Window
 from nermo_mjx.shapes import Array, Scalar, Truth
 
@@ -54,6 +53,9 @@ DEEPEST: Final = 0.006
 #: Share of time without a contact from which a run is no walk.
 FLOATED: Final = 0.5
 GRAVITY: Final = 9.81
+#: Integrals over the measured time of one number: of times [s], work and energy [J], the torque of motors [N m s], the
+#: squared error [m^2 s] and speed of the image [rad^2/s]. Others are of the feet: times [s], ways [m], forces [N s].
+SUMS: Final = ("work", "tail_loaded", "clamped", "airborne", "sunk", "square_error", "image", *electrical.DRAWN)
 
 
 class Ending(enum.Enum):
@@ -89,27 +91,20 @@ class MetricState:
     """Accumulators of one world.
 
     Attributes:
-        time, work, way: measured time [s], positive servo work [J], distance along the smoothed heading [m].
+        time, way: measured time [s], distance along the smoothed heading [m].
         travelled: distance since the start, including the warm-up [m].
+        sums: integrals over the measured time, by name; `update` has their integrands.
         mean, square: Welford's running mean and sum of squared deviations of (roll, pitch, yaw).
         readings: (roll, pitch, yaw, cross-track error) at the last tick [rad, m]; yaw is unwrapped.
         low, high: extremes of the readings.
         course, turning: smoothed yaw [rad] and its rate [rad/s].
         position: IMU at the last tick; origin, end: positions where measuring began and ended, (3,) each.
         heading: yaw where measuring began and ended (2,) [rad].
-        loaded, slid: time each foot was loaded [s], and the distance it slid meanwhile [m], (4,) each.
-        swing, swing_loaded: time of each foot's commanded swing, and the part of it with the foot loaded, (4,) each
-        [s].
-        load: force on each foot over time (4,), and on the tail [N s].
-        tail_loaded: time the tail was loaded [s].
         path: how the path was followed.
         eyes: motion of the eyes.
-        drawn: what the servos draw.
-        clamped, airborne, sunk: time with a servo asked for more than its range, without any contact, and with one that
-            is deeper than the sole is thick [s].
         penetration: depth of the deepest contact since the start [m].
         own: accumulators of custom metrics; None without any.
-        transition: while switches act; None without a schedule.
+        switching_roll: largest roll while switches act [rad]; None without a schedule.
         on_path: whether the pilot has a path.
         lost: whether the readings have become invalid, including after the run's end.
         failure_time: end of the tick in which the run failed [s]; 0 until then.
@@ -117,9 +112,9 @@ class MetricState:
     """
 
     time: Scalar
-    work: Scalar
     way: Scalar
     travelled: Scalar
+    sums: dict[str, Array]
     mean: Float[Array, " 3"]
     square: Float[Array, " 3"]
     readings: Float[Array, " 4"]
@@ -131,21 +126,11 @@ class MetricState:
     origin: Float[Array, " 3"]
     end: Float[Array, " 3"]
     heading: Float[Array, " 2"]
-    loaded: Float[Array, " 4"]
-    slid: Float[Array, " 4"]
-    swing: Float[Array, " 4"]
-    swing_loaded: Float[Array, " 4"]
-    load: Float[Array, " 5"]
-    tail_loaded: Scalar
     path: path_metrics.PathState
     eyes: eye_metrics.EyeState
-    drawn: electrical.Drawn
-    clamped: Scalar
-    airborne: Scalar
-    sunk: Scalar
     penetration: Scalar
     own: reduction.OwnState | None
-    transition: transitions.TransitionState | None
+    switching_roll: Scalar | None
     on_path: Truth
     lost: Truth
     failure_time: Scalar
@@ -161,16 +146,18 @@ def init(sensors: Sensors, own: tuple[OwnMetric, ...] = (), switches: bool = Fal
     zero, three, four = jnp.zeros((), position.dtype), jnp.zeros_like(position), jnp.zeros_like(sensors.foot_force)
     readings = jnp.append(angles, zero)
     no = jnp.zeros((), bool)
+    sums = dict.fromkeys(SUMS, zero) | dict.fromkeys(("loaded", "slid", "swing", "swing_loaded"), four)
+    if switches:
+        sums |= dict.fromkeys(("switching_slid", "switching_loaded"), zero)
+        sums |= dict.fromkeys(("switching_time", "switching_way"), jnp.zeros(3, zero.dtype))
     return MetricState(
-        time=zero, work=zero, way=zero, travelled=zero, mean=three, square=three, readings=readings,
-        low=readings + jnp.inf, high=readings - jnp.inf, course=angles[2], turning=zero, position=position,
-        origin=position, end=position, heading=jnp.stack([angles[2], angles[2]]), loaded=four, slid=four,
-        swing=four, swing_loaded=four, load=jnp.append(four, zero), tail_loaded=zero, path=path_metrics.init(position),
-        eyes=eye_metrics.init(sensors), drawn=electrical.Drawn(zero, zero, zero), clamped=zero, airborne=zero,
-        sunk=zero, penetration=zero,
+        time=zero, way=zero, travelled=zero, sums=sums | {"load": jnp.append(four, zero)}, mean=three, square=three,
+        readings=readings, low=readings + jnp.inf, high=readings - jnp.inf, course=angles[2], turning=zero,
+        position=position, origin=position, end=position, heading=jnp.stack([angles[2], angles[2]]),
+        path=path_metrics.init(position), eyes=eye_metrics.init(sensors), penetration=zero,
         own=reduction.init(own, sensors) if own else None,
-        transition=transitions.init(zero) if switches else None, on_path=no,
-        lost=no, failure_time=zero, fell=no, diverged=no, begun=no, finished=no,
+        switching_roll=zero if switches else None, on_path=no, lost=no, failure_time=zero, fell=no,
+        diverged=no, begun=no, finished=no,
     )  # fmt: skip
 
 
@@ -209,8 +196,8 @@ def update(
         transition: when it begins and ends [s], with a schedule.
     """
     # If the accelerometer is non-finite, so are the velocities one step later; not reading it saves computing it.
-    told = jax.tree.leaves(dataclasses.replace(sensors, accelerometer=sensors.gyro))
-    finite = jnp.stack([jnp.isfinite(leaf).all() for leaf in told]).all()
+    leaves = jax.tree.leaves(dataclasses.replace(sensors, accelerometer=sensors.gyro))
+    finite = jnp.stack([jnp.isfinite(leaf).all() for leaf in leaves]).all()
     lost = state.lost | ~finite | (jnp.abs(sensors.linear_velocity).max() > DIVERGED_SPEED)
     # Invalid readings are replaced, so that no NaN reaches the accumulators.
     sensors = jax.tree.map(lambda leaf: jnp.where(lost | ~jnp.isfinite(leaf), 0.0, leaf), sensors)
@@ -246,24 +233,41 @@ def update(
     readings = jnp.append(angles, error)
     low, high = _extremes(state, readings, part)
 
-    torque = electrical.motor_torque(sensors.servo_torque, sensors.servo_velocity, brake)
-    power = jnp.maximum(torque * sensors.servo_velocity, 0.0).sum(axis=-1).mean()
+    torque = sensors.servo_torque if brake is None else sensors.servo_torque - brake * sensors.servo_velocity
     contact = _share_loaded(sensors.foot_force)
-    bears = part.weight * contact.mean(axis=0)
-    swings = jnp.zeros_like(bears) if stance is None else jnp.where(stance, 0.0, 1.0).astype(bears.dtype)
-    force = jnp.append(sensors.foot_force.mean(axis=0), sensors.tail_force.mean())
+    loaded = contact.mean(axis=0)
+    swing = jnp.zeros_like(loaded) if stance is None else jnp.where(stance, 0.0, 1.0).astype(loaded.dtype)
     speed = jnp.sqrt(jnp.sum(sensors.foot_velocity[..., :2] ** 2, axis=-1) + 1e-12)
-    switching = None
-    if state.transition is not None and transition is not None:
-        slid, feet = (contact * speed).mean(axis=0).sum(), contact.mean(axis=0).sum()
-        switching = transitions.update(
-            state.transition, transition, time, part.weight, angles[0], slid, feet, step / dt
-        )
+    slid = (contact * speed).mean(axis=0)
+    turning_head = eye_metrics.head_rate(sensors)
+    # Angular speed of distant objects across the centre of the image [rad/s].
+    image = jnp.sqrt(turning_head[..., 0] ** 2 + turning_head[..., 2] ** 2 + 1e-12)
+    integrands = {
+        "work": jnp.maximum(torque * sensors.servo_velocity, 0.0).sum(axis=-1).mean(),
+        "loaded": loaded,
+        "slid": slid,
+        "swing": swing,
+        "load": jnp.append(sensors.foot_force.mean(axis=0), sensors.tail_force.mean()),
+        "tail_loaded": _share_loaded(sensors.tail_force).mean(),
+        "clamped": clamped,
+        "airborne": jnp.mean(sensors.contact_distance >= 0.0),
+        "sunk": jnp.mean(sensors.contact_distance < -SUNK),
+        "square_error": error**2,
+        "image": (image**2).mean(),
+        **electrical.drawn(torque, sensors.servo_velocity, servo or ModelParameters().servo),
+    }
+    measured = {name: part.weight * value for name, value in integrands.items()}
+    measured["swing_loaded"] = swing * measured["loaded"]
+    roll = state.switching_roll
+    if transition is not None and roll is not None:
+        feet = slid.sum(), loaded.sum()
+        measured |= transitions.integrals(transition, time, part.weight, *feet, step / dt)
+        roll = jnp.maximum(roll, jnp.where(measured["switching_time"][1] > 0.0, jnp.abs(angles[0]), 0.0))
     return MetricState(
         time=part.elapsed,
-        work=state.work + part.weight * power,
         way=state.way + part.weight / dt * step,
         travelled=travelled,
+        sums={name: state.sums[name] + value for name, value in measured.items()},
         mean=mean,
         square=state.square + part.weight * deviation * (angles - mean),
         readings=readings,
@@ -275,27 +279,15 @@ def update(
         origin=origin,
         end=jnp.where(part.inside, _between(state.position, last.position, part.end), state.end),
         heading=heading,
-        loaded=state.loaded + bears,
-        slid=state.slid + part.weight * (contact * speed).mean(axis=0),
-        swing=state.swing + part.weight * swings,
-        swing_loaded=state.swing_loaded + swings * bears,
-        load=state.load + part.weight * force,
-        tail_loaded=state.tail_loaded + part.weight * _share_loaded(sensors.tail_force).mean(),
         path=path_metrics.update(
             state.path, (last.position - origin)[:2], error, part.weight, part.rest, part.cycle_ends
         ),
-        eyes=eye_metrics.update(state.eyes, sensors, part.weight, share),
-        drawn=electrical.update(
-            state.drawn, torque, sensors.servo_velocity, servo or ModelParameters().servo, part.weight
-        ),
-        clamped=state.clamped + part.weight * clamped,
-        airborne=state.airborne + part.weight * jnp.mean(sensors.contact_distance >= 0.0),
-        sunk=state.sunk + part.weight * jnp.mean(sensors.contact_distance < -SUNK),
+        eyes=eye_metrics.update(state.eyes, last, part.weight, share),
         penetration=jnp.where(
             judged & ~lost, jnp.maximum(state.penetration, -sensors.contact_distance.min()), state.penetration
         ),
         own=None if state.own is None else reduction.update(own, state.own, sensors, part, share, ~lost & (time > 0.0)),
-        transition=switching,
+        switching_roll=roll,
         on_path=jnp.asarray(path is not None),
         lost=lost,
         failure_time=jnp.where(judged & (fallen | lost), time, state.failure_time),
@@ -355,7 +347,7 @@ def result(
         supply: servos and battery; the defaults if None.
         own: custom metrics, the same as for `init`.
     """
-    begun = state.begun
+    begun, sums = state.begun, state.sums
     time, moved = jnp.where(begun, state.time, 1.0), begun & (state.way > SHORTEST_WAY)
     std = root(state.square / time)
     metrics = {
@@ -363,50 +355,50 @@ def result(
         "distance": state.way,
         "lateral_drift": state.end[0] - state.origin[0],
         "cross_track_peak": jnp.maximum(state.high[3], -state.low[3]),
-        "cross_track_rms": root(state.path.square / time),
+        "cross_track_rms": root(sums["square_error"] / time),
         "cross_track_walked": state.path.walked,
         "turning_radius": path_metrics.radius(state.path),
         "turn_rate": (state.heading[1] - state.heading[0]) / time,
-        "slip": _share(state.slid.sum(), state.loaded.sum()),
-        "front_load_share": _share(state.load[PAIRS["front"]].sum(), state.load[:4].sum()),
-        "tail_time": state.tail_loaded / time,
-        "tail_load_share": _share(state.load[4], state.load.sum()),
+        "slip": _share(sums["slid"].sum(), sums["loaded"].sum()),
+        "front_load_share": _share(sums["load"][PAIRS["front"]].sum(), sums["load"][:4].sum()),
+        "tail_time": sums["tail_loaded"] / time,
+        "tail_load_share": _share(sums["load"][4], sums["load"].sum()),
         "cost_of_transport": jnp.where(
-            moved, state.work / (mass * gravity * jnp.where(moved, state.way, 1.0)), jnp.nan
+            moved, sums["work"] / (mass * gravity * jnp.where(moved, state.way, 1.0)), jnp.nan
         ),
     }
     for i, angle in enumerate(ANGLES):
         values = {"mean": state.mean[i], "std": std[i], "min": state.low[i], "max": state.high[i]}
         metrics |= {f"{angle}_{name}": value for name, value in values.items()}
-    metrics |= eye_metrics.result(state.eyes, time)
-    metrics |= {} if state.transition is None else transitions.result(state.transition)
-    metrics |= electrical.result(state.drawn, time, supply or electrical.Supply.of(ModelParameters()))
+    metrics |= eye_metrics.result(state.eyes, time) | {"picture_motion": root(sums["image"] / time)}
+    metrics |= {} if state.switching_roll is None else transitions.result(sums, state.switching_roll)
+    metrics |= electrical.result(sums, time, supply or electrical.Supply.of(ModelParameters()))
     metrics |= {
         "electrical_cost_of_transport": jnp.where(
             moved, metrics["electrical_power"] * time / (mass * gravity * jnp.where(moved, state.way, 1.0)), jnp.nan
         ),
-        "servo_clamped": state.clamped / time,
-        "airborne_time": state.airborne / time,
+        "servo_clamped": sums["clamped"] / time,
+        "airborne_time": sums["airborne"] / time,
         "penetration": state.penetration,
-        "sunk_time": state.sunk / time,
+        "sunk_time": sums["sunk"] / time,
     }
     for i, limb in enumerate(LIMBS):
         metrics |= {
-            f"duty_{limb}": state.loaded[i] / time,
-            f"slip_{limb}": _share(state.slid[i], state.loaded[i]),
-            f"load_{limb}": state.load[i] / time,
+            f"duty_{limb}": sums["loaded"][i] / time,
+            f"slip_{limb}": _share(sums["slid"][i], sums["loaded"][i]),
+            f"load_{limb}": sums["load"][i] / time,
         }
     for name, feet in PAIRS.items():
         metrics |= {
-            f"loaded_{name}": state.loaded[feet].mean() / time,
-            f"swing_loaded_{name}": _share(state.swing_loaded[feet], state.swing[feet]).mean(),
+            f"loaded_{name}": sums["loaded"][feet].mean() / time,
+            f"swing_loaded_{name}": _share(sums["swing_loaded"][feet], sums["swing"][feet]).mean(),
         }
     for name, value in metrics.items():
         known = begun & state.on_path if name.startswith("cross_track") else begun
         metrics[name] = jnp.where(known, value, jnp.nan)
     metrics |= {
         "duration": state.time,
-        "servo_work": state.work,
+        "servo_work": sums["work"],
         "fell": state.fell.astype(time.dtype),
         "diverged": state.diverged.astype(time.dtype),
         "failure_time": jnp.where(state.fell | state.diverged, state.failure_time, jnp.nan),

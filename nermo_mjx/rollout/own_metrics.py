@@ -15,9 +15,9 @@ import jax.numpy as jnp
 import numpy as np
 from pydantic import BaseModel, Field
 
-from nermo_mjx.control.loading import content_of_source, module_of, no_such_name, told
+from nermo_mjx.control.loading import Source, user_code
 from nermo_mjx.files import MOST_JSON, json_of, read_bytes
-from nermo_mjx.robot import LIMBS, ParameterError, Robot, RobotConfig, Sensors, load_robot
+from nermo_mjx.robot import LIMBS, ParameterError, RobotConfig, Sensors, load_robot
 from nermo_mjx.robot.quantity import did_you_mean
 from nermo_mjx.runtime import start_jax
 from nermo_mjx.trust import RUNS_CODE
@@ -172,7 +172,8 @@ def metric(
         name = getattr(function, "__name__", type(function).__name__)
         if not callable(function) or not name.isidentifier():
             raise ParameterError(f"metrics has {name}: expected a function with a name, which the column gets.")
-        found = OwnMetric(unit, _first_line(function) or f"{reduce} of {name}", better, name, function, reduce)
+        doc = (getattr(function, "__doc__", None) or "").strip().partition("\n")[0].rstrip(".")
+        found = OwnMetric(unit, doc or f"{reduce} of {name}", better, name, function, reduce)
         if not isinstance(unit, str) or not unit:
             raise ParameterError(f"metrics has {found.place} with the unit {unit!r}: expected a text, such as 'rad/s'.")
         for field, value, allowed in (("better", better, (None, *SIDES)), ("reduce", reduce, REDUCTIONS)):
@@ -195,17 +196,18 @@ def load_metrics(where: str) -> tuple[OwnMetric, ...]:
         ParameterError: the file, module or name does not exist, cannot be imported, or contains no metric.
         FileError: nothing may be run here, and what says what is in the file is damaged.
     """
-    source, name = parts_of(where)
-    if not RUNS_CODE.get() and (known := _read_only(where, source, name)) is not None:
+    source = source_of(where)
+    name = source.name
+    if not RUNS_CODE.get() and (known := _read_only(source)) is not None:
         return known
-    module = module_of(f"metrics has {where!r}", source, FORM)
+    module = source.module()
     found = {key: each for key, each in vars(module).items() if isinstance(each, OwnMetric)}
     if name in vars(module) and name not in found:
-        raise ParameterError(f"metrics has {where!r}: {name} is no metric; write @metric(unit=...) above its function.")
+        raise ParameterError(f"{source.subject}: {name} is no metric; write @metric(unit=...) above its function.")
     if name and name not in found:
-        raise no_such_name(f"metrics has {where!r}", source, name, list(found))
+        raise source.missing(list(found))
     if not found:
-        raise ParameterError(f"metrics has {where!r}: it has no metric; write @metric(unit=...) above a function.")
+        raise ParameterError(f"{source.subject}: it has no metric; write @metric(unit=...) above a function.")
     return tuple(each for key, each in found.items() if name in ("", key))
 
 
@@ -225,33 +227,27 @@ class _Kept(BaseModel, extra="forbid"):
 def kept_metrics(named: Iterable[str]) -> bytes:
     """The content of `KEPT`: digest of a file -> name, unit, meaning and side of each metric in it that is named."""
     found: dict[str, list[dict[str, Any]]] = {}
-    for where in (each for each in named if parts_of(each)[0].endswith(".py")):
-        found.setdefault(digest_of_file(where), []).extend(
+    for where in (each for each in named if source_of(each).place.endswith(".py")):
+        found.setdefault(_digest_of_file(source_of(where)), []).extend(
             {field: getattr(each, field) for field in _Kept.model_fields} for each in load_metrics(where)
         )
     return (json.dumps(found, indent=2) + "\n").encode()
 
 
-def _read_only(where: str, source: str, name: str) -> tuple[OwnMetric, ...] | None:
+def _read_only(source: Source) -> tuple[OwnMetric, ...] | None:
     """What is known of a file's metrics without running it; None if nothing is."""
-    path = Path(source).with_name(KEPT)
-    if not source.endswith(".py") or not path.exists():
+    path = Path(source.place).with_name(KEPT)
+    if not source.place.endswith(".py") or not path.exists():
         return None
-    known = json_of(read_bytes(path, MOST_JSON), dict[str, list[_Kept]], path)
-    several = known.get(digest_of_file(where))
+    several = json_of(read_bytes(path, MOST_JSON), dict[str, list[_Kept]], path).get(_digest_of_file(source))
     if several is None:
         return None
     found = [OwnMetric(**about, function=lambda sensors: sensors.gyro[0]) for about in several]
-    return tuple(each for each in found if name in ("", each.name))
+    return tuple(each for each in found if source.name in ("", each.name))
 
 
-def digest_of_file(where: str) -> str:
-    """A hash of the file that metrics are in.
-
-    Raises:
-        ParameterError: it cannot be read.
-    """
-    return hashlib.sha256(content_of_source(f"metrics has {where!r}", parts_of(where)[0], FORM)[1]).hexdigest()
+def _digest_of_file(source: Source) -> str:
+    return hashlib.sha256(source.content()[1]).hexdigest()
 
 
 def metrics_digest(where: str) -> str:
@@ -260,27 +256,16 @@ def metrics_digest(where: str) -> str:
     Raises:
         ParameterError: see `load_metrics`.
     """
-    source, _ = parts_of(where)
-    _, content = content_of_source(f"metrics has {where!r}", source, FORM)
-    names = "\0".join(each.name for each in load_metrics(where))
-    return hashlib.sha256(f"{names}\0".encode() + content).hexdigest()[:16]
+    return source_of(where).digest(*(each.name for each in load_metrics(where)))
 
 
-def parts_of(where: str) -> tuple[str, str]:
-    """The file or module of a text that names metrics, and the name; "" without one.
+def source_of(where: str) -> Source:
+    """The file or module of a text that names metrics, and the name in it.
 
     Raises:
         ParameterError: the text has another form.
     """
-    source, colon, name = where.rpartition(":") if not where.endswith(".py") else (where, "", "")
-    source, name = (source, name) if colon else (where, "")
-    if not source or (colon and not name.isidentifier()):
-        raise ParameterError(f"metrics has {where!r}: expected {FORM}.")
-    return source, name
-
-
-def _first_line(function: Any) -> str:
-    return (getattr(function, "__doc__", None) or "").strip().partition("\n")[0].rstrip(".")
+    return Source.named("metrics has", where, FORM)
 
 
 @functools.lru_cache(maxsize=32)
@@ -303,22 +288,16 @@ def check_metrics(config: RobotConfig, metrics: tuple[OwnMetric, ...]) -> None:
     with jax.ensure_compile_time_eval():
         reading = np.asarray(robot.sensordata_at_rest(jnp.asarray(robot.model.qpos0)))
     for each in metrics:
-        value = _tried(robot, each, reading)
+        with user_code(f"metrics has {each.place}, which fails"):
+            given = jax.jit(each.function)(robot.sensors(jnp.asarray(reading)))
+        if not isinstance(given, jax.Array) or given.shape or jnp.issubdtype(given.dtype, jnp.complexfloating):
+            raise ParameterError(f"metrics has {each.place}, which gives {described(given)}: expected one number.")
+        value = np.asarray(given, float)
         if not np.isfinite(value):
             raise ParameterError(
                 f"metrics has {each.place}, which gives {float(value):g} for a robot at rest, where forces and "
                 "velocities are 0: guard it, as by jnp.where."
             )
-
-
-def _tried(robot: Robot, each: OwnMetric, reading: np.ndarray) -> np.ndarray:
-    """A function's result for a reading, compiled."""
-    sensors = robot.sensors(jnp.asarray(reading))
-    with told(f"metrics has {each.place}, which fails"):
-        given = jax.jit(each.function)(sensors)
-    if not isinstance(given, jax.Array) or given.shape or jnp.issubdtype(given.dtype, jnp.complexfloating):
-        raise ParameterError(f"metrics has {each.place}, which gives {described(given)}: expected one number.")
-    return np.asarray(given, float)
 
 
 def described(given: Any) -> str:

@@ -1,19 +1,110 @@
-"""Path error, and the circle that was walked; part of the metrics, with the same interface.
+"""The measured part of a control tick, and how the path is followed from gait cycle to gait cycle.
 
-The torso sways by about a centimetre in each gait cycle. So the error is reported twice: at any time, and for the mean
-position over a gait cycle, which is the path that the robot walks. A tick in which a cycle ends is split between both
-cycles.
+The warm-up, the run and the gait cycles end between two ticks. If only whole ticks were counted, a metric would jump
+whenever a small change of a parameter moves such an end into the next tick, and a gradient would miss it.
 """
 
 from __future__ import annotations
 
 import dataclasses
+from typing import Any, Final, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Float
 
+from nermo_mjx.rollout.setup import Window
 from nermo_mjx.shapes import Array, Scalar, Scalars, Truth
+
+#: A tick that begins less than this share of its length before the run's end counts as after it: the accuracy of
+#: float32 time within two minutes. With this, results do not depend on how far beyond its end a world is simulated for
+#: others in its batch.
+_ROUNDING: Final = 1e-3
+
+
+class MeasuredPart(NamedTuple):
+    """The measured part of a tick.
+
+    Attributes:
+        elapsed: measured time until its end [s].
+        weight: its length [s]; rest: the part of it that belongs to the next gait cycle [s].
+        begin, end: where in the tick measuring begins and ends: 0 is its start, 1 its end; `begin` is negative if it
+            began in an earlier tick, and 1 if it has not begun.
+        inside: whether any part of the tick is measured.
+        cycle_ends: whether a gait cycle ends in it, counted from where measuring began.
+        arrived: whether measuring ends with that cycle, since the requested distance is covered.
+    """
+
+    elapsed: Scalar
+    weight: Scalar
+    rest: Scalar
+    begin: Scalar
+    end: Scalar
+    inside: Truth
+    cycle_ends: Truth
+    arrived: Truth
+
+
+def measured_part(
+    window: Window,
+    elapsed: Scalar,
+    cycles: Scalar,
+    time: Scalar,
+    dt: float,
+    cycle_rate: Any,
+    goes_on: Truth,
+    far_enough: Truth,
+) -> MeasuredPart:
+    """The part of the tick [time - dt, time] that lies in the window.
+
+    Args:
+        window: when to measure.
+        elapsed: measured time before the tick [s].
+        cycles: gait cycles that have ended since measuring began.
+        time: at the end of the tick [s].
+        dt: length of the tick [s].
+        cycle_rate: gait cycles per simulated second.
+        goes_on: false once measuring has ended: by a fall, a divergence or the requested distance.
+        far_enough: whether the requested distance is covered.
+    """
+    since = time - window.begin
+    # Time is clamped, not accumulated, and the weights are its differences, so they sum to the window to the last
+    # digit. `where` instead of `clip`: on a tick's boundary all metrics have one-sided derivatives of the same side.
+    limited = jnp.where(time >= window.end, window.end - window.begin, since)
+    now = jnp.where(goes_on & (since > 0.0) & begins_in_run(window, time, dt), limited, elapsed)
+    inside = now > elapsed
+
+    past = now * cycle_rate - (cycles + 1.0)
+    # A window of whole cycles ends with one, whatever the rounding of its ends.
+    cycle_ends = inside & (past >= -16 * jnp.finfo(now.dtype).eps * time * cycle_rate)
+    rest = jnp.where(cycle_ends, past / jnp.where(cycle_ends, cycle_rate, 1.0), 0.0)
+    # A discrete event that is not differentiable: tunings run without a distance.
+    arrived = cycle_ends & far_enough
+    now, rest = now - jnp.where(arrived, rest, 0.0), jnp.where(arrived, 0.0, rest)
+    return MeasuredPart(
+        elapsed=now,
+        weight=now - elapsed,
+        rest=rest,
+        begin=jnp.minimum(1.0 - since / dt, 1.0),
+        end=1.0 - (since - now) / dt,
+        inside=inside,
+        cycle_ends=cycle_ends,
+        arrived=arrived,
+    )
+
+
+def begins_in_run(window: Window, time: Scalar, dt: float) -> Truth:
+    """Whether the tick [time - dt, time] begins before the run's end, which every world of a batch simulates."""
+    return time - window.end < (1.0 - _ROUNDING) * dt
+
+
+# ---
+# Path error, and the circle that was walked; part of the metrics, with the same interface.
+#
+# The torso sways by about a centimetre in each gait cycle. So the error is reported twice: at any time, and for the
+# mean position over a gait cycle, which is the path that the robot walks. A tick in which a cycle ends is split between
+# both cycles.
+
 
 #: The fit of a circle is meaningless for flatter paths: smallest share of the path's spread across its main direction.
 FLAT = 1e-5
@@ -28,14 +119,12 @@ class PathState:
     """Accumulators of one world.
 
     Attributes:
-        square: integral of the squared cross-track error [m^2 s].
         walked: largest of the cross-track errors' means over whole gait cycles [m].
         error, place, time: integrals over the current cycle of the error and the position (x, y) [m s], and its length
             so far [s].
         cycles, first, second, third: moments of the cycles' mean positions p: their number, p, p p^T, |p|^2 p.
     """
 
-    square: Scalar
     walked: Scalar
     error: Scalar
     place: Float[Array, " 2"]
@@ -50,18 +139,13 @@ def init(position: Float[Array, " 3"]) -> PathState:
     """Accumulators before the first tick; `position` gives the precision."""
     zero, two = jnp.zeros((), position.dtype), jnp.zeros((2,), position.dtype)
     return PathState(
-        square=zero, walked=zero, error=zero, place=two, time=zero, cycles=zero, first=two,
-        second=jnp.zeros((2, 2), position.dtype), third=two,
+        walked=zero, error=zero, place=two, time=zero, cycles=zero, first=two, second=jnp.zeros((2, 2), position.dtype),
+        third=two,
     )  # fmt: skip
 
 
 def update(
-    state: PathState,
-    place: Float[Array, " 2"],
-    error: Scalar,
-    weight: Scalar,
-    rest: Scalar,
-    cycle_ends: Truth,
+    state: PathState, place: Float[Array, " 2"], error: Scalar, weight: Scalar, rest: Scalar, cycle_ends: Truth
 ) -> PathState:
     """Add one tick.
 
@@ -78,7 +162,6 @@ def update(
     mean, ended = sum_place * per_time, cycle_ends.astype(time.dtype)
     kept = 1.0 - ended
     return PathState(
-        square=state.square + weight * error**2,
         walked=jnp.maximum(state.walked, ended * jnp.abs(sum_error) * per_time),
         error=kept * sum_error + rest * error,
         place=kept * sum_place + rest * place,

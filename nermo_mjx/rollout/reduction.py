@@ -16,9 +16,8 @@ import jax.numpy as jnp
 from jaxtyping import Float
 
 from nermo_mjx.robot import Sensors
-from nermo_mjx.rollout.measuring import MeasuredPart
 from nermo_mjx.rollout.own_metrics import OwnMetric
-from nermo_mjx.rollout.path_metrics import root
+from nermo_mjx.rollout.path_metrics import MeasuredPart, root
 from nermo_mjx.shapes import Array, Scalar, Truth
 
 
@@ -50,12 +49,7 @@ def init(metrics: tuple[OwnMetric, ...], sensors: Sensors) -> OwnState:
 
 
 def update(
-    metrics: tuple[OwnMetric, ...],
-    state: OwnState,
-    sensors: Sensors,
-    part: MeasuredPart,
-    share: Scalar,
-    meant: Truth,
+    metrics: tuple[OwnMetric, ...], state: OwnState, sensors: Sensors, part: MeasuredPart, share: Scalar, meant: Truth
 ) -> OwnState:
     """Add one control tick.
 
@@ -87,14 +81,7 @@ def update(
 
 
 def result(metrics: tuple[OwnMetric, ...], state: OwnState, begun: Truth, time: Scalar) -> dict[str, Scalar]:
-    """The metrics of one world by name; NaN if nothing was measured.
-
-    Args:
-        metrics: k of them.
-        state: accumulators at the end.
-        begun: whether anything was measured.
-        time: measured [s]; nonzero if nothing was measured.
-    """
+    """The metrics of one world by name; NaN if nothing was measured. `time` is the measured one [s], never 0."""
     variance = state.square / time
     reduced = {
         "mean": state.mean,

@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from nermo_mjx.control.controller import Controller, published_controller
 from nermo_mjx.control.head_and_tail import TAIL_MOTIONS
-from nermo_mjx.control.loading import check_form, load_controller, named_place, told
+from nermo_mjx.control.loading import check_form, load_controller, named_place, user_code
 from nermo_mjx.control.parameters import (
     ControlParameters,
     ProfileSteering,
@@ -82,16 +82,6 @@ class WorldParameters:
     schedule: Schedule | None = None
 
 
-def check_ranges(world: WorldParameters, timestep: float) -> None:
-    """Reject parameters that are not finite, out of range, or not allowed by the time step [s]; see `Setup.check`."""
-    check_quantities(world)
-    for name, about in bounded_by_step(dict(quantities(ModelParameters)), timestep).items():
-        part, field = name.split(".")
-        about.check(name, getattr(getattr(world.model, part), field))
-    check_geometry(world.model.geometry)
-    check_servo(world.model.servo.kp, world.model.servo.kv, timestep)
-
-
 def bounded_by_step(known: Mapping[str, Quantity], timestep: float) -> dict[str, Quantity]:
     """The parameters whose range depends on the time step, with their remaining range."""
     contact, kp, kv = (known[name] for name in ("contact.time_constant", "servo.kp", "servo.kv"))
@@ -127,22 +117,6 @@ def check_spine(spine: str, robot: str) -> None:
                 f"spine is {spine!r}: {mode} bends vertical spine joints, which robot {robot!r} does not have; it goes "
                 "with robot 'nermo_41'."
             )
-
-
-def check_kinds(metrics: Sequence[Any]) -> None:
-    """Reject objects that are no custom metrics."""
-    for each in metrics:
-        if not isinstance(each, (str, OwnMetric)):
-            raise ParameterError(f"metrics has {each!r}: expected a function under @metric, or its FILE.py:NAME.")
-
-
-def check_timestep(timestep: float, period: float) -> None:
-    """Reject time steps [s] that do not divide the controller's period [s]."""
-    ratio = period / timestep
-    if abs(ratio - round(ratio)) > 1e-9 * ratio or round(ratio) < 1:
-        raise ParameterError(
-            f"timestep is {timestep}: allowed is the control period {period:g} s divided by a whole number."
-        )
 
 
 def check_names(controller: ControllerLike, metrics: Sequence[OwnMetric]) -> None:
@@ -274,8 +248,14 @@ class Setup:
             raise ParameterError(f"tail_motion is {motion!r} and tail 'rigid': take the tail 'articulated'.")
         given: Any = self.metrics
         object.__setattr__(self, "metrics", (given,) if isinstance(given, (str, OwnMetric)) else tuple(given))
-        check_kinds(self.metrics)
-        check_timestep(self.timestep, self._unbalanced.dt)
+        for each in self.metrics:
+            if not isinstance(each, (str, OwnMetric)):
+                raise ParameterError(f"metrics has {each!r}: expected a function under @metric, or its FILE.py:NAME.")
+        ratio = (period := self._unbalanced.dt) / self.timestep
+        if abs(ratio - round(ratio)) > 1e-9 * ratio or round(ratio) < 1:
+            raise ParameterError(
+                f"timestep is {self.timestep}: allowed is the control period {period:g} s divided by a whole number."
+            )
         for field in dataclasses.fields(self):
             if not self._applies(field.name) and getattr(self, field.name) != field.default:
                 raise ParameterError(
@@ -294,23 +274,25 @@ class Setup:
 
     def fields(self) -> dict[str, Any]:
         """The applicable choices as JSON values; an object is represented by its type's name."""
-        given = {
-            field.name: getattr(self, field.name) for field in dataclasses.fields(self) if self._applies(field.name)
-        }
-        named = tuple(each if isinstance(each, str) else each.name for each in given.pop("metrics"))
-        given |= {"metrics": named} if named else {}
-        switches = [switch.written() for switch in given.pop("schedule")]
-        given |= (
-            {"steering": str(self.steering)} if "steering" in given else {}
-        )  # without the type that YAML cannot write
-        written = {name: value if value is None or isinstance(value, (str, int, float, tuple)) else type(value).__name__
-                   for name, value in given.items()}  # fmt: skip
+        given = {each.name: getattr(self, each.name) for each in dataclasses.fields(self) if self._applies(each.name)}
+        own, switches = given.pop("metrics"), [switch.written() for switch in given.pop("schedule")]
+        if own:
+            given["metrics"] = tuple(each if isinstance(each, str) else each.name for each in own)
+        if "steering" in given:
+            given["steering"] = str(self.steering)  # without the type that YAML cannot write
+        plain = (str, int, float, tuple, type(None))
+        written = {name: value if isinstance(value, plain) else type(value).__name__ for name, value in given.items()}
         return written | ({"schedule": switches} if switches else {})
+
+    @property
+    def _start(self) -> Switch:
+        """The modes at the start."""
+        return Switch(0.0, spine=self.spine, head=self.head, tail_motion=self.tail_motion)
 
     @functools.cached_property
     def modes(self) -> dict[str, tuple[str, ...]]:
         """Modes of the spine, the head and the tail that act at any time of the run, by the choice that makes them."""
-        each = [Switch(0.0, spine=self.spine, head=self.head, tail_motion=self.tail_motion), *self.schedule]
+        each = [self._start, *self.schedule]
         return {
             field: tuple(dict.fromkeys(name for one in each for name in one.modes.get(field, ()))) for field in MODES
         }
@@ -375,9 +357,8 @@ class Setup:
         world = replace_quantities(world, mass_values(self.robot) | terrain_values(str(self.scene)))
         world = replace_quantities(world, gravity_values(np.asarray(load_scene(str(self.scene)).option.gravity)))
         if self.schedule:
-            start = Switch(0.0, spine=self.spine, head=self.head, tail_motion=self.tail_motion).modes
             known = dict(quantities(controller.parameters))
-            world = dataclasses.replace(world, schedule=schedule_of(self.schedule, start, known))
+            world = dataclasses.replace(world, schedule=schedule_of(self._start, self.schedule, known))
         if not isinstance(controller, Controller):
             return world
         values = published_values(self.gait, steering=self.steering, profile=self.profile)
@@ -440,7 +421,12 @@ class Setup:
         Raises:
             ParameterError: with the field's name, its value and what is allowed.
         """
-        check_ranges(world, self.timestep)
+        check_quantities(world)
+        for name, about in bounded_by_step(dict(quantities(ModelParameters)), self.timestep).items():
+            part, field = name.split(".")
+            about.check(name, getattr(getattr(world.model, part), field))
+        check_geometry(world.model.geometry)
+        check_servo(world.model.servo.kp, world.model.servo.kv, self.timestep)
         controller = self._unbalanced
         if jointly and world.schedule is not None:
             check_schedule(world.control, world.schedule, len(self.schedule), controller.cycle_rate(world.control))
@@ -448,7 +434,7 @@ class Setup:
             controller.check(world.control)
         if jointly and not isinstance(controller, Controller):
             place = named_place(controller, "cycle_rate")
-            with told(f"{place}, which fails"):
+            with user_code(f"{place}, which fails"):
                 rate = np.asarray(controller.cycle_rate(world.control), float)
             bad = ~((rate > 0.0) & (rate < np.inf))
             if bad.any():

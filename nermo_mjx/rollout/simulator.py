@@ -15,7 +15,6 @@ import jax
 import numpy as np
 
 from nermo_mjx.control.protocol import ControllerLike
-from nermo_mjx.control.schedule import scheduled
 from nermo_mjx.physics import Trace, Variation, make_engine
 from nermo_mjx.recording import Recording, recording_of
 from nermo_mjx.robot import Sensors
@@ -23,8 +22,8 @@ from nermo_mjx.robot.geometry import names_geometry
 from nermo_mjx.robot.quantity import ParameterError, values_of
 from nermo_mjx.rollout import metrics as measures
 from nermo_mjx.rollout.electrical import Supply
-from nermo_mjx.rollout.loop import ClosedLoop, LoopParameters, check_controller, loop_parameters, terrain_of
-from nermo_mjx.rollout.own_metrics import OwnMetric, check_metrics
+from nermo_mjx.rollout.loop import LoopParameters, checked_loop, loop_parameters, terrain_of
+from nermo_mjx.rollout.own_metrics import OwnMetric
 from nermo_mjx.rollout.run import LONGEST, Lanes, Run, StartPose, too_many
 from nermo_mjx.rollout.saving import Keeper, Saving, Series
 from nermo_mjx.rollout.setup import Setup, Window, WorldParameters, with_own, without_presettings
@@ -207,16 +206,13 @@ class Simulator:
                 not a controller, or a metric that cannot be computed.
         """
         self.setup = with_own(setup, controller, metrics)
-        self.robot, own = self.setup.load(), self.setup.own_metrics
-        self.controller = self.setup.make_controller()
-        check_controller(self.robot, self.controller)
-        check_metrics(self.robot.config, own)
-        self.loop = ClosedLoop(self.robot, self.controller, own)
+        self.loop = checked_loop(self.setup)
+        self.robot, self.controller = self.loop.robot, self.loop.controller
         self.engine = make_engine(engine, self.robot, self.loop, devices, threads)
         self.variation = Variation(self.robot)
         self.start = StartPose(self.robot, self.controller)
         self._compiled: set[tuple[int, tuple[str, ...], bool]] = set()
-        self._results = Lanes(functools.partial(measures.result, own=own))
+        self._results = Lanes(functools.partial(measures.result, own=self.loop.own))
 
     def with_setup(self, setup: Setup) -> Simulator:
         """A simulator for a setup that differs only in `PRESETTINGS`, with the same programs: nothing is recompiled.
@@ -253,23 +249,29 @@ class Simulator:
         params, worlds = _batched(self.parameters(values, policy), single, values)
         if wrong := too_many(worlds):
             raise ParameterError(f"the batch is too large: {wrong}")
-        window = _window(run or Run(), params, self.controller, worlds)
+        run = run or Run()
+        rate = np.asarray(self.controller.cycle_rate(params.control), float)
+        begin, end = (np.broadcast_to(each, worlds) for each in run.seconds(rate))
+        if end.max() > LONGEST:
+            raise ParameterError(f"run.cycles last {end.max():g} s at {np.min(rate):g} Hz: allowed are {LONGEST:g} s.")
+        distance = np.broadcast_to(1e6 if run.distance is None else run.distance, worlds)
+        window = Window(begin=begin, end=end, distance=distance)
         mass = np.asarray(params.model.mass.front + params.model.mass.rear, float)
         terrain = terrain_of(self.robot, params)
         geometry = params.model.geometry if names_geometry(values) else None
-        control = scheduled(params.control, params.schedule, 0.0, self.controller.cycle_rate(params.control))
+        loop = loop_parameters(self.robot, params, window, values)
         return Batch(
-            params=default_precision(loop_parameters(self.robot, params, window, values)),
-            qpos=self.start.batch(control, params.start, terrain, geometry),
+            params=default_precision(loop),
+            qpos=self.start.batch(self.loop.control_at(loop, 0.0), params.start, terrain, geometry),
             fields=self.variation.batch(params.model, worlds, values),
             ticks=int(np.ceil(window.end.max() / self.controller.dt - 1e-6)) + 1,
-            may_end_early=run is not None and run.distance is not None,
+            may_end_early=run.distance is not None,
             mass=mass,
             supply=Supply.of(params.model),
             gravity=np.asarray(params.model.ground.gravity, float),
             worlds=params,
             named=tuple(values),
-            length=run or Run(),
+            length=run,
         )
 
     def __call__(
@@ -336,7 +338,9 @@ class Simulator:
         # Whole blocks only: a recorded block of another length would need another program.
         ticks = -(-batch.ticks // BLOCK) * BLOCK if traced else batch.ticks
         traces: list[Trace] = []
-        for done, size in _blocks(ticks):
+        for begin in range(0, ticks, BLOCK):
+            size = min(BLOCK, ticks - begin)
+            done = begin + size
             if traced:
                 trace = session.record(size)
                 if record:
@@ -345,15 +349,16 @@ class Simulator:
                     keeper.add(trace)
             else:
                 session.advance(size)
-            over = (done + size) * self.controller.dt > np.asarray(batch.params.window.end) + 1e-6
+            over = done * self.controller.dt > np.asarray(batch.params.window.end) + 1e-6
             if batch.may_end_early:
-                over |= _finished(session.loop_state.metrics)
-                ticks = done + size if over.all() else ticks
+                state = session.loop_state.metrics
+                over |= np.asarray(state.finished) | np.asarray(state.fell) | np.asarray(state.diverged)
+                ticks = done if over.all() else ticks
             if not record:
                 session.retire(over)
             if progress:
-                progress((done + size) / ticks)
-            if done + size >= ticks:
+                progress(done / ticks)
+            if done >= ticks:
                 break
 
         measured = self._results(session.loop_state.metrics, batch.mass, batch.gravity, batch.supply)
@@ -417,15 +422,6 @@ def _numbers(name: str, value: Any) -> np.ndarray:
     return numbers
 
 
-def _finished(state: measures.MetricState) -> np.ndarray:
-    """Worlds (n,) that have walked their distance, or have failed."""
-    return np.logical_or.reduce([np.asarray(flag) for flag in (state.finished, state.fell, state.diverged)])
-
-
-def _blocks(ticks: int) -> Iterator[tuple[int, int]]:
-    return ((start, min(BLOCK, ticks - start)) for start in range(0, ticks, BLOCK))
-
-
 def _batched(
     params: WorldParameters, single: WorldParameters, values: Mapping[str, Any]
 ) -> tuple[WorldParameters, int]:
@@ -451,15 +447,6 @@ def _batched(
         return np.broadcast_to(leaf, (worlds, *leaf.shape[leaf.ndim - np.ndim(one) :]))
 
     return jax.tree.map(spread, params, single), worlds
-
-
-def _window(run: Run, params: WorldParameters, controller: ControllerLike, worlds: int) -> Window:
-    rate = np.asarray(controller.cycle_rate(params.control), float)
-    begin, end = (np.broadcast_to(each, worlds) for each in run.seconds(rate))
-    if end.max() > LONGEST:
-        raise ParameterError(f"run.cycles last {end.max():g} s at {np.min(rate):g} Hz: allowed are {LONGEST:g} s.")
-    distance = np.broadcast_to(1e6 if run.distance is None else run.distance, begin.shape)
-    return Window(begin=begin, end=end, distance=distance)
 
 
 def default_precision(tree: Any) -> Any:

@@ -11,12 +11,10 @@ half of the length of a ramp, and the time constant of an exponential approach.
 
 from __future__ import annotations
 
-import dataclasses
+from collections.abc import Mapping
 from typing import Any, Final
 
-import jax
 import jax.numpy as jnp
-from jaxtyping import Float
 
 from nermo_mjx.control.schedule import Schedule
 from nermo_mjx.rollout.own_metrics import Metric
@@ -33,30 +31,6 @@ TRANSITION: Final[dict[str, Metric]] = {
 }
 
 
-@jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True)
-class TransitionState:
-    """Accumulators.
-
-    Attributes:
-        roll: largest so far [rad].
-        slid, loaded: way that feet slid [m] and time that they were loaded [s].
-        time, way: measured before, during and after the transition (3,) [s, m].
-    """
-
-    roll: Scalar
-    slid: Scalar
-    loaded: Scalar
-    time: Float[Array, " 3"]
-    way: Float[Array, " 3"]
-
-
-def init(zero: Scalar) -> TransitionState:
-    """Before the first tick."""
-    three = jnp.zeros(3, zero.dtype)
-    return TransitionState(zero, zero, zero, three, three)
-
-
 def span(schedule: Schedule, cycle_rate: Any) -> tuple[Scalar, Scalar]:
     """When the transition begins and ends [s]; `cycle_rate` is that of the world's own parameters [1/s].
 
@@ -65,42 +39,40 @@ def span(schedule: Schedule, cycle_rate: Any) -> tuple[Scalar, Scalar]:
     return schedule.at[0], jnp.max(schedule.at + schedule.blend / cycle_rate) + 1.0 / cycle_rate
 
 
-def update(
-    state: TransitionState, within: tuple[Scalar, Scalar], time: Scalar, weight: Scalar, roll: Scalar, slid: Scalar,
-    loaded: Scalar, speed: Scalar,
-) -> TransitionState:  # fmt: skip
-    """Add a tick.
+def integrals(
+    within: tuple[Scalar, Scalar], time: Scalar, weight: Scalar, slid: Scalar, loaded: Scalar, speed: Scalar
+) -> dict[str, Array]:
+    """What a tick adds to the integrals: way that feet slide [m] and time that they are loaded [s] in the transition,
+    and time and way before, in and after it (3,) [s, m].
 
     Args:
-        state: so far.
         within: see `span`.
         time: at the end of the tick [s].
         weight: measured part of it [s].
-        roll: of the torso [rad].
         slid, loaded: sums over the feet: speed of those that are loaded [m/s], and how many are.
         speed: of the robot along its way [m/s].
     """
     begin, end = within
-    weights = weight * jnp.stack([time <= begin, (time > begin) & (time <= end), time > end])
-    return TransitionState(
-        roll=jnp.maximum(state.roll, jnp.where(weights[1] > 0.0, jnp.abs(roll), 0.0)),
-        slid=state.slid + weights[1] * slid,
-        loaded=state.loaded + weights[1] * loaded,
-        time=state.time + weights,
-        way=state.way + weights * speed,
-    )
+    times = weight * jnp.stack([time <= begin, (time > begin) & (time <= end), time > end])
+    return {
+        "switching_slid": times[1] * slid,
+        "switching_loaded": times[1] * loaded,
+        "switching_time": times,
+        "switching_way": times * speed,
+    }
 
 
-def result(state: TransitionState) -> dict[str, Scalar]:
-    """The metrics, named as in `TRANSITION`; NaN where nothing was measured."""
-    there = state.time > 0.0
-    before, _, after = state.way / jnp.where(there, state.time, 1.0)
+def result(sums: Mapping[str, Array], roll: Scalar) -> dict[str, Scalar]:
+    """The metrics, named as in `TRANSITION`, of `integrals` and of the largest roll; NaN where nothing was measured."""
+    time, way = sums["switching_time"], sums["switching_way"]
+    there, some = time > 0.0, sums["switching_loaded"] > 0.0
+    before, _, after = way / jnp.where(there, time, 1.0)
     change = after - before
     differs = there.all() & (jnp.abs(change) > LEAST * jnp.maximum(jnp.abs(before), jnp.abs(after)))
-    late = (after * state.time[1] - state.way[1]) / jnp.where(differs, change, 1.0)
-    some = state.loaded > 0.0
+    late = (after * time[1] - way[1]) / jnp.where(differs, change, 1.0)
+    slip = sums["switching_slid"] / jnp.where(some, sums["switching_loaded"], 1.0)
     return {
-        "transition_roll": jnp.where(there[1], state.roll, jnp.nan),
-        "transition_slip": jnp.where(some, state.slid / jnp.where(some, state.loaded, 1.0), jnp.nan),
+        "transition_roll": jnp.where(there[1], roll, jnp.nan),
+        "transition_slip": jnp.where(some, slip, jnp.nan),
         "transition_time": jnp.where(differs, late, jnp.nan),
     }

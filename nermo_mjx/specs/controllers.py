@@ -14,7 +14,7 @@ from nermo_mjx.control.loading import controller_digest, is_data
 from nermo_mjx.control.schedule import MOST, Schedule
 from nermo_mjx.robot.quantity import ParameterError, quantities
 from nermo_mjx.rollout import Setup, all_metrics
-from nermo_mjx.rollout.own_metrics import FORM, KEPT, kept_metrics, metrics_digest, parts_of
+from nermo_mjx.rollout.own_metrics import FORM, KEPT, kept_metrics, metrics_digest, source_of
 from nermo_mjx.specs.reading import Document, describe
 from nermo_mjx.specs.values import MEASURED, NAMES
 
@@ -45,11 +45,11 @@ def named_metrics(doc: Document) -> tuple[str, ...]:
     found = []
     for each in listed:
         try:
-            source, name = parts_of(each)
+            source = source_of(each)
         except ParameterError as error:
             doc.fail(("metrics",), str(error).removeprefix("metrics "))
-        path = str(_beside(doc, source)) if source.endswith(".py") else source
-        found.append(f"{path}:{name}" if name else path)
+        path = str(_beside(doc, source.place)) if source.place.endswith(".py") else source.place
+        found.append(f"{path}:{source.name}" if source.name else path)
     return tuple(found)
 
 
@@ -159,4 +159,7 @@ def _kept(where: str, called: str, folder: Path, write: Callable[[str, bytes], A
 
 def _split(where: str) -> tuple[str, str]:
     """File or module, and the name in it; a file that is data has none."""
-    return (where, "") if is_data(where) else parts_of(where)
+    if is_data(where):
+        return where, ""
+    source = source_of(where)
+    return source.place, source.name
