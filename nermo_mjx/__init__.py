@@ -38,30 +38,22 @@ if TYPE_CHECKING:
     from nermo_mjx.view import Page, Recording, render, show
 
 _HOMES = {
-    "nermo_mjx.control": (
-        "Controller", "ControllerLike", "control_parameters", "leg_servos", "published_controller",
-    ),
-    "nermo_mjx.experiments.run": ("run_experiment", "run_experiments"),
-    "nermo_mjx.hardware": ("ServoTable", "servo_table"),
-    "nermo_mjx.optimize": (
-        "Search", "SearchResult", "Tuning", "TuningResult", "read_history", "run_landscape", "run_search", "run_tuning",
-    ),
-    "nermo_mjx.physics": ("make_engine",),
-    "nermo_mjx.robot": (
-        "LIMBS", "SERVOS", "ParameterError", "Robot", "RobotConfig", "Sensors", "ServoAngles", "load_robot",
-    ),
-    "nermo_mjx.robot.quantity": ("parameter_tree", "quantity"),
-    "nermo_mjx.rollout": (
-        "METRICS", "Run", "RunResult", "Setup", "Simulator", "all_metrics", "all_parameters", "metric",
-    ),
-    "nermo_mjx.rollout.differentiable": ("Rollout",),
-    "nermo_mjx.runtime": ("compiler_options",),
-    "nermo_mjx.sweep": ("Sweep", "SweepResult", "merge_sweeps", "read_table", "run_sweep"),
-    "nermo_mjx.sweep.comparing": ("Comparison", "compare"),
-    "nermo_mjx.sweep.sensitivity": ("Sensitivity", "sensitivity"),
-    "nermo_mjx.view": ("Page", "Recording", "render", "show"),
-}  # fmt: skip
-_HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
+    "nermo_mjx.control": "Controller ControllerLike control_parameters leg_servos published_controller",
+    "nermo_mjx.experiments.run": "run_experiment run_experiments",
+    "nermo_mjx.hardware": "ServoTable servo_table",
+    "nermo_mjx.optimize": "Search SearchResult Tuning TuningResult read_history run_landscape run_search run_tuning",
+    "nermo_mjx.physics": "make_engine",
+    "nermo_mjx.robot": "LIMBS SERVOS ParameterError Robot RobotConfig Sensors ServoAngles load_robot",
+    "nermo_mjx.robot.quantity": "parameter_tree quantity",
+    "nermo_mjx.rollout": "METRICS Run RunResult Setup Simulator all_metrics all_parameters metric",
+    "nermo_mjx.rollout.differentiable": "Rollout",
+    "nermo_mjx.runtime": "compiler_options",
+    "nermo_mjx.sweep": "Sweep SweepResult merge_sweeps read_table run_sweep",
+    "nermo_mjx.sweep.comparing": "Comparison compare",
+    "nermo_mjx.sweep.sensitivity": "Sensitivity sensitivity",
+    "nermo_mjx.view": "Page Recording render show",
+}
+_HOME_OF = {name: home for home, names in _HOMES.items() for name in names.split()}
 
 __all__ = [
     "LIMBS", "METRICS", "SERVOS", "Comparison", "Controller", "ControllerLike", "Page", "ParameterError", "Recording",
