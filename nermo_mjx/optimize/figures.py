@@ -527,7 +527,7 @@ def path_figure(traces: Traces, background: Background | None = None) -> Figure:
         look: Literal["best", "", "thin"] = "best" if start == traces.best[1] else ""
         _draw_path(ax, path, copies, [float(np.ptp(end)) for end in ends], "thin" if background is None else look)
     best = [float(traces.in_shown_unit(each.name, traces.column(each.name)[traces.best])) for each in pair]
-    star(ax, *best, 230, 1.2)
+    star(ax, best[0], best[1], 230, 1.2)
     quantities = [ShownValues(t.name, traces.quantity(t.name).unit, end) for t, end in zip(pair, ends, strict=True)]
     set_scales(ax, *quantities)
     ax.set(xlabel=quantities[0].label, ylabel=quantities[1].label, xlim=ends[0], ylim=ends[1])
