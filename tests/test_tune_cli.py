@@ -169,7 +169,7 @@ def test_a_narrow_terminal_cuts_the_detail_and_not_the_time_left() -> None:
 
 @pytest.mark.parametrize(
     ("second", "told"),
-    [(1.0, "1 evaluations/s, 8 s left"), (90.0, "1 min 30 s each, 12 min left")],
+    [(1.0, "1 evaluations/s, 8 s left"), (90.0, "1 min 30 s each, 12 min 0 s left")],
     ids=["fast", "slow"],
 )
 def test_the_pace_leaves_compilation_out(monkeypatch: pytest.MonkeyPatch, second: float, told: str) -> None:
