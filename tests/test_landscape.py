@@ -315,6 +315,6 @@ def test_a_landscape_of_a_recording_can_be_moved(tmp_path):
     measure(tmp_path / "here", change=compared, points=5)
     (tmp_path / "here").rename(tmp_path / "there")
     (tmp_path / "walk.npz").unlink()
-    assert len(list(figures(tmp_path / "there"))) == 2
+    assert len(list(landscape.figures(tmp_path / "there"))) == 2
     own = Tuning.from_file(tmp_path / "there" / "landscape.yaml")
     assert run_landscape(own, tmp_path / "there", problem=FakeProblem(own), points=5).evaluated == 0
