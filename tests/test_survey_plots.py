@@ -22,6 +22,7 @@ from nermo_mjx.sweep.plots import (
     MOST_LINES,
     chosen_figure,
     chosen_lines,
+    figures_of,
     front,
     named_points,
     survey_figures,
