@@ -294,11 +294,11 @@ def chosen_lines(costs: np.ndarray) -> np.ndarray:
 
 def parallel_figure(points: Points, names: Sequence[str], metric: str, remark: str) -> Figure:
     """A line for each point through its parameters to the metric; the best lines are orange."""
-    values = points.metrics[metric]
-    price = cost(values.side, values.values)
+    every = points.metrics[metric]
+    price = cost(every.side, every.values)
     drawn, left_out = chosen_lines(price), ""
     parameters = points.of(names, drawn)
-    z = dataclasses.replace(values, values=values.values[drawn])
+    z = dataclasses.replace(every, values=every.values[drawn])
     if len(parameters) > MOST_AXES:
         influence = [abs(np.nan_to_num(rank_correlation(each.values, z.values))) for each in parameters]
         matter = np.argsort(-np.array(influence), kind="stable")[:MOST_AXES]
@@ -308,9 +308,9 @@ def parallel_figure(points: Points, names: Sequence[str], metric: str, remark: s
     note = f"{remark}{points.what}{left_out}"
     if known > MOST_LINES:
         note = f"{remark}{MOST_LINES:,} of {points.what}, evenly by rank, and the best {BEST_LINES}{left_out}"
-    at = ", ".join(f"{each.spoken} {each.shown(each.values[-1])}" for each in parameters)
-    word = "best" if values.side else "highest"
-    note += f"; orange: the {min(BEST_LINES, known)} {word}, of which the first is {z.shown(z.values[-1])} at {at}"
+    where = ", ".join(f"{each.spoken} {each.shown(each.values[-1])}" for each in parameters)
+    word = "best" if every.side else "highest"
+    note += f"; orange: the {min(BEST_LINES, known)} {word}, of which the first is {z.shown(z.values[-1])} at {where}"
     scale, extend = colour_scale(z.values)
     if extend != "neither":
         end = scale.vmax if extend == "max" else scale.vmin

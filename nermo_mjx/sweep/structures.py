@@ -100,14 +100,11 @@ STRUCTURES: Final = (
     "gait", "spine", "steering", "pilot", "profile", "trajectory", "head", "tail_motion", "routing", "scene", "tail",
     "physics", "robot",
 )  # fmt: skip
-_Structures: Any = create_model(
-    "_Structures",
-    __base__=Fields,
-    **{
-        name: (Annotated[Any, Listed(name)], optional(f"{_ABOUT[name].description}: these, each as a setup of its own"))
-        for name in STRUCTURES
-    },
-)
+_FIELDS: Final[dict[str, Any]] = {
+    name: (Annotated[Any, Listed(name)], optional(f"{_ABOUT[name].description}: these, each as a setup of its own"))
+    for name in STRUCTURES
+}
+_Structures: Any = create_model("_Structures", __base__=Fields, **_FIELDS)
 
 
 class Vary(_Structures):
