@@ -82,7 +82,7 @@ class Axis(_Values):
 
 
 class Draw(_Values):
-    """A randomized parameter; one that is implied no file names: with repeats the start is perturbed, but the first."""
+    """A randomized parameter."""
 
     expected: ClassVar = (
         "{uniform: [low, high]} or {loguniform: [low, high]} or {normal: [mean, std]}; put a fixed value under 'set'"
@@ -90,6 +90,7 @@ class Draw(_Values):
     uniform: _Bounds = optional("between the bounds")
     loguniform: _Bounds = optional("evenly in the logarithm")
     normal: Annotated[list[float], Numbers("[mean, std]", 2, 2)] = optional("truncated to the range")
+    #: Whether no file names it: with repeats the start is perturbed, except for the first repeat.
     implied = property(lambda self: self._implied)
 
     def at(self, share: np.ndarray) -> np.ndarray:
