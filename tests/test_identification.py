@@ -251,7 +251,8 @@ def test_another_robot_does_not_go_on_with_the_candidates(pretended, tmp_path, m
     (tmp_path / "identification.json").unlink()
     identification.run_identification(tmp_path, **settings)
     (tmp_path / "identification.json").unlink()
-    monkeypatch.setattr(Setup, "defaults", lambda self: {"contact.friction": 0.9})
+    defaults = Setup().defaults() | {"contact.friction": 0.9}
+    monkeypatch.setattr(Setup, "defaults", lambda self: defaults)
     with pytest.raises(ParameterError, match="other settings: choose another directory"):
         identification.run_identification(tmp_path, **settings)
 
