@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Sequence
 from typing import Any, Final
 
 import mujoco
@@ -368,16 +369,17 @@ def _tensions(motion: Motion) -> list[Plot]:
 
 
 def _servos(angle: np.ndarray, command: np.ndarray) -> list[Plot]:
-    names, colours = servos_by_count(angle.shape[1]), ("first", "second", "third")
-    groups = [
+    names = servos_by_count(angle.shape[1])
+    # Key, title, servos, and names and colours of their curves.
+    groups: list[tuple[str, str, Sequence[str], Sequence[str], Sequence[str]]] = [
         (kind, f"{kind.capitalize()} servos", [f"{limb}_{kind}" for limb in LIMBS], _LIMB_TITLES, LIMBS)
         for kind in ("hip", "knee")
     ]
-    for key, title, servos in (
+    for key, title, single in (
         ("body_servos", "Body servos, + left", ("spine", "neck", "tail")),
         ("vertical_servos", "Vertical servos, + hip up, nose down", ("spine_vertical", "head")),
     ):
-        groups.append((key, title, [*servos], tuple(name.replace("_", " ") for name in servos), colours))
+        groups.append((key, title, single, [name.replace("_", " ") for name in single], ("first", "second", "third")))
     plots = []
     for key, title, servos, titles, colours in groups:
         curves: list[Curve] = []
