@@ -10,7 +10,7 @@ import pytest
 
 from nermo_mjx.control.parameters import ControlParameters
 from nermo_mjx.dynamics.checkpointing import checkpointed_scan
-from nermo_mjx.dynamics.mass_constants import MassConstants
+from nermo_mjx.dynamics.constants import MassConstants
 from nermo_mjx.robot import load_robot
 from nermo_mjx.rollout import Run, Setup
 from nermo_mjx.rollout.differentiable import MOST_FORWARD, Rollout, choose_mode, value_and_gradient

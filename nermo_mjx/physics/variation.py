@@ -6,7 +6,7 @@ import copy
 import functools
 import operator
 from collections.abc import Callable, Iterable, Mapping
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import jax
 import jax.numpy as jnp
@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float
 from mujoco.batch import Batch
 
-from nermo_mjx.dynamics.mass_constants import MassConstants
+from nermo_mjx.dynamics.constants import MassConstants, PlaceConstants
 from nermo_mjx.physics.geometry_fields import GeometryFields
 from nermo_mjx.physics.servo_play import PLAY_FIELDS, SERVO_PLAY, UNLIMITED, Play, without_play
 from nermo_mjx.robot import ModelParameters, Robot
@@ -28,9 +28,6 @@ from nermo_mjx.robot.scene import scene_geoms
 from nermo_mjx.robot.terrains import TERRAINS, TerrainShape, field_shares, geom_names, terrain_values
 from nermo_mjx.runtime import start_jax
 from nermo_mjx.shapes import Array
-
-if TYPE_CHECKING:
-    from nermo_mjx.dynamics.place_constants import PlaceConstants
 
 #: Model fields that each group of body parameters affects, and those that single ones affect in addition.
 FIELDS: Final[dict[str, tuple[str, ...]]] = {
@@ -234,8 +231,6 @@ class Variation:
 
     @functools.cached_property
     def _place_constants(self) -> PlaceConstants:
-        from nermo_mjx.dynamics.place_constants import PlaceConstants  # importing MJX takes a second
-
         return PlaceConstants(self.model)
 
     @functools.cached_property

@@ -3,13 +3,15 @@
 MJX reads them, for example in the regularisation of its constraints, but cannot compute them. All follow from the
 inertia matrix in the reference pose. It is linear in masses and inertias: where nothing else varies, its coefficients
 are taken from MuJoCo's Jacobians once, so that a batch, or a gradient, needs no second kinematics (`MassConstants`).
-Where positions vary, `place_constants` recomputes the Jacobians.
+Where positions vary, MJX's kinematics gives them (`PlaceConstants`).
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Mapping
+from typing import Any, Final, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
@@ -19,6 +21,10 @@ from nermo_mjx.shapes import Array
 
 #: Joint types whose degrees of freedom share one inverse weight, in groups of three.
 _GROUPED = {int(mujoco.mjtJoint.mjJNT_FREE): 2, int(mujoco.mjtJoint.mjJNT_BALL): 1}
+
+
+#: Prefixes of the fields that the reference pose depends on.
+_PLACES: Final = ("body_", "site_", "geom_")
 
 
 class Jacobians(NamedTuple):
@@ -109,6 +115,40 @@ class MassConstants:
             body_inertia: principal moments [kg m^2].
         """
         return self._constants(body_mass, body_inertia, self._jacobians)
+
+
+class PlaceConstants:
+    """Maps a model's fields of positions and masses to the constants."""
+
+    def __init__(self, model: mujoco.MjModel) -> None:
+        from nermo_mjx.dynamics.mjx_import import mjx  # importing MJX takes a second
+
+        self._model = mjx.put_model(model)
+        self._constants = Constants(model)
+
+    def __call__(self, fields: Mapping[str, Float[Array, ...]]) -> dict[str, Float[Array, ...]]:
+        """The fields of `DERIVED_FIELDS`, shaped as in `mujoco.MjModel`.
+
+        Args:
+            fields: those of bodies, sites and geoms that differ from the model's.
+        """
+        from nermo_mjx.dynamics import rows, tree
+        from nermo_mjx.dynamics.jacobians import point_jacobian, with_point_jacobians
+        from nermo_mjx.dynamics.mjx_import import mjx
+
+        @with_point_jacobians
+        def placed(model: Any, data: Any) -> Any:
+            return mjx.transmission(model, mjx.tendon(model, tree.com_pos(model, tree.kinematics(model, data))))
+
+        model = self._model.tree_replace({name: each for name, each in fields.items() if name.startswith(_PLACES)})
+        data = mjx.make_data(self._model)
+        data = placed(model, data.replace(qpos=jnp.asarray(self._model.qpos0, data.qpos.dtype)))
+        bodies = np.arange(model.nbody)
+        linear, angular = jax.vmap(lambda point, body: point_jacobian(model, data, point, body))(data.xipos, bodies)
+        linear, angular = jnp.swapaxes(linear, 1, 2), jnp.swapaxes(angular, 1, 2)
+        principal = jnp.einsum("bij,bik->bjk", data.ximat, angular)
+        jacobians = Jacobians(linear, angular, principal, rows.inner(data).ten_J, rows.inner(data).actuator_moment)
+        return self._constants(model.body_mass, model.body_inertia, jacobians)
 
 
 def _groups(model: mujoco.MjModel) -> Float[np.ndarray, "nv nv"]:
