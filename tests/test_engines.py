@@ -15,9 +15,7 @@ import numpy as np
 import pytest
 from conftest import WALKS
 
-from nermo_mjx.dynamics.mjx_import import mjx
 from nermo_mjx.physics import resolve_engine
-from nermo_mjx.physics.mjx_engine import MjxState
 from nermo_mjx.rollout import Run
 
 
@@ -158,16 +156,6 @@ def test_new_values_never_recompile_on_mjx(walks, simulator, compilations):
     compilations.clear()
     sim.run({name: 0.99 * values for name, values in WALKS.items()}, Run(cycles=1, warmup_cycles=0), record=True)
     assert compilations == []
-
-
-def test_a_state_can_be_put_into_data_of_mujoco(simulator):
-    """With the play of its servos, which MuJoCo's data has no place for; plain physics begins there in benchmarks."""
-    data = mjx.make_data(simulator().robot.physical)
-    still = MjxState(data.qpos, data.qvel, data.act, data.qacc_warmstart)
-    for motor in (None, np.ones(9)):
-        there = still._replace(qpos=data.qpos + 1.0, motor=motor).into(data)
-        np.testing.assert_array_equal(there.qpos, data.qpos + 1.0)
-        assert jax.tree.structure(there) == jax.tree.structure(data)
 
 
 def test_a_world_is_small_in_the_scan(simulator):

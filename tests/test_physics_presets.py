@@ -16,7 +16,6 @@ from nermo_mjx.robot.equipment import TRUNK
 from nermo_mjx.robot.parameters import PRESETS
 from nermo_mjx.rollout import Run, Setup
 from nermo_mjx.rollout.setup import all_parameters
-from nermo_mjx.sweep.spec import Sweep
 
 #: The largest change of a gait metric that `fast` may bring: what docs/benchmarks/physics.md says. The identified servo
 #: is stiff and hardly damped, and rings at 28 Hz, which longer steps change, and with it what depends on small motions:
@@ -121,18 +120,6 @@ def test_only_the_soles_touch_the_ground_in_fast(scene):
     assert pairs("fast") < pairs("reference")
 
 
-def test_the_rest_of_the_model_is_the_same():
-    """Nothing but the time step and the pairs differs: masses, springs, tendons, servos and sensors are equal."""
-    ours, reference = (load_robot(physics=physics).model for physics in ("fast", "reference"))
-    for field in (
-        "body_mass", "body_inertia", "jnt_stiffness", "dof_damping", "dof_armature", "tendon_range", "wrap_type",
-        "actuator_gainprm", "actuator_forcerange", "sensor_type", "qpos0", "geom_type", "site_pos",
-    ):  # fmt: skip
-        np.testing.assert_array_equal(getattr(ours, field), getattr(reference, field), err_msg=field)
-    for option in ("integrator", "solver", "cone", "impratio", "tolerance", "iterations", "disableflags"):
-        assert getattr(ours.opt, option) == getattr(reference.opt, option), option
-
-
 # --- one name
 
 
@@ -181,16 +168,6 @@ def test_tendons_of_fast_yield_as_the_docs_say():
         yields[physics] = past[[i for i in range(model.ntendon) if model.tendon(i).name.startswith("rear")]].mean()
     assert 1e-5 < yields["reference"] < 4e-5
     assert yields["fast"] / yields["reference"] == pytest.approx((0.02 / 3 / 0.004) ** 2, rel=0.25)
-
-
-def test_a_sweep_file_chooses_the_preset_and_writes_it_out():
-    """The resolved file has the preset and its time step, reads back as the same sweep, and is another sweep."""
-    base = {"vary": {"frequency": [0.5, 0.6]}}
-    sweep = Sweep.from_dict(base | {"physics": "fast"})
-    written = sweep.resolved()
-    assert (written["physics"], written["timestep"]) == ("fast", pytest.approx(0.01 / 3))
-    assert Sweep.from_text(sweep.to_yaml()) == sweep
-    assert sweep.digest() != Sweep.from_dict(base).digest()
 
 
 def test_contacts_are_no_stiffer_than_the_step_allows():
