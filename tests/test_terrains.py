@@ -1,4 +1,4 @@
-"""Terrains with a shape: the height of each against rays, and a world of a batch against a model of its own."""
+"""Height of the ground against MuJoCo's rays from above, and a world of a batch against a model of its own."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from nermo_mjx.learn import Environment, Task
 from nermo_mjx.physics.variation import Variation, compile_model, vary
 from nermo_mjx.robot import ModelParameters, load_robot
 from nermo_mjx.robot.quantity import replace_quantities
+from nermo_mjx.robot.scene import Terrain
 from nermo_mjx.robot.terrains import BEGIN, TERRAINS, TerrainShape, gates
 from nermo_mjx.specs.walk import unread
 from nermo_mjx.sweep import Sweep
@@ -141,3 +142,59 @@ def test_a_scene_reads_its_own_shape_only():
 def test_a_fixed_shape_goes_to_the_scenes_that_read_it():
     sweep = Sweep.from_dict({"vary": {"scene": ["flat", "planks"]}, "set": {"terrain.height": 0.004}})
     assert [dict(each.constants) for each in sweep.structures] == [{}, {"terrain.height": 0.004}]
+
+
+# --- single surfaces
+
+#: Name -> geom, each turned and moved.
+SURFACES = {
+    "level plane": "<geom type='plane' size='9 9 1' pos='0.1 0.2 0.3'/>",
+    "tilted plane": "<geom type='plane' size='9 9 1' pos='0.1 0.2 0.3' euler='8 -12 40'/>",
+    "level box": "<geom type='box' size='0.5 0.3 0.1' pos='0.1 0.2 0.3' euler='0 0 25'/>",
+    "tilted box": "<geom type='box' size='0.5 0.3 0.1' pos='0.1 0.2 0.3' euler='20 -15 25'/>",
+    "box upside down": "<geom type='box' size='0.5 0.3 0.1' pos='0.1 0.2 0.3' euler='180 0 25'/>",
+    "field": "<geom type='hfield' hfield='hills' pos='0.1 0.2 0.3' euler='0 0 25'/>",
+    "all": "<geom type='hfield' hfield='hills'/><geom type='box' size='0.5 0.3 0.1' euler='0 20 0'/>"
+    "<geom type='plane' size='9 9 1' pos='0 0 0.02'/>",
+}
+
+
+def compiled(geoms: str) -> mujoco.MjModel:
+    heights = " ".join(f"{each:.6f}" for each in np.random.default_rng(0).uniform(0, 1, 35))
+    return mujoco.MjModel.from_xml_string(
+        "<mujoco><asset><hfield name='hills' nrow='5' ncol='7' size='0.8 0.6 0.2 0.1' "
+        f"elevation='{heights}'/></asset><worldbody>{geoms}</worldbody></mujoco>"
+    )
+
+
+def from_above(model: mujoco.MjModel, x: float, y: float) -> float:
+    """Height where a ray down meets something; -inf where it meets nothing."""
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    hit = np.zeros(1, np.int32)
+    distance = mujoco.mj_ray(model, data, np.array([x, y, 5.0]), np.array([0.0, 0, -1]), None, 1, -1, hit)
+    return 5.0 - distance if distance >= 0 else -np.inf
+
+
+@pytest.mark.compiles
+@pytest.mark.parametrize("kind", SURFACES)
+def test_the_height_is_where_a_ray_from_above_meets_the_ground(kind):
+    """At 200 places in and beside it; beside all of it the height is one that nothing of it is below."""
+    model = compiled(SURFACES[kind])
+    places = np.random.default_rng(1).uniform(-1.0, 1.0, (200, 2))
+    with jax.enable_x64(True):
+        heights = np.asarray(Terrain(model, range(model.ngeom)).height(*places.T))
+    rays = np.array([from_above(model, *place) for place in places])
+    hit = np.isfinite(rays)
+    np.testing.assert_allclose(heights[hit], rays[hit], atol=1e-7)
+    assert hit.sum() > 20
+    assert len(set(heights[~hit])) <= 1
+    assert (heights[~hit] <= rays[hit].min()).all()
+
+
+@pytest.mark.compiles
+def test_the_height_has_the_slope_of_the_ground():
+    """On a plane turned by 0.2 rad about y, downhill along x."""
+    model = compiled("<geom type='plane' size='9 9 1' euler='0 11.459156 0'/>")
+    slope = jax.grad(lambda x: Terrain(model, [0]).height(x, 0.3))(0.5)
+    assert float(slope) == pytest.approx(-np.tan(0.2), rel=1e-5)
