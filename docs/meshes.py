@@ -30,7 +30,7 @@ from nermo_mjx.robot.meshes.shapes import (
     superellipse,
     tube,
     turned_part,
-)  # fmt: skip
+)
 from nermo_mjx.robot.parameters import EYE, FRONT_LEG, SPINE, TAIL
 from nermo_mjx.robot.parts import TILT_AXIS, hundredths
 
@@ -260,13 +260,24 @@ def _along(profile: list[tuple[float, float]], sides: int) -> Shape:
 def mesh_texts() -> dict[str, str]:
     """The text of every file in `mjcf/meshes`, by the file's name."""
     geometry, radius = Geometry(), MM * FRONT_LEG.pulley_radius
-    shapes = body.shapes(geometry) | head_shapes() | tail_shapes() | {
-        "servo": servo(), "leg_paw": paw(), "leg_pulley": body.grooved_pulley(radius, PULLEY_WIDTH),
-        "leg_pulley_holes": body.pulley_holes(radius, PULLEY_WIDTH), "spine_rear": rear_stub(),
-        "spine_flexure": flexure(), "spine_segment": segment(),
-        "torso_ribs": join(*(rib(*numbers) for numbers in RIBS)), "torso_board": board(), "torso_chips": chips(),
-        "torso_battery": battery(),
-    }  # fmt: skip
+    shapes = (
+        body.shapes(geometry)
+        | head_shapes()
+        | tail_shapes()
+        | {
+            "servo": servo(),
+            "leg_paw": paw(),
+            "leg_pulley": body.grooved_pulley(radius, PULLEY_WIDTH),
+            "leg_pulley_holes": body.pulley_holes(radius, PULLEY_WIDTH),
+            "spine_rear": rear_stub(),
+            "spine_flexure": flexure(),
+            "spine_segment": segment(),
+            "torso_ribs": join(*(rib(*numbers) for numbers in RIBS)),
+            "torso_board": board(),
+            "torso_chips": chips(),
+            "torso_battery": battery(),
+        }
+    )
     return {f"{name}.obj": to_obj(creased(shape)) for name, shape in sorted(shapes.items())}
 
 

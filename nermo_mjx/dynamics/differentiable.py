@@ -181,10 +181,14 @@ def solve(model: mjx.Model, data: mjx.Data) -> mjx.Data:
     qacc = checkpoint_name(found.qacc, KEPT)
     qacc = _solution(layout, _newton(layout, qacc, jax.lax.stop_gradient(problem)), problem)
     force = constraint.forces(layout, problem, constraint.residual(problem, qacc))
-    solved: mjx.Data = data.tree_replace({
-        "qacc": qacc, "qfrc_constraint": problem.jacobian.T @ force, "_impl.efc_force": force,
-        "_impl.solver_niter": found.needed,
-    })  # fmt: skip
+    solved: mjx.Data = data.tree_replace(
+        {
+            "qacc": qacc,
+            "qfrc_constraint": problem.jacobian.T @ force,
+            "_impl.efc_force": force,
+            "_impl.solver_niter": found.needed,
+        }
+    )
     return solved
 
 

@@ -215,16 +215,24 @@ def physical_model(spec: mujoco.MjSpec, model: mujoco.MjModel) -> mujoco.MjModel
         """Ids of the elements of one kind that a sensor reads or uses as its reference."""
         return [model.sensor_objid[model.sensor_objtype == kind], model.sensor_refid[model.sensor_reftype == kind]]
 
-    geoms = np.concatenate([
-        model.pair_geom1, model.pair_geom2, np.flatnonzero(model.geom_contype | model.geom_conaffinity),
-        model.wrap_objid[around], *sensed(mujoco.mjtObj.mjOBJ_GEOM),
-    ])  # fmt: skip
+    geoms = np.concatenate(
+        [
+            model.pair_geom1,
+            model.pair_geom2,
+            np.flatnonzero(model.geom_contype | model.geom_conaffinity),
+            model.wrap_objid[around],
+            *sensed(mujoco.mjtObj.mjOBJ_GEOM),
+        ]
+    )
     # Those that tendons go through, or choose a side by, that actuators pull, or that sensors read.
-    sites = np.concatenate([
-        model.wrap_objid[model.wrap_type == mujoco.mjtWrap.mjWRAP_SITE], model.wrap_prm[around].astype(int),
-        model.actuator_trnid[model.actuator_trntype == mujoco.mjtTrn.mjTRN_SITE].ravel(),
-        *sensed(mujoco.mjtObj.mjOBJ_SITE),
-    ])  # fmt: skip
+    sites = np.concatenate(
+        [
+            model.wrap_objid[model.wrap_type == mujoco.mjtWrap.mjWRAP_SITE],
+            model.wrap_prm[around].astype(int),
+            model.actuator_trnid[model.actuator_trntype == mujoco.mjtTrn.mjTRN_SITE].ravel(),
+            *sensed(mujoco.mjtObj.mjOBJ_SITE),
+        ]
+    )
     names = {model.site(i).name for i in sites.tolist() if i >= 0} | set(READ)
     return reduced_model(spec, {model.geom(i).name for i in geoms.tolist() if i >= 0}, names)
 

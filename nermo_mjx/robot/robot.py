@@ -75,10 +75,19 @@ class _Compiled:
         """Entries of `sensordata` by field of `Sensors`, in the order of `add_sensors`."""
         n = self.model.nu
         sizes = {
-            "position": 3, "orientation": 4, "linear_velocity": 3, "gyro": 3, "accelerometer": 3, "servo_angle": n,
-            "servo_velocity": n, "servo_torque": n, "knee_angle": np.size(self.joints.knee), "foot_force": 4,
-            "foot_position": 12, "foot_velocity": 12,
-        }  # fmt: skip
+            "position": 3,
+            "orientation": 4,
+            "linear_velocity": 3,
+            "gyro": 3,
+            "accelerometer": 3,
+            "servo_angle": n,
+            "servo_velocity": n,
+            "servo_torque": n,
+            "knee_angle": np.size(self.joints.knee),
+            "foot_force": 4,
+            "foot_position": 12,
+            "foot_velocity": 12,
+        }
         sizes |= {"tail_force": self.model.nsensordata - sum(sizes.values()) - 1, "contact_distance": 1}
         ends = itertools.accumulate(sizes.values())
         return {name: slice(end - size, end) for (name, size), end in zip(sizes.items(), ends, strict=True)}
