@@ -175,17 +175,15 @@ class CSession:
             return list(self.engine.pool.map(run, self._blocks))
 
 
-class _Block:
-    """Some worlds of a batch: n in MuJoCo, and their loop in `LANES` lanes, of which the first n are used.
+class CBodies:
+    """The bodies of n worlds, under servo targets `ctrl` (n, n_servos) [rad].
 
     Attributes:
-        qpos, qvel, ctrl: of all worlds (n, nq), (n, nv), (n, n_servos), live.
+        qpos, qvel, sensordata: of all worlds (n, nq), (n, nv), (n, n_sensordata), live.
         moving: worlds that are stepped.
     """
 
-    def __init__(
-        self, engine: CEngine, params: Any, qpos: np.ndarray, fields: dict[str, np.ndarray], threads: int
-    ) -> None:
+    def __init__(self, engine: CEngine, qpos: np.ndarray, fields: dict[str, np.ndarray], threads: int) -> None:
         self.engine, self.worlds = engine, len(qpos)
         self.steps = engine.loop.steps_per_tick
         self.batch = Batch(engine.model, self.worlds, nthread=threads)
@@ -193,14 +191,9 @@ class _Block:
         self.servos = _Servos(engine.model, fields[SERVO_PLAY]) if SERVO_PLAY in fields else None
         self.qpos, self.qvel, self.ctrl = (self.batch.bind(name) for name in ("qpos", "qvel", "ctrl"))
         self.qpos[...] = qpos
-        at_rest = self.batch.bind("sensordata")
+        self.sensordata = self.batch.bind("sensordata")
         self.batch.forward()
         self.moving = np.arange(self.worlds)
-        lanes = np.pad(at_rest, ((0, LANES - self.worlds), (0, 0)), mode="edge")
-        self.loop = engine.packed(params, lanes)
-        self.params = self.loop.pack(params)
-        self._state = self.loop.init(self.params, lanes)
-        self._sensordata = np.repeat(lanes[:, None], self.steps, axis=1)
 
     def move(self, readings: np.ndarray) -> None:
         """One tick of physics; `readings` (n, steps, n_sensordata) are overwritten, those of a failed world by NaN."""
@@ -233,6 +226,20 @@ class _Block:
             out[:, step : step + 1] = one
         self.ctrl[...] = target
         return lost
+
+
+class _Block(CBodies):
+    """Some worlds of a batch: n in MuJoCo, and their loop in `LANES` lanes, of which the first n are used."""
+
+    def __init__(
+        self, engine: CEngine, params: Any, qpos: np.ndarray, fields: dict[str, np.ndarray], threads: int
+    ) -> None:
+        super().__init__(engine, qpos, fields, threads)
+        lanes = np.pad(self.sensordata, ((0, LANES - self.worlds), (0, 0)), mode="edge")
+        self.loop = engine.packed(params, lanes)
+        self.params = self.loop.pack(params)
+        self._state = self.loop.init(self.params, lanes)
+        self._sensordata = np.repeat(lanes[:, None], self.steps, axis=1)
 
     @property
     def loop_state(self) -> Any:
