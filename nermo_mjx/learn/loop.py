@@ -166,7 +166,7 @@ class EpisodeLoop:
         return Observed(
             observation=observation, privileged=privileged, reward=reward, terms=values, terminated=failed,
             truncated=cut, status=status,
-            episode={"distance": now.travelled, "duration": state.loop.time, "servo_work": now.work},
+            episode={"distance": now.travelled, "duration": state.loop.time, "servo_work": now.sums["work"]},
         )  # fmt: skip
 
     def _told(
