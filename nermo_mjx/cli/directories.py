@@ -290,12 +290,9 @@ def _print_comparison(found: Comparison) -> None:
     def unit(row: Mapping[str, Any]) -> str:
         return shown(row["metric"], row["metric_unit"], []).unit or "1"
 
+    rest = columns("difference>, 95 % interval, relative>, variants>, ")
     for other in found.others:
-        numbers = [
-            (found.base, "right"),
-            (other, "right"),
-            *columns("difference>, 95 % interval, relative>, variants>, "),
-        ]
+        numbers = [(found.base, "right"), (other, "right"), *rest]
         rows = [[row["metric"], unit(row), *_cells(row)] for row in found.rows(other)]
         print_table(f"{other} minus {found.base}", [*columns("metric, unit"), *numbers], rows)
         for metric in found.drawn if found.groups else ():
@@ -304,9 +301,8 @@ def _print_comparison(found: Comparison) -> None:
             for row in lines:
                 failed = row["failed_base"], row["failed_other"]
                 group = [f"{each:.6g}" if isinstance(each, float) else str(each) for each in map(row.get, found.groups)]
-                cells.append(
-                    [*group, *_cells(row), "{} and {} fell or were lost".format(*failed) if any(failed) else ""]
-                )
+                lost = "{} and {} fell or were lost".format(*failed) if any(failed) else ""
+                cells.append([*group, *_cells(row), lost])
             heads = [*((name, "right") for name in found.groups), *numbers, ("", "left")]
             print_table(f"{metric} [{unit(lines[0])}]: {other} minus {found.base}" if lines else metric, heads, cells)
     for side, counts in found.status.items():
