@@ -148,7 +148,7 @@ def test_what_is_no_recording_or_an_old_one_is_refused_with_the_remedy(command: 
 @pytest.mark.parametrize(
     ("variable", "command", "remedy"),
     [
-        ("JAX_PLATFORMS=cuda", "walk --engine mjx", "unset it to compute on the CPU"),
+        ("JAX_PLATFORMS=cuda", "walk --engine mjx --quiet", "unset it to compute on the CPU"),
         ("JAX_PLATFORMS=moon", "servos --out a.csv", "unset it to compute on the CPU"),
         ("MUJOCO_GL=glfw", "walk --duration 0.3 --quiet --video a.mp4", "set MUJOCO_GL=osmesa"),
         ("MUJOCO_GL=moon", "walk --duration 0.3 --quiet --video a.mp4", "allowed is egl, osmesa or glfw"),
@@ -162,7 +162,8 @@ def test_what_the_environment_wants_and_the_machine_has_not_is_a_sentence(
     environment = os.environ | {name: value, "DISPLAY": ""}
     done = subprocess.run(program, env=environment, cwd=tmp_path, capture_output=True, text=True)
     assert done.returncode == 1
-    assert re.fullmatch(rf"nermo-mjx: .*{name}.*{re.escape(remedy)}.*\n", done.stderr)
+    assert re.fullmatch(rf"nermo-mjx: .*{re.escape(remedy)}.*\n", done.stderr)
+    assert name in done.stderr
     assert list(tmp_path.iterdir()) == []
 
 
