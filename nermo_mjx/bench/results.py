@@ -335,8 +335,8 @@ def _throughput(machine: str, walks: Sequence[Mapping[str, Any]]) -> Figure:
 def _curve(ax: Axes, lines: Sequence[Mapping[str, Any]], x: str, y: str, scale: float = 1.0, **look: Any) -> None:
     """A figure of the lines over one of their options."""
     lines = sorted(lines, key=lambda line: line[x])
-    look = {"marker": "o", "ms": 3} | look
-    ax.plot([line[x] for line in lines], [line[y] * scale for line in lines], **look)
+    look.setdefault("marker", "o")
+    ax.plot([line[x] for line in lines], [line[y] * scale for line in lines], ms=3, **look)
 
 
 def _compile(machine: str, walks: Sequence[Mapping[str, Any]]) -> Figure:
