@@ -342,8 +342,8 @@ def identify(
         return tried[-1][-1]
 
     def so_far() -> tuple[np.ndarray, np.ndarray, int]:
-        points, costs = (np.concatenate([each[i] for each in tried]) for i in (0, 2))
-        return points, costs, int(np.argmin(costs))
+        costs = np.concatenate([objectives for _, _, objectives in tried])
+        return np.concatenate([points for points, _, _ in tried]), costs, int(np.argmin(costs))
 
     design = qmc.Sobol(len(free), rng=seed).random_base2((wanted.samples - 1).bit_length())[: wanted.samples]
     evaluate(np.vstack([ensemble.point_of(STARTS[wanted.profile], free), design]))
@@ -384,10 +384,8 @@ def identify(
         columns = {name: np.concatenate([found[name] for _, found, _ in tried]) for name in TARGETS}
         return {name: (float(of[which]), float(TARGETS[name].residual(of[which]))) for name, of in columns.items()}
 
-    objectives = tuple(costs.tolist())
-    return Identified(
-        best, objectives[least], objectives[0], with_residuals(least), with_residuals(0), objectives, several
-    )
+    every = tuple(costs.tolist())
+    return Identified(best, every[least], every[0], with_residuals(least), with_residuals(0), every, several)
 
 
 # --- a directory
