@@ -55,15 +55,14 @@ _HOMES = {
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names.split()}
 
-__all__ = [
-    "LIMBS", "METRICS", "SERVOS", "Comparison", "Controller", "ControllerLike", "Page", "ParameterError", "Recording",
-    "Robot", "RobotConfig", "Rollout", "Run", "RunResult", "Search", "SearchResult", "Sensitivity", "Sensors",
-    "ServoAngles", "ServoTable", "Setup", "Simulator", "Sweep", "SweepResult", "Tuning", "TuningResult", "__version__",
-    "all_metrics", "all_parameters", "compare", "compiler_options", "control_parameters", "kinematics", "leg_servos",
-    "load_robot", "make_engine", "merge_sweeps", "metric", "parameter_tree", "published_controller", "quantity",
-    "read_history", "read_table", "render", "run_experiment", "run_experiments", "run_landscape", "run_search",
-    "run_sweep", "run_tuning", "sensitivity", "servo_table", "show",
-]  # fmt: skip
+__all__ = ["LIMBS", "METRICS", "SERVOS", "Comparison", "Controller", "ControllerLike", "Page", "ParameterError"]
+__all__ += ["Recording", "Robot", "RobotConfig", "Rollout", "Run", "RunResult", "Search", "SearchResult", "Sensitivity"]
+__all__ += ["Sensors", "ServoAngles", "ServoTable", "Setup", "Simulator", "Sweep", "SweepResult", "Tuning"]
+__all__ += ["TuningResult", "__version__", "all_metrics", "all_parameters", "compare", "compiler_options"]
+__all__ += ["control_parameters", "kinematics", "leg_servos", "load_robot", "make_engine", "merge_sweeps", "metric"]
+__all__ += ["parameter_tree", "published_controller", "quantity", "read_history", "read_table", "render"]
+__all__ += ["run_experiment", "run_experiments", "run_landscape", "run_search", "run_sweep", "run_tuning"]
+__all__ += ["sensitivity", "servo_table", "show"]
 
 
 def __getattr__(name: str) -> Any:

@@ -30,9 +30,16 @@ _HEAD: Final = b"nermo-mjx program 1\n"
 _SUFFIX: Final = ".program"
 #: JAX settings that affect tracing.
 _SETTINGS: Final = (
-    "jax_enable_x64", "jax_default_matmul_precision", "jax_numpy_dtype_promotion", "jax_numpy_rank_promotion",
-    "jax_default_prng_impl", "jax_threefry_partitionable", "jax_debug_nans", "jax_debug_infs", "jax_enable_checks",
-)  # fmt: skip
+    "jax_enable_x64",
+    "jax_default_matmul_precision",
+    "jax_numpy_dtype_promotion",
+    "jax_numpy_rank_promotion",
+    "jax_default_prng_impl",
+    "jax_threefry_partitionable",
+    "jax_debug_nans",
+    "jax_debug_infs",
+    "jax_enable_checks",
+)
 _VERSIONS: Final = ("jax", "jaxlib", "mujoco", "mujoco-mjx")
 
 

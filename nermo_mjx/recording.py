@@ -30,8 +30,11 @@ MOST_BYTES: Final = 1 << 32
 
 #: The arrays of a file, T samples each; with them a text `header`, and `sensor.NAME`.
 _ARRAYS: Final[dict[str, tuple[str, tuple[Any, ...]]]] = {
-    "time": ("fiu", ("T",)), "qpos": ("fiu", ("T", "nq")), "qvel": ("fiu", ("T", "nv")), "ctrl": ("fiu", ("T", "nu")),
-}  # fmt: skip
+    "time": ("fiu", ("T",)),
+    "qpos": ("fiu", ("T", "nq")),
+    "qvel": ("fiu", ("T", "nv")),
+    "ctrl": ("fiu", ("T", "nu")),
+}
 
 
 class _Metadata(BaseModel, extra="allow"):
@@ -199,8 +202,13 @@ def model_hash(model: mujoco.MjModel) -> str:
     """
     digest = hashlib.sha256()
     sizes = (model.nq, model.nv, model.nu, model.nbody, model.njnt, model.ntendon, model.nsensor)
-    kinds = (mujoco.mjtObj.mjOBJ_BODY, mujoco.mjtObj.mjOBJ_JOINT, mujoco.mjtObj.mjOBJ_TENDON,
-             mujoco.mjtObj.mjOBJ_ACTUATOR, mujoco.mjtObj.mjOBJ_SENSOR)  # fmt: skip
+    kinds = (
+        mujoco.mjtObj.mjOBJ_BODY,
+        mujoco.mjtObj.mjOBJ_JOINT,
+        mujoco.mjtObj.mjOBJ_TENDON,
+        mujoco.mjtObj.mjOBJ_ACTUATOR,
+        mujoco.mjtObj.mjOBJ_SENSOR,
+    )
     counts = (model.nbody, model.njnt, model.ntendon, model.nu, model.nsensor)
     names = [[mujoco.mj_id2name(model, kind, i) for i in range(n)] for kind, n in zip(kinds, counts, strict=True)]
     digest.update(repr((sizes, names)).encode())

@@ -46,10 +46,22 @@ runtime.start_jax()  # before a test does, with too few threads for large batche
 
 #: Files that take 25 s or more of a core, or wait as long; a notebook finds the program of test_tune_walk.py compiled.
 FIRST = (
-    "test_tune_walk.py", "test_experiments.py", "test_ray_workers.py", "test_differentiable_step.py", "test_docs.py",
-    "test_special_states.py", "test_notebooks.py", "test_ends_of_ranges.py", "test_engines.py", "test_controller.py",
-    "test_geometry.py", "test_walk_gradient.py", "test_tune_run.py", "test_plot_command.py", "test_cli.py",
-)  # fmt: skip
+    "test_tune_walk.py",
+    "test_experiments.py",
+    "test_ray_workers.py",
+    "test_differentiable_step.py",
+    "test_docs.py",
+    "test_special_states.py",
+    "test_notebooks.py",
+    "test_ends_of_ranges.py",
+    "test_engines.py",
+    "test_controller.py",
+    "test_geometry.py",
+    "test_walk_gradient.py",
+    "test_tune_run.py",
+    "test_plot_command.py",
+    "test_cli.py",
+)
 #: Memory that a process of tests needs [bytes].
 PROCESS_BYTES = 3 * 1024**3
 #: Seconds of each test marked `long` that has passed, setup included; in the process that collects reports.
@@ -120,9 +132,14 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
 
 #: Modules that make simulators by this name.
 MAKERS = (
-    "rollout", "sweep.run", "sweep.replay", "sweep.simulating", "optimize.problems",
-    "learn.evaluation", "experiments.walks",
-)  # fmt: skip
+    "rollout",
+    "sweep.run",
+    "sweep.replay",
+    "sweep.simulating",
+    "optimize.problems",
+    "learn.evaluation",
+    "experiments.walks",
+)
 
 
 _first_of = functools.cache(Simulator)

@@ -37,13 +37,22 @@ SPEEDS = {"exact": (0.05, 0.08), "as_published": (0.045, 0.07), "as_built": (0.0
 SETTABLE = frozenset({"contact.friction", "servo.kp"})
 #: A figure that holds, one that does not, a trend, a word, and one that is not measured.
 FIGURES = (
-    Figure("speed at 0.8 Hz", "predicted", "number", '1e3 * mean("speed", frequency=0.8)', 80.0, unit="mm/s",
-           section="6.2", author=84.9, settings="tests"),
+    Figure(
+        "speed at 0.8 Hz",
+        "predicted",
+        "number",
+        '1e3 * mean("speed", frequency=0.8)',
+        80.0,
+        unit="mm/s",
+        section="6.2",
+        author=84.9,
+        settings="tests",
+    ),
     Figure("ratio of speeds", "fitted", "effect", "1.6", 1.2, section="6.2", sentence="faster by 20 %"),
     Figure("faster | at 0.8 Hz", "chosen", "outcome", "True", True),
     Figure("word", "predicted", "outcome", "'fail'", "pass", reason="the feet are round."),
     Figure("interval", "theory", "range", 'mean("nothing")', [0.25, 0.30]),
-)  # fmt: skip
+)
 
 
 @dataclasses.dataclass
@@ -63,13 +72,22 @@ class Fake:
             raise self.error
         bodies = asked.bodies
         rows = [
-            (profile, body, "trt", frequency, repeat, factor * speed + 1e-3 * repeat, 0.12 * frequency, repeat == 0,
-             "ok")
+            (
+                profile,
+                body,
+                "trt",
+                frequency,
+                repeat,
+                factor * speed + 1e-3 * repeat,
+                0.12 * frequency,
+                repeat == 0,
+                "ok",
+            )
             for profile in asked.profiles
             for body, factor in enumerate([1.0] if bodies is None else bodies["contact.friction"], start=1)
             for frequency, speed in zip((0.5, 0.8), SPEEDS[profile], strict=True)
             for repeat in range(asked.repeats)
-        ]  # fmt: skip
+        ]
         names = ["profile", BODY, *list(ABOUT)[1:]]
         columns = {name: np.array(column) for name, column in zip(names, zip(*rows, strict=True), strict=True)}
         if bodies is None:

@@ -69,15 +69,21 @@ def atlas(out: Path) -> tuple[Path, dict[str, np.ndarray]]:
     cells = np.sort(random.permutation(20)[:11])
     speed, shake = (cells // 4 + random.random(11)) * 0.02, (cells % 4 + random.random(11)) * 0.5
     values = {
-        "row": np.sort(random.permutation(500)[:11]), "cell": cells, "frequency": random.uniform(0.4, 1.2, 11),
-        "speed": speed, "shake": shake, "price": random.uniform(3, 9, 11),
-    }  # fmt: skip
+        "row": np.sort(random.permutation(500)[:11]),
+        "cell": cells,
+        "frequency": random.uniform(0.4, 1.2, 11),
+        "speed": speed,
+        "shake": shake,
+        "price": random.uniform(3, 9, 11),
+    }
     about = {
-        "row": {"role": "index", "unit": "1"}, "cell": {"role": "index", "unit": "1"},
+        "row": {"role": "index", "unit": "1"},
+        "cell": {"role": "index", "unit": "1"},
         "frequency": {"role": "varied", "unit": "Hz", "description": "gait cycles a second", "scale": "linear"},
-        "speed": {"role": "metric", "unit": "m/s"}, "price": {"role": "metric", "unit": "J"},
+        "speed": {"role": "metric", "unit": "m/s"},
+        "price": {"role": "metric", "unit": "J"},
         "shake": {"role": "metric", "unit": "rad/s", "better": "low", "description": "a custom metric"},
-    }  # fmt: skip
+    }
     objective = {"metric": "price", "direction": "minimize"}
     columns = {name: (values[name], about[name]) for name in values}
     out.mkdir(parents=True)

@@ -19,17 +19,32 @@ from chromium import PATIENCE, Page, ended, require
 NAMES = ("firefox-esr", "firefox")
 #: A port of its own choice, no look-ups, no first-run pages; the theme is set by each page.
 PREFS = {
-    "marionette.port": 0, "app.update.disabledForTesting": True, "browser.shell.checkDefaultBrowser": False,
-    "browser.startup.page": 0, "browser.aboutwelcome.enabled": False,
-    "datareporting.policy.dataSubmissionEnabled": False, "network.captive-portal-service.enabled": False,
+    "marionette.port": 0,
+    "app.update.disabledForTesting": True,
+    "browser.shell.checkDefaultBrowser": False,
+    "browser.startup.page": 0,
+    "browser.aboutwelcome.enabled": False,
+    "datareporting.policy.dataSubmissionEnabled": False,
+    "network.captive-portal-service.enabled": False,
     "network.connectivity-service.enabled": False,
-    "toolkit.telemetry.enabled": False, "ui.prefersReducedMotion": 0, "remote.prefs.recommended": True,
-}  # fmt: skip
+    "toolkit.telemetry.enabled": False,
+    "ui.prefersReducedMotion": 0,
+    "remote.prefs.recommended": True,
+}
 THEME = "layout.css.prefers-color-scheme.content-override"
 KEYS = {
-    "Tab": "\ue004", "Enter": "\ue007", "Escape": "\ue00c", "PageUp": "\ue00e", "PageDown": "\ue00f", "End": "\ue010",
-    "Home": "\ue011", "ArrowLeft": "\ue012", "ArrowUp": "\ue013", "ArrowRight": "\ue014", "ArrowDown": "\ue015",
-}  # fmt: skip
+    "Tab": "\ue004",
+    "Enter": "\ue007",
+    "Escape": "\ue00c",
+    "PageUp": "\ue00e",
+    "PageDown": "\ue00f",
+    "End": "\ue010",
+    "Home": "\ue011",
+    "ArrowLeft": "\ue012",
+    "ArrowUp": "\ue013",
+    "ArrowRight": "\ue014",
+    "ArrowDown": "\ue015",
+}
 SHIFT = "\ue008"
 #: Errors and warnings of scripts in the pages; that there may be no WebGL is none.
 CONSOLE = """return Services.console.getMessageArray().filter((m) => m instanceof Ci.nsIScriptError
@@ -108,8 +123,14 @@ class Tab(Page):
     def mouse(self, kind: str, x: float, y: float) -> None:
         move = {"type": "pointerMove", "duration": 0, "x": round(x), "y": round(y), "origin": "viewport"}
         then = {"mousePressed": ["pointerDown"], "mouseReleased": ["pointerUp"]}.get(kind, [])
-        self._perform({"type": "pointer", "id": "mouse", "parameters": {"pointerType": "mouse"},
-                       "actions": [move, *({"type": each, "button": 0} for each in then)]})  # fmt: skip
+        self._perform(
+            {
+                "type": "pointer",
+                "id": "mouse",
+                "parameters": {"pointerType": "mouse"},
+                "actions": [move, *({"type": each, "button": 0} for each in then)],
+            }
+        )
 
     def _perform(self, actions: dict[str, Any]) -> None:
         self._call("WebDriver:PerformActions", actions=[actions])
@@ -133,8 +154,10 @@ def page() -> Iterator[Tab]:
         (Path(profile) / "user.js").write_text("".join(lines))
         process = subprocess.Popen(
             [path, "--headless", "--no-remote", "--marionette", "--remote-allow-system-access", "--profile", profile],
-            stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-        )  # fmt: skip
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
         with ended(process):
             where = ("127.0.0.1", _port(Path(profile), process))
             with socket.create_connection(where, PATIENCE) as connection:

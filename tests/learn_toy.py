@@ -71,8 +71,18 @@ class PointMass:
         body = jnp.where(ended[:, None], self._drawn(drawn), body)
         seen, known = self._sensed(body)
         reward = self.step_seconds * (terms["near"] + terms["push"]) - 5.0 * terminated
-        return State(seen, known, reward, terms, terminated, truncated, *final, body, jnp.where(ended, 0, tick),
-                     jax.random.key_data(left))  # fmt: skip
+        return State(
+            seen,
+            known,
+            reward,
+            terms,
+            terminated,
+            truncated,
+            *final,
+            body,
+            jnp.where(ended, 0, tick),
+            jax.random.key_data(left),
+        )
 
     def _drawn(self, key: Any) -> Any:
         return jax.random.uniform(key, (self.worlds, 4), minval=-1.5, maxval=1.5) * jnp.array([1.0, 1.0, 0.5, 0.5])

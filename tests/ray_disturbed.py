@@ -133,8 +133,15 @@ def account(log):
         for chunk, each in again
         if not (each[1] in killed or each[0] < drivers) or chunk not in by_process[each][-2:]
     ]
-    return {"nodes_killed": len(killed), "drivers_lost": drivers - 1, "chunks": len(by_chunk), "ended": ended,
-            "in_flight": len(again), "unexplained": len(unexplained), "processes": len(by_process)}  # fmt: skip
+    return {
+        "nodes_killed": len(killed),
+        "drivers_lost": drivers - 1,
+        "chunks": len(by_chunk),
+        "ended": ended,
+        "in_flight": len(again),
+        "unexplained": len(unexplained),
+        "processes": len(by_process),
+    }
 
 
 def same(one, other):
@@ -167,9 +174,12 @@ def main():
     between = time.monotonic()
     disturbed(asked, out, log)
     found = {
-        "same": not alone and same(read_table(one), read_table(out)), "rows": asked.rows, **account(log),
-        "one_process_s": round(between - began, 1), "cluster_s": round(time.monotonic() - between, 1),
-    }  # fmt: skip
+        "same": not alone and same(read_table(one), read_table(out)),
+        "rows": asked.rows,
+        **account(log),
+        "one_process_s": round(between - began, 1),
+        "cluster_s": round(time.monotonic() - between, 1),
+    }
     print(json.dumps(found))
     return 0 if found["same"] and not found["unexplained"] else 1
 

@@ -159,8 +159,8 @@ CASES: dict[str, Case] = {
         _free('type="capsule" size=".05 .1"', "0 0 0") + _free('type="capsule" size=".05 .1"', ".0999 0 0.03")
     ),
     "capsules cross": Case(
-        _free('type="capsule" size=".05 '
-        '.1"', "0 0 0") + _free('type="capsule" size=".05 .1" euler="90 0 0"', ".0999 0 0")
+        _free('type="capsule" size=".05 .1"', "0 0 0")
+        + _free('type="capsule" size=".05 .1" euler="90 0 0"', ".0999 0 0")
     ),
     "capsules parallel, of two lengths, head to tail": Case(
         _free('type="capsule" size=".05 .1"', "0 0 0")
@@ -204,13 +204,15 @@ CASES: dict[str, Case] = {
         _TWO + _COUPLED.format('stiffness="1 20 3" damping=".1 1 .5" springlength="0"'), FAST, qvel=[0.5, 1.0]
     ),
     "tendon's force at its range": Case(
-        _TWO + _COUPLED.format('actuatorfrcrange="-1 '
-        '1"') + '<actuator><motor tendon="t"/><motor tendon="t" gear="2"/></actuator>',
+        _TWO
+        + _COUPLED.format('actuatorfrcrange="-1 1"')
+        + '<actuator><motor tendon="t"/><motor tendon="t" gear="2"/></actuator>',
         ctrl=[0.7, 0.3],
     ),
     "tendon's force zero of two": Case(
-        _TWO + _COUPLED.format('actuatorfrcrange="-1 '
-        '1"') + '<actuator><motor tendon="t"/><motor tendon="t"/></actuator>',
+        _TWO
+        + _COUPLED.format('actuatorfrcrange="-1 1"')
+        + '<actuator><motor tendon="t"/><motor tendon="t"/></actuator>',
         ctrl=[0.5, -0.5],
     ),
     "tendon at its spring's length": Case(
@@ -222,7 +224,9 @@ CASES: dict[str, Case] = {
     ),
     "servo beyond its force, implicitfast": Case(
         _hinge('armature=".01"') + '<actuator><position joint="j" kp="100" kv="10" forcerange="-2 2"/></actuator>',
-        FAST, qvel=[1.0], ctrl=[1.0],
+        FAST,
+        qvel=[1.0],
+        ctrl=[1.0],
     ),
     "damper that follows its control, implicitfast": Case(
         _hinge() + '<actuator><damper joint="j" kv="3" ctrlrange="0 1"/></actuator>', FAST, qvel=[1.0], ctrl=[0.5]
@@ -230,29 +234,43 @@ CASES: dict[str, Case] = {
     "muscle at rest": Case(_hinge() + '<actuator><muscle joint="j" lengthrange="-1 1" force="10"/></actuator>'),
     "muscle, activation = control, implicitfast": Case(
         _hinge() + '<actuator><muscle joint="j" lengthrange="-1 1" force="10" tausmooth=".2"/></actuator>',
-        FAST, qvel=[0.0], act=[0.4], ctrl=[0.4],
+        FAST,
+        qvel=[0.0],
+        act=[0.4],
+        ctrl=[0.4],
     ),
     "muscle that lengthens, implicitfast": Case(
-        _hinge() + '<actuator><muscle joint="j" lengthrange="-1 1" '
-        'force="30"/></actuator>', FAST, qvel=[2.0], act=[0.7], ctrl=[0.9]
+        _hinge() + '<actuator><muscle joint="j" lengthrange="-1 1" force="30"/></actuator>',
+        FAST,
+        qvel=[2.0],
+        act=[0.7],
+        ctrl=[0.9],
     ),
     "early filter, implicitfast": Case(
         _hinge() + '<actuator><general joint="j" dyntype="filterexact" dynprm=".05" gaintype="affine" gainprm="10 '
         '0 -3" '
         'biastype="affine" biasprm="0 -10 -1" actearly="true"/><intvelocity joint="j" kp="5" actrange="-.1 '
         '.1"/></actuator>',
-        FAST, qvel=[0.5], act=[0.2, 0.1], ctrl=[1.0, 0.5],
+        FAST,
+        qvel=[0.5],
+        act=[0.2, 0.1],
+        ctrl=[1.0, 0.5],
     ),
     "actuators' inertia and damping": Case(
         _TWO + _COUPLED.format("") + '<actuator><motor joint="j" gear="3" armature=".01" damping=".1 .2 '
         '.1"/><motor joint="j" '
         'armature=".02"/><motor tendon="t" gear="2" armature=".03" damping=".05 '
-        '.1"/></actuator>', qvel=[1.0, -1.0], ctrl=[1, 0, 1],
+        '.1"/></actuator>',
+        qvel=[1.0, -1.0],
+        ctrl=[1, 0, 1],
     ),
     "the same, implicitfast": Case(
         _TWO + _COUPLED.format("") + '<actuator><motor joint="j" gear="3" armature=".01" damping=".1 .2 '
         '.1"/><motor tendon="t" '
-        'gear="2" armature=".03" damping=".05 .1"/></actuator>', FAST, qvel=[1.0, -1.0], ctrl=[1, 1],
+        'gear="2" armature=".03" damping=".05 .1"/></actuator>',
+        FAST,
+        qvel=[1.0, -1.0],
+        ctrl=[1, 1],
     ),
     # Passive forces.
     "polynomial spring and damper at rest": Case(_hinge('stiffness="0 5 3" damping="0 1 2"')),
@@ -262,8 +280,9 @@ CASES: dict[str, Case] = {
     "no springs": Case(_hinge('stiffness="3" damping=".5 .1"'), '><flag spring="disable"/', qpos=[0.5], qvel=[2.0]),
     "no dampers": Case(_hinge('stiffness="3" damping=".5 .1"'), '><flag damper="disable"/', qpos=[0.5], qvel=[2.0]),
     "no dampers, implicitfast": Case(
-        _hinge('stiffness="3" '
-        'damping=".5"') + _FIXED.format('damping="1"'), f'{FAST}><flag damper="disable"/', qvel=[2.0]
+        _hinge('stiffness="3" damping=".5"') + _FIXED.format('damping="1"'),
+        f'{FAST}><flag damper="disable"/',
+        qvel=[2.0],
     ),
     "gravity compensation of the actuators": Case(
         '<body gravcomp=".7"><joint name="j" axis="0 1 0" actuatorgravcomp="true" actuatorfrcrange="-1 1"/><geom '
@@ -283,7 +302,9 @@ CASES: dict[str, Case] = {
     "body with a child, implicitfast": Case(
         '<body><freejoint/><geom type="box" size=".1 .05 .02" mass="1"/><body pos=".1 0 0"><joint axis="0 1 0" '
         'damping=".1"/><geom '
-        'size=".02" pos=".1 0 0" mass=".2"/></body></body>', FAST, qvel=[*_SPIN, 1.0],
+        'size=".02" pos=".1 0 0" mass=".2"/></body></body>',
+        FAST,
+        qvel=[*_SPIN, 1.0],
     ),
     # Equalities.
     "connect at rest": Case(_LINKS + _CONNECT),
@@ -293,8 +314,8 @@ CASES: dict[str, Case] = {
     ),
     "weld of sites": Case(_PAIR + '<equality><weld site1="sa" site2="sc"/></equality>', qvel=[*_SPIN, 0.3, 0.2, 0.1]),
     "connect of sites, and inactive": Case(
-        _PAIR + '<equality><connect site1="sa" site2="sc"/><weld body1="a" '
-        'active="false"/></equality>', qvel=[*_SPIN, 0.3, 0.2, 0.1]
+        _PAIR + '<equality><connect site1="sa" site2="sc"/><weld body1="a" active="false"/></equality>',
+        qvel=[*_SPIN, 0.3, 0.2, 0.1],
     ),
     "connect, deeper than width, power 1.5": Case(
         _PAIR + '<equality><connect body1="a" body2="c" anchor=".1 0 0" solimp=".5 .9 .01 .5 1.5"/></equality>',
@@ -303,10 +324,11 @@ CASES: dict[str, Case] = {
     "joint and tendon equalities at zero": Case(
         _TWO + _COUPLED.format("") + '<equality><joint joint1="j" joint2="k" polycoef="0 1 .5 .2 .1"/><tendon '
         'tendon1="t" '
-        'polycoef="0 .5 .2 0 0"/></equality>', qvel=[0.5, 0.2],
+        'polycoef="0 .5 .2 0 0"/></equality>',
+        qvel=[0.5, 0.2],
     ),
     "everything off": Case(_hinge('range="-30 0"'), '><flag constraint="disable"/', qpos=[0.1]),
-}  # fmt: skip
+}
 
 
 def compiled(case: Case) -> mujoco.MjModel:
@@ -360,16 +382,23 @@ def check(case: Case, model: mujoco.MjModel | None = None, width: float = 1e-6) 
             first = positions(device, jnp.asarray(start[0]), dq), start[1] + dv, start[2] + da
             return jnp.concatenate(jax.lax.scan(advance, first, None, length=case.steps)[0])
 
-        both = jax.jit(jax.value_and_grad(lambda z: (lambda e: (weights @ e, e))(ends(z)), has_aux=True),
-                       compiler_options=compiler_options())  # fmt: skip
+        both = jax.jit(
+            jax.value_and_grad(lambda z: (lambda e: (weights @ e, e))(ends(z)), has_aux=True),
+            compiler_options=compiler_options(),
+        )
         (_, end), slopes = both(np.zeros(size))
     end, slopes, here = np.asarray(end), np.asarray(slopes), in_c(np.zeros(size))
     value = np.abs(end - here).max() / max(1.0, np.abs(here).max())
     # Differences to both sides, at two widths.
-    sides = np.array([
-        [[weights @ (in_c(sign * h * each) - here) / (sign * h) for each in np.eye(size)] for h in (width, width / 4)]
-        for sign in (1, -1)
-    ])  # fmt: skip
+    sides = np.array(
+        [
+            [
+                [weights @ (in_c(sign * h * each) - here) / (sign * h) for each in np.eye(size)]
+                for h in (width, width / 4)
+            ]
+            for sign in (1, -1)
+        ]
+    )
     middle = sides[:, 0].mean(axis=0)
     scale = max(1.0, np.abs(middle).max())
     error = np.abs(slopes - middle) / scale

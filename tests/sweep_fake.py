@@ -38,8 +38,17 @@ class FakeSimulator:
         hold_at: this call waits for the signal that ends the process, however slow the machine is.
     """
 
-    def __init__(self, stop_at=None, delay=0.0, engine="fake", falls_above=np.inf, log=None, fail_at=None, error=None,
-                 hold_at=None):  # fmt: skip
+    def __init__(
+        self,
+        stop_at=None,
+        delay=0.0,
+        engine="fake",
+        falls_above=np.inf,
+        log=None,
+        fail_at=None,
+        error=None,
+        hold_at=None,
+    ):
         self.batches, self.stop_at, self.delay, self.engine = [], stop_at, delay, engine
         self.falls_above, self.log, self.fail_at, self.error = falls_above, log, fail_at, error
         self.hold_at = hold_at

@@ -117,8 +117,15 @@ def add_run(folder: Path, run: dict[str, Any]) -> None:
 
 def test_the_page_shows_the_newest_of_each_kind_by_machine(tmp_path) -> None:
     gpu, walk = HARDWARE | {"device": "1 x gpu"}, walk_of
-    start = {"case": "startup", "engine": "c", "worlds": 64, "cold_s": 5.5, "warm_s": 3.5,
-             "cold": {"import_s": 1.25, "training_s": 30.5}, "warm": {"import_s": 1.0, "training_s": 2.5}}  # fmt: skip
+    start = {
+        "case": "startup",
+        "engine": "c",
+        "worlds": 64,
+        "cold_s": 5.5,
+        "warm_s": 3.5,
+        "cold": {"import_s": 1.25, "training_s": 30.5},
+        "warm": {"import_s": 1.0, "training_s": 2.5},
+    }
     gradient = {"case": "gradient", "mode": "reverse", "worlds": 16, "cycles": 1.0, "error": "no memory"}
     add_run(tmp_path, run_of("2026-01-01", walk(11111.0), walk(22222.0, worlds=128)))
     add_run(tmp_path, run_of("2026-02-02", walk(33333.0), start))
@@ -140,10 +147,18 @@ def run_of(date: str, *lines: dict[str, Any], hardware: dict[str, Any] | None = 
 def walk_of(rate: float, **more: Any) -> dict[str, Any]:
     """A successful measurement of the throughput."""
     return {
-        "case": "throughput", "engine": "c", "worlds": 64, "steps_per_second": rate, "ratio": 0.9,
-        "plain_steps_per_second": rate, "peak_bytes": 1e9, "trace_s": 1.0, "compile_s": 1.0,
-        "plain_trace_s": 0.0, "plain_compile_s": 0.0,
-    } | more  # fmt: skip
+        "case": "throughput",
+        "engine": "c",
+        "worlds": 64,
+        "steps_per_second": rate,
+        "ratio": 0.9,
+        "plain_steps_per_second": rate,
+        "peak_bytes": 1e9,
+        "trace_s": 1.0,
+        "compile_s": 1.0,
+        "plain_trace_s": 0.0,
+        "plain_compile_s": 0.0,
+    } | more
 
 
 FAILED = {"case": "throughput", "engine": "c", "worlds": 64, "error": "no memory"}

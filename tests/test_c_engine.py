@@ -21,11 +21,14 @@ def walks() -> dict[str, np.ndarray]:
     """Walks of different gaits, soles and masses."""
     draw = np.random.default_rng(3).uniform
     return {
-        "frequency": draw(0.5, 1.0, WORLDS), "stride": draw(0.5, 1.0, WORLDS),
-        "spine.amplitude": draw(0.0, 0.4, WORLDS), "spine.phase": draw(-np.pi, np.pi, WORLDS),
-        "contact.friction": draw(0.8, 1.5, WORLDS), "mass.front": draw(0.12, 0.2, WORLDS),
+        "frequency": draw(0.5, 1.0, WORLDS),
+        "stride": draw(0.5, 1.0, WORLDS),
+        "spine.amplitude": draw(0.0, 0.4, WORLDS),
+        "spine.phase": draw(-np.pi, np.pi, WORLDS),
+        "contact.friction": draw(0.8, 1.5, WORLDS),
+        "mass.front": draw(0.12, 0.2, WORLDS),
         "start.yaw": draw(-0.1, 0.1, WORLDS),
-    }  # fmt: skip
+    }
 
 
 def some(walks: dict[str, np.ndarray], ids: np.ndarray) -> dict[str, np.ndarray]:

@@ -58,13 +58,17 @@ def test_help_fits_80_columns_and_ends_with_an_example(command: tuple[str, ...])
 @pytest.mark.parametrize(
     ("script", "heavy"),
     [
-        ("from nermo_mjx.cli import main; main(['walk', '--help'], standalone_mode=False)",
-         {"jax", "mujoco", "scipy", "pyarrow", "matplotlib"}),
+        (
+            "from nermo_mjx.cli import main; main(['walk', '--help'], standalone_mode=False)",
+            {"jax", "mujoco", "scipy", "pyarrow", "matplotlib"},
+        ),
         # Together they take a quarter of a walk's import time, and only courses and result tables need them.
-        ("import nermo_mjx.rollout, nermo_mjx.runs; nermo_mjx.rollout.Setup().load()",
-         {"scipy.interpolate", "pyarrow"}),
+        (
+            "import nermo_mjx.rollout, nermo_mjx.runs; nermo_mjx.rollout.Setup().load()",
+            {"scipy.interpolate", "pyarrow"},
+        ),
     ],
-)  # fmt: skip
+)
 def test_what_is_not_needed_is_not_imported(script: str, heavy: set[str]) -> None:
     script = f"{script}\nimport sys\nassert not {heavy} & set(sys.modules)"
     subprocess.run([sys.executable, "-c", script], check=True, capture_output=True)
@@ -229,8 +233,15 @@ def test_options_reach_the_simulation(tmp_path: Path) -> None:
     more = ("--gait", "lat", "--offset-compensation", "--turn-rate", "0.4", "--steering", "mix", "--physics", "fast")
     last = ("--tail", "articulated", "--profile", "as_published", "--seed", "3")
     report = json_of(*SHORT, *options, *more, *last)
-    expected = {"spine.amplitude": 0.3, "spine.phase": 0.5, "stride": 0.8, "spine.offset_compensation": 1.0,
-                "pilot.turn_rate": 0.4, "turning.leg": 1.0, "turning.spine": 1.0}  # fmt: skip
+    expected = {
+        "spine.amplitude": 0.3,
+        "spine.phase": 0.5,
+        "stride": 0.8,
+        "spine.offset_compensation": 1.0,
+        "pilot.turn_rate": 0.4,
+        "turning.leg": 1.0,
+        "turning.spine": 1.0,
+    }
     assert expected.items() <= report["parameters"].items()
     assert report["parameters"]["tracking.foot_gain"] < 1.0
     assert report["parameters"]["start.x"] != 0.0

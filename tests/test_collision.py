@@ -18,11 +18,15 @@ from nermo_mjx.dynamics.mjx_import import _put, mjx
 from nermo_mjx.runtime import compiler_options
 
 GEOMS = {
-    "plane": 'type="plane" size="1 1 .1"', "hfield": 'type="hfield" hfield="h"', "sphere": 'size=".05"',
-    "capsule": 'type="capsule" size=".05 .1"', "ellipsoid": 'type="ellipsoid" size=".05 .04 .03"',
-    "cylinder": 'type="cylinder" size=".05 .1"', "box": 'type="box" size=".05 .04 .03"',
+    "plane": 'type="plane" size="1 1 .1"',
+    "hfield": 'type="hfield" hfield="h"',
+    "sphere": 'size=".05"',
+    "capsule": 'type="capsule" size=".05 .1"',
+    "ellipsoid": 'type="ellipsoid" size=".05 .04 .03"',
+    "cylinder": 'type="cylinder" size=".05 .1"',
+    "box": 'type="box" size=".05 .04 .03"',
     "mesh": 'type="mesh" mesh="m"',
-}  # fmt: skip
+}
 ASSETS = """<asset><hfield name="h" nrow="2" ncol="2" size=".3 .3 .05 .1" elevation="0 1 0 0"/>
 <mesh name="m" vertex=".05 0 0 -.05 0 0 0 .05 0 0 -.05 0 0 0 .06 0 0 -.06"/></asset>"""
 PAIRS = [tuple(kind.name.lower() for kind in pair) for pair in collision_driver._COLLISION_FUNC]

@@ -26,9 +26,11 @@ GAITS, SPINES, FREQUENCIES = ("trt", "trt1", "lat"), ("none", "stride_extension"
 #: Share by which the spine makes each gait faster.
 GAIN = {"trt": 0.2, "trt1": 0.0, "lat": -0.1}
 RANDOM = {
-    "spine": "stride_extension", "plots": False, "vary": {"frequency": [0.5, 0.9], "spine.amplitude": [0.0, 0.4]},
+    "spine": "stride_extension",
+    "plots": False,
+    "vary": {"frequency": [0.5, 0.9], "spine.amplitude": [0.0, 0.4]},
     "randomize": {"repeats": 12, "contact.friction": {"uniform": [0.9, 1.1]}},
-}  # fmt: skip
+}
 
 
 def table(repeats: int = 8, noise: float = 0.02, seeds: str = "own", fell: tuple[str, ...] = ()) -> pa.Table:
@@ -109,14 +111,21 @@ def test_intervals_hold_the_truth_in_95_of_100_cases(variants: int, repeats: int
     """Of 600 drawn experiments with known difference; `spread` is that of the variants over that of the repeats."""
     trials, rng = 600, np.random.default_rng(5)
     effect = 1 + spread * rng.normal(size=(variants, trials))
-    values = [sign * ((effect[v] if sign > 0 else 0) + rng.normal(size=(repeats, trials)))
-              for sign in (-1, 1) for v in range(variants)]  # fmt: skip
+    values = [
+        sign * ((effect[v] if sign > 0 else 0) + rng.normal(size=(repeats, trials)))
+        for sign in (-1, 1)
+        for v in range(variants)
+    ]
     cell = np.repeat(np.arange(2 * variants), repeats)
     found = two_stage(np.concatenate(values), cell, np.tile(np.arange(variants), 2))
     covered = np.mean((found.low <= 1) & (found.high >= 1))
     assert 0.91 <= covered <= 0.99
-    false = np.mean(two_stage(np.concatenate(values) - np.repeat([0, 1], len(cell) // 2)[:, None], cell,
-                              np.tile(np.arange(variants), 2)).p <= 0.05)  # fmt: skip
+    false = np.mean(
+        two_stage(
+            np.concatenate(values) - np.repeat([0, 1], len(cell) // 2)[:, None], cell, np.tile(np.arange(variants), 2)
+        ).p
+        <= 0.05
+    )
     assert false <= 0.09
 
 
@@ -262,8 +271,11 @@ def test_figures_mark_what_is_beyond_noise(drawing) -> None:
     figures = dict(figures_of(found.table))
     assert list(figures) == ["differences", "speed-gain-by-gait-and-frequency"]
     figure = figures["speed-gain-by-gait-and-frequency"]
-    filled = sum((marks.get_facecolor()[:, :3] < 1).any(axis=1).sum() for marks in figure.axes[0].collections
-                 if len(marks.get_offsets()) > 0 and len(marks.get_facecolor()))  # fmt: skip
+    filled = sum(
+        (marks.get_facecolor()[:, :3] < 1).any(axis=1).sum()
+        for marks in figure.axes[0].collections
+        if len(marks.get_offsets()) > 0 and len(marks.get_facecolor())
+    )
     rows = [row for row in found.rows("stride_extension", grouped=True) if row["metric"] == "speed"]
     assert filled == sum(row["beyond_noise"] for row in rows) > 0
     texts = " ".join(text.get_text() for text in figure.findobj(lambda artist: hasattr(artist, "get_text")))

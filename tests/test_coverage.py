@@ -97,39 +97,55 @@ ROPE = """<body name="cB_first"><freejoint/><plugin plugin="mujoco.elasticity.ca
 <config key="bend" value="4e6"/></plugin><geom type="capsule" size=".02" fromto="0 0 0 .1 0 0"/></body>"""
 REFUSALS: dict[str, tuple[Any, str]] = {
     "delayed actuator": (
-        (HINGE, '<actuator><motor name="a" joint="j" delay=".01" '
-        'nsample="4"/></actuator>'), "actuator 'a' has a delay"),
-    "delayed sensor": ((HINGE, '<sensor><jointpos name="p" joint="j" delay=".01" '
-    'nsample="4"/></sensor>'), "sensor 'p' has a delay"),
+        (HINGE, '<actuator><motor name="a" joint="j" delay=".01" nsample="4"/></actuator>'),
+        "actuator 'a' has a delay",
+    ),
+    "delayed sensor": (
+        (HINGE, '<sensor><jointpos name="p" joint="j" delay=".01" nsample="4"/></sensor>'),
+        "sensor 'p' has a delay",
+    ),
     "sensor at an interval": (
-        (HINGE, '<sensor><jointpos joint="j" interval=".01" '
-        'nsample="2"/></sensor>'), "sensor 0 is read at an interval"),
+        (HINGE, '<sensor><jointpos joint="j" interval=".01" nsample="2"/></sensor>'),
+        "sensor 0 is read at an interval",
+    ),
     "conveyor": ((BALL.format('surfacevel="1 0 0"'),), "geom 'g' has a surface velocity"),
     "magnet": ((BALL.format('adhesion="1"'),), "geom 'g' is adhesive"),
     "magnetic pair": (
-        (BALL.format(""), '<contact><pair geom1="f" geom2="g" adhesion="2"/></contact>'), "pair 0 is adhesive"
+        (BALL.format(""), '<contact><pair geom1="f" geom2="g" adhesion="2"/></contact>'),
+        "pair 0 is adhesive",
     ),
-    "swimmer": ((BALL.format('fluidshape="ellipsoid"'), "", '<option '
-    'viscosity=".1"/>'), "geom 'g' has fluidshape='ellipsoid'"),
-    "PID": ((HINGE, '<actuator><plugin name="a" joint="j" plugin="mujoco.pid" '
-    'instance="p"/></actuator>', PID), "actuator 'a' is run by"),
+    "swimmer": (
+        (BALL.format('fluidshape="ellipsoid"'), "", '<option viscosity=".1"/>'),
+        "geom 'g' has fluidshape='ellipsoid'",
+    ),
+    "PID": (
+        (HINGE, '<actuator><plugin name="a" joint="j" plugin="mujoco.pid" instance="p"/></actuator>', PID),
+        "actuator 'a' is run by",
+    ),
     "cable": ((ROPE, "", CABLE), "body 'cB_first' is run by a plugin"),
     "disabled group": (
         (HINGE, '<actuator><motor name="a" joint="j" group="2"/></actuator>', '<option actuatorgroupdisable="2"/>'),
-        "actuator 'a' is in a disabled group"),
+        "actuator 'a' is in a disabled group",
+    ),
     "noslip": ((HINGE, "", '<option noslip_iterations="3"/>'), "noslip_iterations is 3"),
     "sleep": ((HINGE, "", '<option><flag sleep="enable"/></option>'), "flag sleep is enabled"),
     "side site": (
-        ('<geom name="w" type="cylinder" size=".25 .1" contype="0" conaffinity="0"/><site name="o" pos="-.3 0 0"/>'
-         + HINGE.replace('"s"', '"s" pos=".1 0 0" ').replace("axis", 'pos=".2 0 0" axis'),
-         '<tendon><spatial name="t"><site site="o"/><geom geom="w" sidesite="s"/>'
-         '<site site="s"/></spatial></tendon>'),
-        "tendon 't' has the side site 's', now inside geom 'w', now outside, as joints turn: put it on the same body"),
+        (
+            '<geom name="w" type="cylinder" size=".25 .1" contype="0" conaffinity="0"/><site name="o" pos="-.3 0 0"/>'
+            + HINGE.replace('"s"', '"s" pos=".1 0 0" ').replace("axis", 'pos=".2 0 0" axis'),
+            '<tendon><spatial name="t"><site site="o"/><geom geom="w" sidesite="s"/>'
+            '<site site="s"/></spatial></tendon>',
+        ),
+        "tendon 't' has the side site 's', now inside geom 'w', now outside, as joints turn: put it on the same body",
+    ),
     "range of a cylinder": (
-        (HINGE + '<geom name="c" type="cylinder" size=".1 .1" contype="0" '
-        'conaffinity="0"/>', '<sensor><rangefinder site="s"/></sensor>'),
-        "geom 'c' is not seen by rangefinders: allowed are shapes other than cylinder, hfield, sdf."),
-}  # fmt: skip
+        (
+            HINGE + '<geom name="c" type="cylinder" size=".1 .1" contype="0" conaffinity="0"/>',
+            '<sensor><rangefinder site="s"/></sensor>',
+        ),
+        "geom 'c' is not seen by rangefinders: allowed are shapes other than cylinder, hfield, sdf.",
+    ),
+}
 
 
 @pytest.mark.parametrize("name", REFUSALS)
@@ -180,10 +196,14 @@ def test_a_model_is_made_fit_for_mjx() -> None:
     model = mujoco.MjModel.from_xml_string(SMALL)
     ours, changes = fitted(model)
     said = "\n".join(changes)
-    for part in ("solver is Newton, no PGS", "flag energy is disabled", "noslip_iterations is 0, no 2",
-                 "geom 'can' is a capsule, no cylinder: MJX cannot collide it with geom 'f'",
-                 "geom 'egg' is a capsule, no ellipsoid",
-                 "margin of geom 'rock' is 0, no 0.01"):  # fmt: skip
+    for part in (
+        "solver is Newton, no PGS",
+        "flag energy is disabled",
+        "noslip_iterations is 0, no 2",
+        "geom 'can' is a capsule, no cylinder: MJX cannot collide it with geom 'f'",
+        "geom 'egg' is a capsule, no ellipsoid",
+        "margin of geom 'rock' is 0, no 0.01",
+    ):
         assert part in said
     assert len(changes) == 6
     assert model.geom("can").type == mujoco.mjtGeom.mjGEOM_CYLINDER

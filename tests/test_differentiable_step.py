@@ -77,18 +77,31 @@ _TENDON = Small(
     <tendon><spatial name="t" limited="true" range="0 .151" stiffness="3" damping=".05">
     <site site="a"/><geom geom="drum"/><site site="b"/></spatial></tendon>
     <actuator><position tendon="t" kp="20" forcerange="-1 1"/></actuator>""",
-    (("jnt_stiffness", (0,)), ("tendon_stiffness", (0,)), ("tendon_range", (0, 1)), ("body_mass", (1,)),
-     ("actuator_gainprm", (0, 0))),
-    qvel=(-1.0,), integrator="implicitfast",
-)  # fmt: skip
+    (
+        ("jnt_stiffness", (0,)),
+        ("tendon_stiffness", (0,)),
+        ("tendon_range", (0, 1)),
+        ("body_mass", (1,)),
+        ("actuator_gainprm", (0, 0)),
+    ),
+    qvel=(-1.0,),
+    integrator="implicitfast",
+)
 _FLOOR = Small(
     f"""<worldbody><geom type="plane" size="2 2 .1" friction=".6"/>
     <body pos="0 0 .0495"><freejoint/><geom type="sphere" size=".05" mass=".3" {_ROUND}/></body>
     <body pos="1 0 .0495"><freejoint/><geom type="box" size=".05 .04 .05" mass=".3" {_ROUND}/></body></worldbody>""",
-    (("geom_friction", (1, 0)), ("geom_friction", (2, 0)), ("body_mass", (1,)), ("body_mass", (2,)),
-     ("geom_solimp", (1, 2)), ("geom_solimp", (2, 1)), ("geom_solref", (1, 0))),
+    (
+        ("geom_friction", (1, 0)),
+        ("geom_friction", (2, 0)),
+        ("body_mass", (1,)),
+        ("body_mass", (2,)),
+        ("geom_solimp", (1, 2)),
+        ("geom_solimp", (2, 1)),
+        ("geom_solref", (1, 0)),
+    ),
     qvel=(0.4, 0.1, 0.0, 0.0, 0.0, 0.0, 0.5, 0.2, 0.0, 0.0, 0.0, 0.3),
-)  # fmt: skip
+)
 #: What holds joints and bodies, at once: the limit of `_PENDULUM`, dry friction, and equalities.
 _HELD = Small(
     """<default><geom contype="0" conaffinity="0"/></default>
@@ -108,14 +121,28 @@ _HELD = Small(
     <tendon><fixed name="t" frictionloss=".01"><joint joint="p" coef="1"/><joint joint="q" coef=".5"/></fixed></tendon>
     <equality><connect body1="one" body2="two" anchor=".2 0 0"/><joint joint1="k" joint2="l" polycoef="0 1.5 .3 0 0"/>
     <weld body1="four" solref=".05 .4"/></equality>""",
-    (("jnt_stiffness", (0,)), ("dof_damping", (0,)), ("body_mass", (1,)), ("jnt_range", (0, 1)),
-     ("jnt_solref", (0, 0)),
-     ("dof_frictionloss", (1,)), ("tendon_frictionloss", (0,)), ("body_mass", (2,)), ("dof_solref", (2, 0)),
-     ("jnt_stiffness", (4,)), ("body_mass", (4,)), ("eq_data", (1, 1)), ("eq_solref", (0, 0)), ("dof_damping", (5,)),
-     ("body_mass", (7,)), ("eq_solref", (2, 0)), ("eq_data", (2, 2))),
+    (
+        ("jnt_stiffness", (0,)),
+        ("dof_damping", (0,)),
+        ("body_mass", (1,)),
+        ("jnt_range", (0, 1)),
+        ("jnt_solref", (0, 0)),
+        ("dof_frictionloss", (1,)),
+        ("tendon_frictionloss", (0,)),
+        ("body_mass", (2,)),
+        ("dof_solref", (2, 0)),
+        ("jnt_stiffness", (4,)),
+        ("body_mass", (4,)),
+        ("eq_data", (1, 1)),
+        ("eq_solref", (0, 0)),
+        ("dof_damping", (5,)),
+        ("body_mass", (7,)),
+        ("eq_solref", (2, 0)),
+        ("eq_data", (2, 2)),
+    ),
     qvel=(6.0, 2.0, 0.5, 1.0, 0.5, 0.2, 0.1, 0.0, 0.3, 0.2, 0.0, 0.0),
     speeds=(0, 1, 3),
-)  # fmt: skip
+)
 MODELS = {
     "a pendulum at its limit, RK4": dataclasses.replace(_PENDULUM, integrator="RK4"),
     "a tendon that pulls a joint, implicitfast": _TENDON,

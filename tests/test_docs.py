@@ -75,8 +75,11 @@ def test_the_site_has_each_page_and_every_name_that_a_user_may_write(site: Path)
         assert known or name in ("LIMBS", "METRICS", "SERVOS", "ParameterError", "__version__", "kinematics"), name
     # Of a row of numbers the first and the last one.
     parameters = [name for names, _ in gathered(nermo_mjx.all_parameters()) for name in names.split(" ... ")]
-    marks = {"parameters": [f">{name}<" for name in parameters], "metrics": [f">{name}<" for name in nermo_mjx.METRICS],
-             "commands": [f'id="nermo-mjx-{name}"' for name in main.commands]}  # fmt: skip
+    marks = {
+        "parameters": [f">{name}<" for name in parameters],
+        "metrics": [f">{name}<" for name in nermo_mjx.METRICS],
+        "commands": [f'id="nermo-mjx-{name}"' for name in main.commands],
+    }
     assert {page: [mark for mark in known if mark not in text[page]] for page, known in marks.items()} == {
         page: [] for page in marks
     }
@@ -178,8 +181,15 @@ WITH_EXAMPLES = sorted(
 )
 #: What runs for minutes, needs a directory or a GPU, or draws: notebooks and pages run them.
 ELSEWHERE = {
-    "read_history", "read_table", "render", "run_experiment", "run_experiments", "run_landscape", "run_tuning", "show",
-}  # fmt: skip
+    "read_history",
+    "read_table",
+    "render",
+    "run_experiment",
+    "run_experiments",
+    "run_landscape",
+    "run_tuning",
+    "show",
+}
 
 
 @pytest.mark.compiles

@@ -108,15 +108,18 @@ def test_a_command_beside_a_longer_one_leaves_it_its_length(running):
         running.command(Switch(0, values={"frequency": 0.1}))
 
 
-@pytest.mark.parametrize(("switch", "sentence"), [
-    (Switch(0, values={"frequency": 9}), r"frequency is 9: allowed is \(0, 5\] Hz"),
-    (Switch(0, values={"froquency": 1}), r"'froquency': did you mean 'frequency'"),
-    (Switch(0, values={"contact.friction": 1}), r"'contact.friction'"),
-    (Switch(0, values={"stride": 1.2, "stance.max_stride": 0.08}), r"stride is 1.2: .* allowed is \[0, 1.050\]"),
-    (Switch(0, spine="pitch_balance"), r"spine is 'pitch_balance'.*allowed"),
-    (Switch(0, gait="lat", blend=0.1), r"blend is 0.1: allowed is more than 0.32 cycles"),
-    (Switch(0, gait="lat", blend=0.0), r"blend is 0: allowed is \[0.05, 100\]"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("switch", "sentence"),
+    [
+        (Switch(0, values={"frequency": 9}), r"frequency is 9: allowed is \(0, 5\] Hz"),
+        (Switch(0, values={"froquency": 1}), r"'froquency': did you mean 'frequency'"),
+        (Switch(0, values={"contact.friction": 1}), r"'contact.friction'"),
+        (Switch(0, values={"stride": 1.2, "stance.max_stride": 0.08}), r"stride is 1.2: .* allowed is \[0, 1.050\]"),
+        (Switch(0, spine="pitch_balance"), r"spine is 'pitch_balance'.*allowed"),
+        (Switch(0, gait="lat", blend=0.1), r"blend is 0.1: allowed is more than 0.32 cycles"),
+        (Switch(0, gait="lat", blend=0.0), r"blend is 0: allowed is \[0.05, 100\]"),
+    ],
+)
 def test_a_command_that_is_refused_changes_nothing(running, switch, sentence):
     before = walked(running, 30)[1]
     with pytest.raises(ParameterError, match=sentence):
@@ -186,19 +189,22 @@ def test_only_its_own_page_gets_in(drive):
             socket(drive, origin=origin)
 
 
-@pytest.mark.parametrize(("message", "sentence"), [
-    ("garbage", "invalid JSON"),
-    (b"\0\1", "invalid JSON"),
-    ("[1, 2]", "message:"),
-    ('{"speed": NaN}', "speed"),
-    ('{"speed": 1e9}', "speed: input should be less than or equal to 4"),
-    ('{"open": "a file"}', "open: extra inputs are not permitted"),
-    ('{"set": {"frequency": 9}}', r"frequency is 9: allowed is (0, 5] Hz."),
-    ('{"gait": "walzer"}', "gait is 'walzer'"),
-    ('{"set": {}, "gait": "trot", "blend": 0.001}', "blend is 0.001"),
-    ('{"push": {"body": 0, "force": [1, 0, 0], "seconds": 0.1}}', "push.body is 0"),
-    ('{"push": {"body": 1, "force": [99, 0, 0], "seconds": 0.1}}', "push.force"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("message", "sentence"),
+    [
+        ("garbage", "invalid JSON"),
+        (b"\0\1", "invalid JSON"),
+        ("[1, 2]", "message:"),
+        ('{"speed": NaN}', "speed"),
+        ('{"speed": 1e9}', "speed: input should be less than or equal to 4"),
+        ('{"open": "a file"}', "open: extra inputs are not permitted"),
+        ('{"set": {"frequency": 9}}', r"frequency is 9: allowed is (0, 5] Hz."),
+        ('{"gait": "walzer"}', "gait is 'walzer'"),
+        ('{"set": {}, "gait": "trot", "blend": 0.001}', "blend is 0.001"),
+        ('{"push": {"body": 0, "force": [1, 0, 0], "seconds": 0.1}}', "push.body is 0"),
+        ('{"push": {"body": 1, "force": [99, 0, 0], "seconds": 0.1}}', "push.force"),
+    ],
+)
 def test_garbage_is_refused_in_a_sentence_and_changes_nothing(drive, page, message, sentence):
     before = len(drive.driving.commands), len(drive.driving.pushes), drive.speed
     told = said(page, message, lambda told: "refused" in told)["refused"]
@@ -333,8 +339,10 @@ def test_the_robot_follows_keys_gamepad_and_hand(drive, module):
             const last = yaw.subarray(clip.rowAt(clip.end - 1.25));
             return last.reduce((sum, each) => sum + each, 0) / last.length;
         }, 1)""")
-        tab.evaluate("(window.pad = {connected: true, axes: [0.8, -1], buttons: []}, "
-                     "navigator.getGamepads = () => [window.pad], 1)")  # fmt: skip
+        tab.evaluate(
+            "(window.pad = {connected: true, axes: [0.8, -1], buttons: []}, "
+            "navigator.getGamepads = () => [window.pad], 1)"
+        )
         tab.wait('viewer.drive.state.values["pilot.turn_rate"] < -0.7')
         before = tab.evaluate("yaw()")
         tab.wait(f"yaw() < {before - 10}")

@@ -16,9 +16,15 @@ from nermo_mjx.rollout.setup import all_parameters
 pytestmark = [pytest.mark.compiles, pytest.mark.slow]
 #: Choices that together read every parameter, with those of the scenes' terrain.
 ALL = {
-    "spine": "stride_extension+balance+harmonics", "trajectory": "free", "steering": "mix", "tail": "articulated",
-    "tail_motion": "swing", "head": "gaze", "pilot": "arc", "physics": "fast",
-}  # fmt: skip
+    "spine": "stride_extension+balance+harmonics",
+    "trajectory": "free",
+    "steering": "mix",
+    "tail": "articulated",
+    "tail_motion": "swing",
+    "head": "gaze",
+    "pilot": "arc",
+    "physics": "fast",
+}
 LONG_TERRAINS = [pytest.param(scene, marks=pytest.mark.long) for scene in ("ramp", "logs", "stairs", "slalom")]
 COMBINED = (
     {"spine": "stride_extension"},
@@ -29,8 +35,17 @@ COMBINED = (
     {"spine": "stride_extension+pitch_balance", "robot": "nermo_41", "routing": "type1", "profile": "as_published"},
 )
 #: Without a number where nothing failed, turned, moved, swung or stood.
-WITHOUT = ("failure_time", "cross_track", "turning_radius", "cost_of_transport", "electrical_cost", "swing", "slip",
-           "front_load", "tail_load")  # fmt: skip
+WITHOUT = (
+    "failure_time",
+    "cross_track",
+    "turning_radius",
+    "cost_of_transport",
+    "electrical_cost",
+    "swing",
+    "slip",
+    "front_load",
+    "tail_load",
+)
 
 
 def ends(setup: Setup) -> dict[str, tuple[float, float]]:

@@ -55,8 +55,17 @@ def states(environment):
 
 def sensors(**given) -> Sensors:
     zero = {field.name: jnp.zeros(()) for field in dataclasses.fields(Sensors)}
-    shapes = {"position": 3, "linear_velocity": 3, "gyro": 3, "accelerometer": 3, "servo_angle": 10,
-              "servo_velocity": 10, "servo_torque": 10, "knee_angle": 4, "foot_force": 4}  # fmt: skip
+    shapes = {
+        "position": 3,
+        "linear_velocity": 3,
+        "gyro": 3,
+        "accelerometer": 3,
+        "servo_angle": 10,
+        "servo_velocity": 10,
+        "servo_torque": 10,
+        "knee_angle": 4,
+        "foot_force": 4,
+    }
     zero |= {name: jnp.zeros(size) for name, size in shapes.items()} | {"orientation": jnp.array([1.0, 0, 0, 0])}
     return Sensors(**(zero | given))
 

@@ -70,9 +70,11 @@ def test_a_walk_is_reduced_over_whole_cycles_after_the_warm_up():
     servo = np.zeros((len(time), 10))
     servo[:, 8] = 0.4 * swing
     sensors = {
-        "orientation": np.stack([cz * cx, cz * sx, sz * sx, sz * cx], axis=-1), "servo_angle": servo,
-        "foot_force": np.ones((len(time), 4)), "foot_velocity": np.zeros((len(time), 4, 3)),
-    }  # fmt: skip
+        "orientation": np.stack([cz * cx, cz * sx, sz * sx, sz * cx], axis=-1),
+        "servo_angle": servo,
+        "foot_force": np.ones((len(time), 4)),
+        "foot_velocity": np.zeros((len(time), 4, 3)),
+    }
     trace = types.SimpleNamespace(time=time, sensors={name: values[None] for name, values in sensors.items()})
     values = {"frequency": frequency, "tracking.clock_ratio": 1.0, "start.phase": 0.01, "duty": 0.5}
     values |= {f"offset.{limb}": offset for limb, offset in OFFSETS.items()}
@@ -83,6 +85,8 @@ def test_a_walk_is_reduced_over_whole_cycles_after_the_warm_up():
     assert found["yaw_spine_correlation"] == pytest.approx(1.0, abs=1e-3)
     still = of_world(
         types.SimpleNamespace(time=time, sensors=trace.sensors | {"servo_angle": np.zeros((1, len(time), 10))}),
-        0, values, Run(cycles=10.0, warmup_cycles=warmup),
-    )  # fmt: skip
+        0,
+        values,
+        Run(cycles=10.0, warmup_cycles=warmup),
+    )
     assert np.isnan(still["yaw_spine_correlation"])

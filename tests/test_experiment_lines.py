@@ -110,43 +110,66 @@ def figure(rule, published, **more):
 @pytest.mark.parametrize(
     ("judged", "value", "holds"),
     [
-        (figure("number", 80.0), 100.0, True), (figure("number", 80.0), 100.1, False),
-        (figure("number", -0.5, digits=1, tolerance=0.5), -0.3, True), (figure("number", 80.0), True, False),
+        (figure("number", 80.0), 100.0, True),
+        (figure("number", 80.0), 100.1, False),
+        (figure("number", -0.5, digits=1, tolerance=0.5), -0.3, True),
+        (figure("number", 80.0), True, False),
         # A spine that does nothing is within 25 % of the ratio 1.22, but is no gain of 22 %.
-        (figure("effect", 1.22), 1.0, False), (figure("effect", 1.22), 1.27, True),
+        (figure("effect", 1.22), 1.0, False),
+        (figure("effect", 1.22), 1.27, True),
         (figure("effect", 1.22), 1.16, False),
-        (figure("effect", 1.01, digits=2), 1.005, True), (figure("effect", 1.01), 1.005, False),
-        (figure("gain", 0.32), 0.25, True), (figure("gain", 0.32), 0.0, False),
-        (figure("range", [1.25, 1.40]), 1.41, False), (figure("range", [1.25, 1.40], digits=2), 1.404, True),
-        (figure("range", [1.25, 1.40], tolerance=0.25), 1.5, True), (figure("range", [0.0, 0.5]), 0.0, True),
-        (figure("at_most", 2.0), 2.0, True), (figure("at_most", 4.0, digits=0), 4.6, False),
-        (figure("outcome", "fail"), "pass", False), (figure("outcome", 2), 2.0, True),
-        (figure("outcome", True), None, None), (figure("none", 2.86), 20.0, None),
-        (figure("number", None, author=6.9), 8.0, True), (figure("range", [1.05, 1.22]), [1.08, 1.17], True),
+        (figure("effect", 1.01, digits=2), 1.005, True),
+        (figure("effect", 1.01), 1.005, False),
+        (figure("gain", 0.32), 0.25, True),
+        (figure("gain", 0.32), 0.0, False),
+        (figure("range", [1.25, 1.40]), 1.41, False),
+        (figure("range", [1.25, 1.40], digits=2), 1.404, True),
+        (figure("range", [1.25, 1.40], tolerance=0.25), 1.5, True),
+        (figure("range", [0.0, 0.5]), 0.0, True),
+        (figure("at_most", 2.0), 2.0, True),
+        (figure("at_most", 4.0, digits=0), 4.6, False),
+        (figure("outcome", "fail"), "pass", False),
+        (figure("outcome", 2), 2.0, True),
+        (figure("outcome", True), None, None),
+        (figure("none", 2.86), 20.0, None),
+        (figure("number", None, author=6.9), 8.0, True),
+        (figure("range", [1.05, 1.22]), [1.08, 1.17], True),
         (figure("range", [1.05, 1.22]), [1.08, 1.3], False),
     ],
-)  # fmt: skip
+)
 def test_a_value_is_judged_by_what_was_published(judged, value, holds):
     assert judged.holds(value) is holds
 
 
 @pytest.mark.parametrize(
     ("judged", "value", "ratio"),
-    [(figure("number", 80.0), 88.0, 1.1), (figure("effect", 1.22), 1.11, 0.5), (figure("range", [1.0, 2.0]), 1.5, 1.0),
-     (figure("range", [1.0, 2.0]), 3.0, 1.5), (figure("outcome", True), True, None), (figure("gain", 0.0), 1.0, None)],
-)  # fmt: skip
+    [
+        (figure("number", 80.0), 88.0, 1.1),
+        (figure("effect", 1.22), 1.11, 0.5),
+        (figure("range", [1.0, 2.0]), 1.5, 1.0),
+        (figure("range", [1.0, 2.0]), 3.0, 1.5),
+        (figure("outcome", True), True, None),
+        (figure("gain", 0.0), 1.0, None),
+    ],
+)
 def test_a_ratio_is_of_sizes(judged, value, ratio):
     assert judged.ratio(value) == (None if ratio is None else pytest.approx(ratio))
 
 
 @pytest.mark.parametrize(
     ("judged", "low", "high", "covered"),
-    [(figure("number", 80.0), 70.0, 81.0, True), (figure("number", 80.0), 81.0, 90.0, False),
-     (figure("effect", 1.2, digits=1), 1.24, 1.5, True), (figure("range", [1.25, 1.4]), 1.3, 1.35, True),
-     (figure("range", [1.25, 1.4]), 1.5, 1.6, False), (figure("at_most", 2.0), 1.0, 3.0, True),
-     (figure("at_most", 2.0), 2.1, 3.0, False), (figure("outcome", True), 0.0, 1.0, None),
-     (figure("number", 1.0), None, None, None)],
-)  # fmt: skip
+    [
+        (figure("number", 80.0), 70.0, 81.0, True),
+        (figure("number", 80.0), 81.0, 90.0, False),
+        (figure("effect", 1.2, digits=1), 1.24, 1.5, True),
+        (figure("range", [1.25, 1.4]), 1.3, 1.35, True),
+        (figure("range", [1.25, 1.4]), 1.5, 1.6, False),
+        (figure("at_most", 2.0), 1.0, 3.0, True),
+        (figure("at_most", 2.0), 2.1, 3.0, False),
+        (figure("outcome", True), 0.0, 1.0, None),
+        (figure("number", 1.0), None, None, None),
+    ],
+)
 def test_an_interval_covers_what_was_published_with_its_rounding(judged, low, high, covered):
     assert judged.covered(low, high) is covered
 
@@ -186,9 +209,17 @@ def test_a_word_without_a_case_or_a_number_unmeasures_the_figure():
 def test_a_spine_that_does_nothing_fails_every_line_about_its_effect():
     """All walks and angles alike, with and without it."""
     angles = {f"{angle}_{end}": 0.05 for angle in ("roll", "pitch", "yaw") for end in ("std", "min", "max", "mean")}
-    outcome = line_table(theory_speed=0.1, pitch_peak_up=0.02, pitch_peaks=2.0, yaw_spine_correlation=0.0,
-                         front_load_share=0.5, slip_rear_touch_down=1.0, slip_rear_mid_stance=1.0,
-                         slip_rear_lift_off=1.0, **angles)  # fmt: skip
+    outcome = line_table(
+        theory_speed=0.1,
+        pitch_peak_up=0.02,
+        pitch_peaks=2.0,
+        yaw_spine_correlation=0.0,
+        front_load_share=0.5,
+        slip_rear_touch_down=1.0,
+        slip_rear_mid_stance=1.0,
+        slip_rear_lift_off=1.0,
+        **angles,
+    )
     lines = {line.figure: line for line in compare(outcome) if line.judged_in == "as_published"}
     about = [
         name for name in lines if "spine over none" in name or "higher with the spine" in name or "faster with" in name
@@ -207,11 +238,18 @@ def test_the_circle_that_is_lost_is_named_and_strategies_are_compared_where_both
 
     cases = [dict(case.labels) for case in walks.turn_cases() if "as_published" in case.profiles]
     lost = {"gait": "lat", "frequency": 0.8, "strategy": "spine", "radius": 0.5}
-    outcome = made_up("turning", cases, {
-        "speed": speed, "followed": lambda row: any(row[name] != value for name, value in lost.items()),
-        "time": lambda row: 1 / speed(row), "turning_radius": radius,
-        "theory_radius": 0.2, "theory_equal_strides": 0.4,
-    })  # fmt: skip
+    outcome = made_up(
+        "turning",
+        cases,
+        {
+            "speed": speed,
+            "followed": lambda row: any(row[name] != value for name, value in lost.items()),
+            "time": lambda row: 1 / speed(row),
+            "turning_radius": radius,
+            "theory_radius": 0.2,
+            "theory_equal_strides": 0.4,
+        },
+    )
     words = Words(outcome, "as_published")
     assert words.lost() == "lat, 0.8 Hz, spine, 0.5 m"
     assert len(words.compared("spine", "leg")) == 17, "18 circles, of which one was lost"

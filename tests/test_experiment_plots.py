@@ -60,10 +60,13 @@ def turned(profiles=BOTH, repeats=2, quick=False, **changed):
     labels = {"profile": profiles[0], "gait": "trt", "frequency": 0.67, "radius": 0.5, "side": "left"}
     runs = {name: recorded(10.0, {"labels": labels | {"strategy": name}}, position=arc) for name in walks.STRATEGIES}
     measured = {
-        "speed": 0.05, "time": 12.0, "followed": lambda row: row["strategy"] != "spine", "status": "ok",
+        "speed": 0.05,
+        "time": 12.0,
+        "followed": lambda row: row["strategy"] != "spine",
+        "status": "ok",
         "turning_radius": lambda row: 0.15 if row["radius"] == 0 else np.nan,
         "theory_radius": lambda row: 0.14 if row["radius"] == 0 else np.nan,
-    }  # fmt: skip
+    }
     cases = [case.labels for case in walks.turn_cases(quick) if "exact" in case.profiles]
     return made_up("turning", cases, measured | changed, profiles, repeats, runs)
 
@@ -171,9 +174,11 @@ def test_a_picture_of_nothing_is_not_drawn(experiment):
     """Without recordings and lines, what needs them is left out, and the rest is drawn."""
     bare = pictures(dataclasses.replace(MADE[experiment](), recordings={}), [])
     left_out = {
-        "straight-line": {"orientation"}, "turning": {"paths"}, "balance": {"pitch", "stability", "forces"},
+        "straight-line": {"orientation"},
+        "turning": {"paths"},
+        "balance": {"pitch", "stability", "forces"},
         "maze": {"ways", "sway"},
-    }  # fmt: skip
+    }
     assert set(whole(experiment)) - set(bare) == left_out[experiment] | {"report"}
 
 
@@ -201,11 +206,16 @@ def test_axes_carry_their_units(experiment):
 def test_published_numbers_come_from_the_report():
     """Every name by which a picture looks for a published number is a figure of the report."""
     used = {
-        "straight-line": [plots.SPEED, plots.GAIN, plots.OVER_LATERAL, plots.LARGEST_ROLL,
-                          *plots.COMPENSATION.values()],
+        "straight-line": [
+            plots.SPEED,
+            plots.GAIN,
+            plots.OVER_LATERAL,
+            plots.LARGEST_ROLL,
+            *plots.COMPENSATION.values(),
+        ],
         "turning": [*plots.TIME.values(), *plots.RADIUS.values()],
         "maze": [f"{column.replace('_', ' ')} {which}" for column in plots._TITLES for which in plots.WITH.values()],
-    }  # fmt: skip
+    }
     for experiment, names in used.items():
         assert set(names) <= {figure.figure for figure in figures(experiment)}
     assert set(plots._DRAWERS) == set(CATALOGUE) - {"body"}

@@ -42,8 +42,9 @@ def pictures_of(monkeypatch, *names):
     """From now on an experiment has these pictures."""
 
     def figures(outcome, lines):
-        yield from ((f"{outcome.experiment}-{name}", f"{name}, {outcome.recordings[RUN].duration}".encode())
-                    for name in names)  # fmt: skip
+        yield from (
+            (f"{outcome.experiment}-{name}", f"{name}, {outcome.recordings[RUN].duration}".encode()) for name in names
+        )
 
     monkeypatch.setattr(plots, "figures_of", figures)
 
@@ -71,10 +72,20 @@ def test_the_directory_holds_what_other_programs_rely_on(fakes, tmp_path):
     given = fakes["turning"].run(Settings(("exact",), repeats=2, progress=lambda share: None))
     result = ran(tmp_path, engine="c", profiles=("exact",), repeats=2)
     assert not result.kept
-    assert sorted(str(path.relative_to(tmp_path)) for path in snapshot(tmp_path)) == sorted([
-        ".lock", ".lock-run", "plots/turning-speed.png", "plots/turning-speed.svg", "report.json", "report.md",
-        "results/turning.json", "results/turning.parquet", WALK, "run.json",
-    ])  # fmt: skip
+    assert sorted(str(path.relative_to(tmp_path)) for path in snapshot(tmp_path)) == sorted(
+        [
+            ".lock",
+            ".lock-run",
+            "plots/turning-speed.png",
+            "plots/turning-speed.svg",
+            "report.json",
+            "report.md",
+            "results/turning.json",
+            "results/turning.parquet",
+            WALK,
+            "run.json",
+        ]
+    )
     assert (result.table, *result.recordings) == (tmp_path / "results" / "turning.parquet", tmp_path / WALK)
     assert [path.suffix for path in result.plots] == [".png", ".svg"]
     table = pq.read_table(result.table)
@@ -82,9 +93,16 @@ def test_the_directory_holds_what_other_programs_rely_on(fakes, tmp_path):
     assert (table.num_rows, about["speed"][b"unit"]) == (4, b"m/s")
     assert all(metadata[b"description"] for metadata in about.values())
     assert {name: metadata[b"role"].decode() for name, metadata in about.items()} == {
-        "profile": "case", "gait": "case", "frequency": "case", "repeat": "index", "speed": "metric",
-        "theory_speed": "metric", "followed": "metric", "status": "status", "code": "code",
-    }  # fmt: skip
+        "profile": "case",
+        "gait": "case",
+        "frequency": "case",
+        "repeat": "index",
+        "speed": "metric",
+        "theory_speed": "metric",
+        "followed": "metric",
+        "status": "status",
+        "code": "code",
+    }
     for name, values in given.columns.items():
         np.testing.assert_array_equal(result.outcome.columns[name], values)
         assert result.outcome.columns[name].dtype == values.dtype
@@ -95,14 +113,39 @@ def test_the_directory_holds_what_other_programs_rely_on(fakes, tmp_path):
 def test_a_line_has_the_promised_keys_and_what_is_not_a_number_is_null(fakes, tmp_path):
     ran(tmp_path)
     report = report_of(tmp_path)
-    keys = {"experiment", "figure", "kind", "rule", "published", "author", "settings", "author_holds", "as_published",
-            "exact", "as_built", "judged_in", "ratio", "low", "high", "covered", "ensemble", "holds", "unit", "section",
-            "sentence", "reason"}  # fmt: skip
+    keys = {
+        "experiment",
+        "figure",
+        "kind",
+        "rule",
+        "published",
+        "author",
+        "settings",
+        "author_holds",
+        "as_published",
+        "exact",
+        "as_built",
+        "judged_in",
+        "ratio",
+        "low",
+        "high",
+        "covered",
+        "ensemble",
+        "holds",
+        "unit",
+        "section",
+        "sentence",
+        "reason",
+    }
     assert [set(line) for line in report["lines"]] == [keys] * 5
     speed, ratio, trend, word, interval = report["lines"]
     assert [speed[name] for name in ("experiment", "published", "author", "author_holds", "judged_in")] == [
-        "turning", 80.0, 84.9, True, "as_published",
-    ]  # fmt: skip
+        "turning",
+        80.0,
+        84.9,
+        True,
+        "as_published",
+    ]
     assert [speed[name] for name in ("exact", "as_published", "as_built")] == pytest.approx([81.0, 71.0, 61.0])
     assert [line["holds"] for line in (speed, ratio, trend, word, interval)] == [True, False, True, False, None]
     assert (trend["ratio"], interval["exact"], interval["published"]) == (None, None, [0.25, 0.30])
@@ -146,11 +189,26 @@ def test_the_report_reads_well(fakes, tmp_path):
 
 def test_numbers_have_sensible_digits():
     assert [number(x) for x in (0.0, 83.14159, 0.1740, 1234.5, -0.04999, 2.0, float("nan"), 8.097e-4, -6e-6)] == [
-        "0", "83.1", "0.174", "1,234", "-0.0500", "2.00", "–", "0.000810", "0",
-    ]  # fmt: skip
+        "0",
+        "83.1",
+        "0.174",
+        "1,234",
+        "-0.0500",
+        "2.00",
+        "–",
+        "0.000810",
+        "0",
+    ]
     assert [published_text(x) for x in (96.0, 0.9, [1.15, 1.3], [1.4, 1.2, 1.3], True, "pass", 11, None)] == [
-        "96", "0.9", "1.15 to 1.30", "1.2 to 1.4", "yes", "pass", "11", "–",
-    ]  # fmt: skip
+        "96",
+        "0.9",
+        "1.15 to 1.30",
+        "1.2 to 1.4",
+        "yes",
+        "pass",
+        "11",
+        "–",
+    ]
     assert published_text(2.0, at_most=True) == "at most 2"
 
 
@@ -338,9 +396,15 @@ def test_a_directory_keeps_the_engine_it_was_begun_with(fakes, tmp_path):
 def test_settings_reach_the_experiment(fakes, tmp_path):
     heard = []
     ran(
-        tmp_path, "maze", engine="c", profiles=["as_published"], repeats=2, seed=5, values={"contact.friction": 0.8},
+        tmp_path,
+        "maze",
+        engine="c",
+        profiles=["as_published"],
+        repeats=2,
+        seed=5,
+        values={"contact.friction": 0.8},
         watch=Watch(lambda done: heard.append((done.what, done.fraction))),
-    )  # fmt: skip
+    )
     (asked,) = fakes["maze"].asked
     assert asked.but(progress=None) == Settings(("as_published",), 2, 5, False, {"contact.friction": 0.8}, engine="c")
     assert ("maze", 0.5) in heard

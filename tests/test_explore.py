@@ -71,10 +71,12 @@ def test_a_sweep_begins_with_the_gain_that_its_file_asks_for(swept: Path, tmp_pa
     ok = runs.columns["status"].values == "ok"
     np.testing.assert_allclose(gain, np.where(ok & (amplitude > 0), 50 * amplitude * np.cos(phase), np.nan), rtol=1e-5)
     spec = {
-        "run": SPEC["run"], "plots": False,
+        "run": SPEC["run"],
+        "plots": False,
         "vary": {"spine": ["stride_extension", "none"], "frequency": [0.5, 0.9], "stride": [0.8, 1.0]},
-        "randomize": {"repeats": 2}, "compare": {"by": "spine", "for": ["frequency"]},
-    }  # fmt: skip
+        "randomize": {"repeats": 2},
+        "compare": {"by": "spine", "for": ["frequency"]},
+    }
     run_sweep(spec, tmp_path, simulator=FakeSimulator())
     runs = with_gain(tmp_path, runs_of(tmp_path))
     assert runs.columns["speed_gain"].description == "speed relative to the mean of none, all else equal"
@@ -209,9 +211,15 @@ def spec_of(path: Path, **changes: Any) -> Path:
 
 def test_the_walk_command_does_what_the_row_did(swept: Path, tmp_path: Path) -> None:
     path = spec_of(
-        Path(shutil.copytree(swept, tmp_path / "sweep")), gait="lat", pilot="{arc: {radius: 0.5, direction: right}}",
-        set="{duty: 0.7}", run="{duration: 4.0, warmup: 1.5}", steering="mix", physics="fast", timestep=0.01 / 3,
-    )  # fmt: skip
+        Path(shutil.copytree(swept, tmp_path / "sweep")),
+        gait="lat",
+        pilot="{arc: {radius: 0.5, direction: right}}",
+        set="{duty: 0.7}",
+        run="{duration: 4.0, warmup: 1.5}",
+        steering="mix",
+        physics="fast",
+        timestep=0.01 / 3,
+    )
     runs = runs_of(path)
     command = commands_of(path, runs)["walk"]
     place = 17
@@ -226,9 +234,11 @@ def test_the_walk_command_does_what_the_row_did(swept: Path, tmp_path: Path) -> 
     assert (setup.gait, setup.spine, setup.steering) == ("lat", "stride_extension", "mix")
     assert (setup.pilot, setup.physics) == ("arc", "fast")
     assert wanted.values == {
-        "duty": 0.7, "pilot.radius": 0.5, "pilot.direction": -1.0,
+        "duty": 0.7,
+        "pilot.radius": 0.5,
+        "pilot.direction": -1.0,
         **{name: runs.columns[name].values[place] for name in ("frequency", "spine.amplitude", "spine.phase")},
-    }  # fmt: skip
+    }
 
 
 @pytest.mark.parametrize(

@@ -135,8 +135,10 @@ def test_stiffness_and_damping_are_those_of_the_whole_joint():
     robot = load_robot(hinges=2)
     model = compile_model(robot, {"stiffness.rear_knee": 0.3, "damping.spine": 0.02, "damping.hip": 0.03})
     for joint, stiffness, damping in (
-        ("rear_left_knee_hinge_2", 0.6, None), ("spine_joint_3_hinge_1", 2.4, 0.04), ("front_left_hip", 0.0, 0.03),
-    ):  # fmt: skip
+        ("rear_left_knee_hinge_2", 0.6, None),
+        ("spine_joint_3_hinge_1", 2.4, 0.04),
+        ("front_left_hip", 0.0, 0.03),
+    ):
         assert model.joint(joint).stiffness[0] == pytest.approx(stiffness, rel=1e-6)
         assert damping is None or model.joint(joint).damping[0] == pytest.approx(damping, rel=1e-6)
 

@@ -48,9 +48,12 @@ def gait_with(values: dict[str, Any], gait: str = "trt") -> ControlParameters:
 def random_gait(seed: int, share: float) -> dict[str, float]:
     """Every number of limbs and feet, anywhere in a share of its range about its default."""
     random, about = np.random.default_rng(seed), dict(quantities(ControlParameters))
-    return {name: float(about[name].default) + share * random.uniform(about[name].low, about[name].high)
-            if not name.startswith("limb.stride") else float(random.uniform(1 - 0.5 * share, 1 + 0.5 * share))
-            for name in FREE_NAMES}  # fmt: skip
+    return {
+        name: float(about[name].default) + share * random.uniform(about[name].low, about[name].high)
+        if not name.startswith("limb.stride")
+        else float(random.uniform(1 - 0.5 * share, 1 + 0.5 * share))
+        for name in FREE_NAMES
+    }
 
 
 @pytest.mark.compiles
@@ -202,8 +205,12 @@ def test_the_derivative_by_every_number_equals_differences() -> None:
             feet = jax.vmap(lambda phase: STEPPING.start(params, phase, drive)[1])(jnp.arange(40) / 40 + 0.0123)
             return inverse(four_legs(ROBOT), feet, "type3").servo
 
-        along = jax.jit(lambda way: (jax.jvp(servos, (values,), (way,))[1],
-                                     (servos(values + 1e-6 * way) - servos(values - 1e-6 * way)) / 2e-6))  # fmt: skip
+        along = jax.jit(
+            lambda way: (
+                jax.jvp(servos, (values,), (way,))[1],
+                (servos(values + 1e-6 * way) - servos(values - 1e-6 * way)) / 2e-6,
+            )
+        )
         for seed in range(4):
             exact, secant = along(jnp.asarray(np.random.default_rng(seed).normal(size=len(names)) * 1e-2))
             np.testing.assert_allclose(exact, secant, rtol=1e-5, atol=1e-7)
@@ -228,8 +235,10 @@ def test_a_servo_table_has_trims_and_the_moved_path() -> None:
 
 
 def test_a_pattern_stands_for_all_names_that_it_matches() -> None:
-    file = STANDS + "vary:\n  foot.front.y[1-8]: {uniform: [-0.003, 0.003]}\n  foot.front.y3: {uniform: [0, 0.001]}\n" \
-        "set: {spine.harmonics.*: 0.1}\nobjective: {maximize: speed}\n"  # fmt: skip
+    file = (
+        STANDS + "vary:\n  foot.front.y[1-8]: {uniform: [-0.003, 0.003]}\n  foot.front.y3: {uniform: [0, 0.001]}\n"
+        "set: {spine.harmonics.*: 0.1}\nobjective: {maximize: speed}\n"
+    )
     search = Search.from_text(file)
     assert search.names == tuple(f"foot.front.y{i}" for i in (1, 2, 4, 5, 6, 7, 8, 3))
     assert [axis.numbers for axis in search.sweep.axes][-2:] == [(-0.003, 0.003), (0.0, 0.001)]

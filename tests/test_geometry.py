@@ -78,9 +78,11 @@ def test_a_number_moves_the_model_and_the_kinematics_alike(name, end):
     )
     data, joints, rng = mujoco.MjData(model), robot.joints, np.random.default_rng(3)
     angles = {
-        "hip": rng.uniform(-1.2, 1.2, 4), "knee": rng.uniform(0.3, 2.6, 4), "ankle": rng.uniform(-0.3, 0.3, 4),
+        "hip": rng.uniform(-1.2, 1.2, 4),
+        "knee": rng.uniform(0.3, 2.6, 4),
+        "ankle": rng.uniform(-0.3, 0.3, 4),
         "spine": rng.uniform(-0.12, 0.12, 1),
-    }  # fmt: skip
+    }
     for joint, values in angles.items():
         data.qpos[np.ravel(getattr(joints, joint))] = values
     data.qpos[3] = 1.0

@@ -102,8 +102,15 @@ def jobs() -> dict[str, Callable[[Path], pa.Table]]:
             {"costs": content["costs"], "best": [json.dumps(content["parameters"])] * len(content["costs"])}
         )
 
-    return {"sweep": sweep, "merge": merge, "search": search, "tuning": tuning, "landscape": landscape,
-            "experiments": experiments, "identification": identified}  # fmt: skip
+    return {
+        "sweep": sweep,
+        "merge": merge,
+        "search": search,
+        "tuning": tuning,
+        "landscape": landscape,
+        "experiments": experiments,
+        "identification": identified,
+    }
 
 
 def ended(job: Callable[[Path], pa.Table], out: Path, before: int = 0) -> bool:

@@ -34,8 +34,11 @@ def test_the_published_order_is_that_of_the_authors_software(published) -> None:
     """Leg by leg, then tail, neck, head and spine, at 30 Hz, cut to whole degrees, with the tail against ours."""
     assert list(published.names) == [*ORDER, "tail", "neck", "head", "spine"]
     assert published.rate == pytest.approx(30.0, rel=0.02)
-    ours = servo_table(Setup(tail="articulated", tail_motion="swing", spine="stride_extension"), {"frequency": 0.8},
-                       rate=published.rate)  # fmt: skip
+    ours = servo_table(
+        Setup(tail="articulated", tail_motion="swing", spine="stride_extension"),
+        {"frequency": 0.8},
+        rate=published.rate,
+    )
     signs = {"tail": -1.0}
     for name, column in zip(published.names, published.angles.T, strict=True):
         wanted = 0.0 if name == "head" else signs.get(name, 1.0) * ours.angles[:, ours.names.index(name)]
@@ -134,10 +137,13 @@ def test_a_bridge_gets_radians(published) -> None:
     np.testing.assert_allclose(message["data"], np.radians(published.angles[0]), atol=1e-6)
 
 
-@pytest.mark.parametrize(("url", "sentence"), [
-    ("mqtt://127.0.0.1:9", "127.0.0.1:9: no MQTT broker answers there"),
-    ("ws://127.0.0.1:9", "127.0.0.1:9: no rosbridge server answers there"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("url", "sentence"),
+    [
+        ("mqtt://127.0.0.1:9", "127.0.0.1:9: no MQTT broker answers there"),
+        ("ws://127.0.0.1:9", "127.0.0.1:9: no rosbridge server answers there"),
+    ],
+)
 def test_nobody_there_is_a_sentence(url: str, sentence: str) -> None:
     wires.needs(*["paho"] * url.startswith("mqtt"))
     with pytest.raises(SendError, match=sentence), connected(url):

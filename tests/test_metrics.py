@@ -38,12 +38,21 @@ def stream(ticks: int, **readings: Any) -> Sensors:
     A named reading is anything that broadcasts to (ticks, STEPS, ...), the axis of the tick's steps included.
     """
     still = {
-        "position": np.array([0.0, 0.0, HEIGHT]), "orientation": np.array([1.0, 0.0, 0.0, 0.0]),
-        "linear_velocity": np.zeros(3), "gyro": np.zeros(3), "accelerometer": np.array([0.0, 0.0, 9.81]),
-        "servo_angle": np.zeros(SERVOS), "servo_velocity": np.zeros(SERVOS), "servo_torque": np.zeros(SERVOS),
-        "knee_angle": np.ones(4), "foot_force": np.full(4, 0.66), "foot_position": np.zeros((4, 3)),
-        "foot_velocity": np.zeros((4, 3)), "tail_force": np.zeros(()), "contact_distance": np.full((), -1e-4),
-    }  # fmt: skip
+        "position": np.array([0.0, 0.0, HEIGHT]),
+        "orientation": np.array([1.0, 0.0, 0.0, 0.0]),
+        "linear_velocity": np.zeros(3),
+        "gyro": np.zeros(3),
+        "accelerometer": np.array([0.0, 0.0, 9.81]),
+        "servo_angle": np.zeros(SERVOS),
+        "servo_velocity": np.zeros(SERVOS),
+        "servo_torque": np.zeros(SERVOS),
+        "knee_angle": np.ones(4),
+        "foot_force": np.full(4, 0.66),
+        "foot_position": np.zeros((4, 3)),
+        "foot_velocity": np.zeros((4, 3)),
+        "tail_force": np.zeros(()),
+        "contact_distance": np.full((), -1e-4),
+    }
     return Sensors(
         **{
             name: np.array(np.broadcast_to(readings.get(name, value), (ticks, STEPS, *value.shape)))

@@ -219,8 +219,13 @@ def test_it_starts_on_its_feet_whatever_the_spine_does(simulator):
 @pytest.mark.long  # this program of MJX compiles for a minute; test_walk_gradient.py has that of Nermo-Lite
 def test_mjx_walks_as_c_does_and_its_slopes_are_those_of_c():
     """A third of a bound in float64: the speed of both engines, and its derivatives against differences of C's."""
-    point = {"spine.sagittal_amplitude": 0.2, "spine.sagittal_phase": 0.6, "spine.pitch_gain": 0.5,
-             "stiffness.spine": 1.1, "mass.front": 0.17}  # fmt: skip
+    point = {
+        "spine.sagittal_amplitude": 0.2,
+        "spine.sagittal_phase": 0.6,
+        "spine.pitch_gain": 0.5,
+        "stiffness.spine": 1.1,
+        "mass.front": 0.17,
+    }
     setup = Setup(**BOUND, spine="sagittal_extension+pitch_balance")
     run, first, share = Run(cycles=0.3, warmup_cycles=0), np.array(list(point.values())), 1e-6
     with jax.enable_x64(True):

@@ -274,10 +274,14 @@ def test_the_gait_of_a_controller_with_other_parts_stands_in_the_file(tmp_path: 
 
 
 def test_a_tuning_may_tune_another_controllers_parameters() -> None:
-    tuning = Tuning.from_dict({
-        "controller": BOUND, "run": {"duration": 1.0}, "objective": [{"maximize": "speed"}],
-        "tune": {"reach": {"bounds": [0.01, 0.05]}},
-    })  # fmt: skip
+    tuning = Tuning.from_dict(
+        {
+            "controller": BOUND,
+            "run": {"duration": 1.0},
+            "objective": [{"maximize": "speed"}],
+            "tune": {"reach": {"bounds": [0.01, 0.05]}},
+        }
+    )
     assert (tuning.names, tuning.tuned[0].start) == (("reach",), 0.03)
     assert tuning.identity()["fields"]["controller"].startswith("Bound ")
     assert Tuning.from_text(tuning.to_yaml()).digest() == tuning.digest()

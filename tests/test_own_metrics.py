@@ -97,10 +97,16 @@ def test_reductions_are_those_of_numpy() -> None:
     values = random[4:].ravel()  # the first reading is that at rest, which ends at time 0
     between = np.concatenate([random[3, -1:], values])  # a value goes straight from one reading to the next
     expected = {
-        "mean": values.mean(), "rms": np.sqrt((values**2).mean()), "std": values.std(), "min": between.min(),
-        "max": between.max(), "peak": np.abs(between).max(), "range": np.ptp(between), "last": values[-1],
+        "mean": values.mean(),
+        "rms": np.sqrt((values**2).mean()),
+        "std": values.std(),
+        "min": between.min(),
+        "max": between.max(),
+        "peak": np.abs(between).max(),
+        "range": np.ptp(between),
+        "last": values[-1],
         "integral": values.mean() * 8 * DT,
-    }  # fmt: skip
+    }
     assert found == pytest.approx({name: float(value) for name, value in expected.items()}, rel=1e-5, abs=1e-6)
 
 
@@ -218,8 +224,11 @@ def test_the_directory_keeps_the_file_and_its_content_counts(shake: Path, tmp_pa
     assert kept.digest() == digest, "wherever the file is"
     table = read_table(out)
     assert meta(table.schema.field("yaw_shake")) == {
-        "unit": "rad/s", "description": "Turning about its own axis", "role": "metric", "better": "low"
-    }  # fmt: skip
+        "unit": "rad/s",
+        "description": "Turning about its own axis",
+        "role": "metric",
+        "better": "low",
+    }
     assert "better" not in meta(table.schema.field("hardest_step"))
     assert meta(table.schema.field("speed"))["better"] == "high"
     copy.write_text(SHAKE.replace("gyro[2]", "gyro[1]"))
@@ -246,9 +255,11 @@ def test_a_sweep_without_metrics_of_its_own_is_the_sweep_it_was() -> None:
 
 def test_a_tuning_may_aim_at_a_metric_of_its_own(shake: Path) -> None:
     file = {
-        "metrics": [f"{shake}:yaw_shake"], "run": {"duration": 0.5}, "tune": {"stride": {"bounds": [0.5, 1.0]}},
+        "metrics": [f"{shake}:yaw_shake"],
+        "run": {"duration": 0.5},
+        "tune": {"stride": {"bounds": [0.5, 1.0]}},
         "objective": [{"maximize": "speed"}, {"minimize": "yaw_shake", "scale": 0.1}],
-    }  # fmt: skip
+    }
     tuning = Tuning.from_dict(file)
     assert tuning.objective.metrics == ("speed", "yaw_shake")
     assert tuning.objective_metrics["yaw_shake"].unit == "rad/s"
@@ -266,17 +277,24 @@ def test_a_tuning_may_aim_at_a_metric_of_its_own(shake: Path) -> None:
 
 #: A file's function, and what a sweep says of it.
 WRONG = {
-    "an array": ("return sensors.gyro", r"field 'metrics' has bad \(m.py:3\), which gives an array of shape \(3,\): "
-                 "expected one number."),
+    "an array": (
+        "return sensors.gyro",
+        r"field 'metrics' has bad \(m.py:3\), which gives an array of shape \(3,\): "
+        "expected one number.",
+    ),
     "nothing": ("pass", "which gives NoneType: expected one number"),
-    "not a number": ("return sensors.foot_force[0] / jnp.sum(sensors.foot_force)", "which gives nan for a robot at "
-                     "rest, where forces and velocities are 0: guard it, as by jnp.where."),
+    "not a number": (
+        "return sensors.foot_force[0] / jnp.sum(sensors.foot_force)",
+        "which gives nan for a robot at rest, where forces and velocities are 0: guard it, as by jnp.where.",
+    ),
     "an exception": ("return undefined", "which fails at m.py:5: NameError: name 'undefined' is not defined."),
     "an unknown sensor": ("return sensors.gyros[2]", "did you mean 'gyro'. Sensors are position, orientation"),
-    "a branch": ("return 1.0 if sensors.gyro[2] > 0 else 0.0", "which fails at m.py:5: it cannot be compiled, as it "
-                 "branches on readings"),
+    "a branch": (
+        "return 1.0 if sensors.gyro[2] > 0 else 0.0",
+        "which fails at m.py:5: it cannot be compiled, as it branches on readings",
+    ),
     "NumPy": ("import numpy; return numpy.max(numpy.asarray(sensors.gyro))", "or makes NumPy's numbers of them"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.compiles

@@ -141,22 +141,33 @@ WRONG = {
     "no file": ("yard.xml", "scene is 'yard.xml': there is no such file"),
     "no MJCF": (scene("<ball/>"), "MuJoCo refuses it: XML Error: .*'ball', line 1"),
     "no mesh": (
-        scene().replace("<worldbody>", "<asset><mesh name='m' file='gone.obj'/></asset><worldbody>"), "gone.obj",
+        scene().replace("<worldbody>", "<asset><mesh name='m' file='gone.obj'/></asset><worldbody>"),
+        "gone.obj",
     ),
     "no ground": (scene("<geom size='1'/>"), "it has no ground: .* class 'ground', or the name 'floor'"),
     "round ground": (scene("<geom name='floor' size='1'/>"), "the ground 'floor', a sphere; allowed is a plane, a box"),
     "steep ground": (scene("<geom name='floor' type='plane' size='1 1 1' euler='90 0 0'/>"), "'floor', .* too steep"),
-    "a joint": (scene(PLANE.format(height=0) + "<body><joint name='hinge'/><geom size='1'/></body>"),
-                "it has a joint 'hinge', and only the robot may"),
-    "mocap": (scene(PLANE.format(height=0) + "<body name='hand' mocap='true'><geom size='1'/></body>"),
-              "it has a body 'hand' that moves"),
-    "a part's name": (scene(PLANE.format(height=0) + "<geom name='tail_tip' size='1'/>"),
-                      "beside the robot it has a repeated name 'tail_tip' in geom"),
-    "gravity": (scene().replace("<worldbody>", "<option gravity='0 0 1'/><worldbody>"),
-                r"gravity with which ground\.slope is 3\.14159"),
-    "weightless": (scene().replace("<worldbody>", "<option gravity='0 0 -0.01'/><worldbody>"),
-                   r"ground\.gravity is 0\.01: allowed is \[0\.1, 30\]"),
-}  # fmt: skip
+    "a joint": (
+        scene(PLANE.format(height=0) + "<body><joint name='hinge'/><geom size='1'/></body>"),
+        "it has a joint 'hinge', and only the robot may",
+    ),
+    "mocap": (
+        scene(PLANE.format(height=0) + "<body name='hand' mocap='true'><geom size='1'/></body>"),
+        "it has a body 'hand' that moves",
+    ),
+    "a part's name": (
+        scene(PLANE.format(height=0) + "<geom name='tail_tip' size='1'/>"),
+        "beside the robot it has a repeated name 'tail_tip' in geom",
+    ),
+    "gravity": (
+        scene().replace("<worldbody>", "<option gravity='0 0 1'/><worldbody>"),
+        r"gravity with which ground\.slope is 3\.14159",
+    ),
+    "weightless": (
+        scene().replace("<worldbody>", "<option gravity='0 0 -0.01'/><worldbody>"),
+        r"ground\.gravity is 0\.01: allowed is \[0\.1, 30\]",
+    ),
+}
 
 
 @pytest.mark.parametrize("case", WRONG)
@@ -184,8 +195,12 @@ def test_a_sweep_finds_a_scene_beside_its_file_and_keeps_it(tmp_path):
     assert (again, again.digest()) == (sweep, sweep.digest())
     (tmp_path / "yard.xml").write_text(YARD.replace("0.51", "0.52"))
     assert Sweep.from_file(path).digest() != sweep.digest()
-    assert Sweep.from_dict({"scene": mujoco.MjSpec.from_string(YARD), "vary": {"frequency": [0.5, 0.8]},
-                            "run": {"cycles": 3}}).digest() == sweep.digest()  # fmt: skip
+    assert (
+        Sweep.from_dict(
+            {"scene": mujoco.MjSpec.from_string(YARD), "vary": {"frequency": [0.5, 0.8]}, "run": {"cycles": 3}}
+        ).digest()
+        == sweep.digest()
+    )
 
 
 @pytest.mark.parametrize("wrong", ["gone.xml", "<mujoco/>", "flatt"])

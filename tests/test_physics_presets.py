@@ -27,9 +27,16 @@ BOUNDS = {"slip": 0.15, "servo_work": 0.065, "cost_of_transport": 0.065, "yaw_st
 #: Gaits, and the ends of the published range of frequencies [Hz].
 GAITS, FREQUENCIES = ("trt", "trt1", "lat"), (0.5, 0.8)
 GAIT_METRICS = (
-    "speed", "distance", "roll_std", "pitch_std", "yaw_std", "slip", "servo_work", "cost_of_transport",
+    "speed",
+    "distance",
+    "roll_std",
+    "pitch_std",
+    "yaw_std",
+    "slip",
+    "servo_work",
+    "cost_of_transport",
     *(f"duty_{limb}" for limb in LIMBS),
-)  # fmt: skip
+)
 LEANING = math.radians(65.0)
 
 

@@ -203,8 +203,13 @@ def test_a_directory_of_experiments_is_drawn_again(tmp_path: Path) -> None:
 
 def test_an_identifications_figures_are_remade(tmp_path: Path) -> None:
     target = {"residual": 0.1, "start_residual": 0.5}
-    about = {"costs": [3.0, 2.0, 1.0, 0.5], "objective": {"start": 2.0, "end": 0.5}, "targets": {"speed": target},
-             "settings": {"generations": 1, "population": 2}, "ensemble": None}  # fmt: skip
+    about = {
+        "costs": [3.0, 2.0, 1.0, 0.5],
+        "objective": {"start": 2.0, "end": 0.5},
+        "targets": {"speed": target},
+        "settings": {"generations": 1, "population": 2},
+        "ensemble": None,
+    }
     (tmp_path / "identification.json").write_text(json.dumps(about))
     (tmp_path / "run.json").write_text('{"kind": "identification"}')
     assert plot(tmp_path, "--format", "svg").exit_code == 0

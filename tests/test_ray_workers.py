@@ -46,9 +46,12 @@ def started(*arguments):
     """A process of `ray_fake.py`."""
     environment = os.environ | {"PYTHONPATH": str(FAKE.parents[1])}
     return subprocess.Popen(
-        [sys.executable, FAKE, *map(str, arguments)], env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+        [sys.executable, FAKE, *map(str, arguments)],
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
         text=True,
-    )  # fmt: skip
+    )
 
 
 def told(process):
@@ -168,8 +171,20 @@ def test_tasks_and_nodes_that_fail_are_named(tmp_path):
 @pytest.mark.long
 def test_real_walks_are_the_same_while_nodes_and_the_driver_are_killed(tmp_path):
     """A small run of `ray_disturbed.py`; 100,000 walks are run by hand."""
-    command = [sys.executable, FAKE.with_name("ray_disturbed.py"), tmp_path, "--rows", "1000", "--chunk", "25",
-               "--cycles", "0.25", "--every", "10", "--kill-driver"]  # fmt: skip
+    command = [
+        sys.executable,
+        FAKE.with_name("ray_disturbed.py"),
+        tmp_path,
+        "--rows",
+        "1000",
+        "--chunk",
+        "25",
+        "--cycles",
+        "0.25",
+        "--every",
+        "10",
+        "--kill-driver",
+    ]
     environment = os.environ | {"PYTHONPATH": str(FAKE.parents[1])}
     done = subprocess.run([*map(str, command)], env=environment, capture_output=True, text=True, timeout=580)
     assert done.returncode == 0, done.stdout + done.stderr[-3000:]

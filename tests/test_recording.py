@@ -123,9 +123,12 @@ def test_a_recording_of_another_model_is_refused() -> None:
 
 def test_one_world_of_a_trace_becomes_a_recording() -> None:
     trace = SimpleNamespace(
-        time=np.arange(4.0), qpos=np.ones((2, 4, 7)), qvel=np.ones((2, 4, 6)), ctrl=np.ones((2, 4, 0)),
+        time=np.arange(4.0),
+        qpos=np.ones((2, 4, 7)),
+        qvel=np.ones((2, 4, 6)),
+        ctrl=np.ones((2, 4, 0)),
         sensors={"gyro": np.stack([np.zeros((4, 3)), np.ones((4, 3))])},
-    )  # fmt: skip
+    )
     recording = recording_of(trace, ball(), world=1, metadata={"engine": "c"})
     assert recording.qpos.shape == (4, 7)
     assert recording.sensors["gyro"].min() == 1.0

@@ -73,9 +73,12 @@ def recording() -> Recording:
     ctrl = np.zeros((600, model.nu))
     ctrl[:, :8] = 0.3 + 0.2 * np.sin(2 * np.pi * time)[:, None]
     sensors = {
-        "orientation": np.stack([np.cos(half), zero, np.sin(half), zero], axis=-1), "position": position,
-        "foot_force": force, "foot_position": feet, "servo_angle": 0.9 * ctrl,
-    }  # fmt: skip
+        "orientation": np.stack([np.cos(half), zero, np.sin(half), zero], axis=-1),
+        "position": position,
+        "foot_force": force,
+        "foot_position": feet,
+        "servo_angle": 0.9 * ctrl,
+    }
     qpos = np.tile(model.qpos0, (600, 1))
     metadata = {"setup": {"gait": "lat"}, "parameters": VALUES}
     return Recording(time, qpos, np.zeros((600, model.nv)), ctrl, sensors, model_hash(model), metadata)

@@ -166,9 +166,26 @@ def test_centres_of_mass_are_those_of_the_compiled_model():
 
 #: The author's tail below the spine end, joint by joint (his tail_assets/tail.xml, in a level frame) [m].
 TAIL_BELOW = [
-    0.0192, 0.0219, 0.0245, 0.0269, 0.0291, 0.0312, 0.0331, 0.0349, 0.0366, 0.0381, 0.0394, 0.0406, 0.0416, 0.0425,
-    0.0432, 0.0438, 0.0443, 0.0445, 0.0447,
-]  # fmt: skip
+    0.0192,
+    0.0219,
+    0.0245,
+    0.0269,
+    0.0291,
+    0.0312,
+    0.0331,
+    0.0349,
+    0.0366,
+    0.0381,
+    0.0394,
+    0.0406,
+    0.0416,
+    0.0425,
+    0.0432,
+    0.0438,
+    0.0443,
+    0.0445,
+    0.0447,
+]
 
 
 @pytest.mark.parametrize("tail", TAILS)
@@ -450,10 +467,24 @@ def test_exported_xml_is_self_contained_and_the_same_model(tail):
     copy = mujoco.MjModel.from_xml_string(xml)
     assert copy.names == robot.model.names  # of bodies, joints, sensors and all the rest, in their order
     for field in (
-        "body_mass", "body_inertia", "body_ipos", "jnt_stiffness", "dof_damping", "dof_armature", "qpos_spring",
-        "tendon_range", "tendon_solref_lim", "tendon_solimp_lim", "pair_friction", "pair_solref", "pair_solimp",
-        "actuator_gainprm", "actuator_biasprm", "actuator_ctrlrange", "actuator_forcerange",
-    ):  # fmt: skip
+        "body_mass",
+        "body_inertia",
+        "body_ipos",
+        "jnt_stiffness",
+        "dof_damping",
+        "dof_armature",
+        "qpos_spring",
+        "tendon_range",
+        "tendon_solref_lim",
+        "tendon_solimp_lim",
+        "pair_friction",
+        "pair_solref",
+        "pair_solimp",
+        "actuator_gainprm",
+        "actuator_biasprm",
+        "actuator_ctrlrange",
+        "actuator_forcerange",
+    ):
         values = getattr(copy, field), getattr(robot.model, field)
         np.testing.assert_allclose(*values, rtol=1e-5, atol=1e-8, err_msg=field)
     for option in ("timestep", "integrator", "cone", "impratio", "disableflags"):

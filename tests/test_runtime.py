@@ -18,9 +18,14 @@ from nermo_mjx.view import offscreen
 pytestmark = pytest.mark.process
 
 SETTINGS = (
-    "PJRT_NPROC", "JAX_COMPILATION_CACHE_DIR", "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "NERMO_MJX_CACHE",
-    "XLA_FLAGS", "MUJOCO_GL", "NERMO_MJX_THREADS",
-)  # fmt: skip
+    "PJRT_NPROC",
+    "JAX_COMPILATION_CACHE_DIR",
+    "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS",
+    "NERMO_MJX_CACHE",
+    "XLA_FLAGS",
+    "MUJOCO_GL",
+    "NERMO_MJX_THREADS",
+)
 
 
 def run(script: str, **environment: str) -> list[str]:

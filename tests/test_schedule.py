@@ -122,8 +122,11 @@ def test_the_time_to_the_new_speed_is_half_a_ramp_and_the_constant_of_an_approac
     within = transitions.span(schedule, jnp.asarray(1.0))
     assert [float(each) for each in within] == [2.0, 7.0]
     time = (1 + np.arange(1200)) * 0.01
-    courses = {"ramp": np.interp(time, [2.0, 5.0], [0.1, 0.3]), "approach": 0.3 - 0.2 * np.exp(-(time - 2.0) / 0.5),
-               "steady": np.full(1200, 0.1)}  # fmt: skip
+    courses = {
+        "ramp": np.interp(time, [2.0, 5.0], [0.1, 0.3]),
+        "approach": 0.3 - 0.2 * np.exp(-(time - 2.0) / 0.5),
+        "steady": np.full(1200, 0.1),
+    }
     courses["approach"][time <= 2.0] = 0.1
     speed = jnp.asarray(np.stack(list(courses.values())), float)
 

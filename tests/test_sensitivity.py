@@ -24,10 +24,13 @@ FIRST, SECOND = 0.5 * (1 + 0.1 * np.pi**4 / 5) ** 2, 7**2 / 8
 PAIR = 0.1**2 * np.pi**8 * (1 / 18 - 1 / 50)
 WHOLE = FIRST + SECOND + PAIR
 KNOWN = {
-    ("frequency", "first"): FIRST / WHOLE, ("stride", "first"): SECOND / WHOLE, ("duty", "first"): 0.0,
-    ("frequency", "total"): (FIRST + PAIR) / WHOLE, ("stride", "total"): SECOND / WHOLE,
+    ("frequency", "first"): FIRST / WHOLE,
+    ("stride", "first"): SECOND / WHOLE,
+    ("duty", "first"): 0.0,
+    ("frequency", "total"): (FIRST + PAIR) / WHOLE,
+    ("stride", "total"): SECOND / WHOLE,
     ("duty", "total"): PAIR / WHOLE,
-}  # fmt: skip
+}
 
 
 class Ishigami:

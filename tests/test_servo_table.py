@@ -95,11 +95,15 @@ def test_whole_cycles_are_whole_rows(frequency: float, rate: float) -> None:
 
 def test_left_and_right_turns_mirror_each_other() -> None:
     """A trot's turn to the left is that to the right, half a cycle later on the other side."""
-    tables = [servo_table(Setup(gait="trt", steering="mix"), {"frequency": 1.0, "pilot.turn_rate": turn}, rate=100.0)
-              for turn in (0.6, -0.6)]  # fmt: skip
+    tables = [
+        servo_table(Setup(gait="trt", steering="mix"), {"frequency": 1.0, "pilot.turn_rate": turn}, rate=100.0)
+        for turn in (0.6, -0.6)
+    ]
     left, right = (table.angles for table in tables)
-    other = [SERVOS.index(name.replace("left", "?").replace("right", "left").replace("?", "right"))
-             for name in tables[0].names]  # fmt: skip
+    other = [
+        SERVOS.index(name.replace("left", "?").replace("right", "left").replace("?", "right"))
+        for name in tables[0].names
+    ]
     signs = np.array([-1.0 if name in ("spine", "neck") else 1.0 for name in tables[0].names])
     np.testing.assert_allclose(left, signs * np.roll(right, 50, axis=0)[:, other], atol=0.02)
     assert left[:, SERVOS.index("spine")].mean() > 5.0
@@ -159,8 +163,25 @@ def test_the_csv_is_read_by_pandas_and_by_hand() -> None:
 def test_the_command_writes_the_table(tmp_path: Path) -> None:
     """The same numbers as from Python, and nothing but JSON on standard output."""
     out = tmp_path / "new" / "gait.csv"
-    command = [sys.executable, "-m", "nermo_mjx", "servos", "--gait", "lat", "--frequency", "0.5", "--turn-rate", "0.3",
-               "--rate", "40", "--cycles", "2", "--out", str(out), "--json"]  # fmt: skip
+    command = [
+        sys.executable,
+        "-m",
+        "nermo_mjx",
+        "servos",
+        "--gait",
+        "lat",
+        "--frequency",
+        "0.5",
+        "--turn-rate",
+        "0.3",
+        "--rate",
+        "40",
+        "--cycles",
+        "2",
+        "--out",
+        str(out),
+        "--json",
+    ]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     report = json.loads(done.stdout)
     table = servo_table(Setup(gait="lat"), {"frequency": 0.5, "pilot.turn_rate": 0.3}, rate=40.0, cycles=2)

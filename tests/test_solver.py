@@ -21,9 +21,13 @@ pytestmark = pytest.mark.compiles
 
 #: Ends of the declared ranges of the soles' contact; friction and tail as well.
 ENDS = {
-    "contact.friction": (0.05, 5.0), "contact.tail_friction": (0.05, 5.0), "contact.time_constant": (0.004, 0.1),
-    "contact.damping_ratio": (0.5, 10.0), "contact.impedance": (0.5, 0.9999), "contact.width": (1e-5, 0.02),
-}  # fmt: skip
+    "contact.friction": (0.05, 5.0),
+    "contact.tail_friction": (0.05, 5.0),
+    "contact.time_constant": (0.004, 0.1),
+    "contact.damping_ratio": (0.5, 10.0),
+    "contact.impedance": (0.5, 0.9999),
+    "contact.width": (1e-5, 0.02),
+}
 #: Tumbling robots, and the steps of each whose problems are solved.
 WORLDS, STEPS = 24, 120
 LIMITS, CONTACTS = 6, 16

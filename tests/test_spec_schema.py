@@ -225,9 +225,25 @@ def test_no_odd_value_leads_to_anything_but_a_sentence():
     from nermo_mjx.sweep.axes import Axis, Draw
     from nermo_mjx.sweep.spec import Randomized, Sampler, SweepFile
 
-    models = [SweepFile, TuningFile, SearchFile, ChannelsFile, TrainingFile, SceneFields,
-              Axis, Draw, Randomized, Sampler, Arc, OpenLoop, Pilot,
-              RunFields, Straight, Waypoints, OptimizerFields]  # fmt: skip
+    models = [
+        SweepFile,
+        TuningFile,
+        SearchFile,
+        ChannelsFile,
+        TrainingFile,
+        SceneFields,
+        Axis,
+        Draw,
+        Randomized,
+        Sampler,
+        Arc,
+        OpenLoop,
+        Pilot,
+        RunFields,
+        Straight,
+        Waypoints,
+        OptimizerFields,
+    ]
     messages = []
     for model in models:
         for name in [*model.names(), "frequency", "other"]:

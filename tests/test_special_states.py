@@ -22,11 +22,18 @@ from nermo_mjx.runtime import compiler_options
 
 #: One of each kind; the others run with `-m long`.
 CHOSEN = (
-    "ball spring, polynomial", "ball servo in the parent's frame", "limit, deeper than width, power 1.5",
-    "tendon's force zero of two", "servo beyond its force, implicitfast", "muscle that lengthens, implicitfast",
-    "early filter, implicitfast", "the same, implicitfast", "no springs", "spinning, off its centre, implicitfast",
+    "ball spring, polynomial",
+    "ball servo in the parent's frame",
+    "limit, deeper than width, power 1.5",
+    "tendon's force zero of two",
+    "servo beyond its force, implicitfast",
+    "muscle that lengthens, implicitfast",
+    "early filter, implicitfast",
+    "the same, implicitfast",
+    "no springs",
+    "spinning, off its centre, implicitfast",
     "weld of a spinning body",
-)  # fmt: skip
+)
 #: C has no derivative there: three contacts turn with the tilt, however small. `approximated` says so.
 WITHOUT_DERIVATIVE = ("cylinder stands",)
 
@@ -56,8 +63,13 @@ mass="1"/></body></worldbody>
 <tendon><fixed name="t"><joint joint="k" coef="1"/></fixed></tendon></mujoco>"""
 #: Fields that MJX decides on when a model is put, here of value zero: (field, index, the share of C's forward
 #: difference).
-FIELDS = (("dof_frictionloss", 0, 1.0), ("tendon_frictionloss", 0, 0.5), ("body_gravcomp", 1, 1.0),
-          ("opt.density", (), 1.0), ("opt.viscosity", (), 1.0))  # fmt: skip
+FIELDS = (
+    ("dof_frictionloss", 0, 1.0),
+    ("tendon_frictionloss", 0, 0.5),
+    ("body_gravcomp", 1, 1.0),
+    ("opt.density", (), 1.0),
+    ("opt.viscosity", (), 1.0),
+)
 
 
 @pytest.mark.slow
@@ -152,10 +164,12 @@ def test_a_rangefinder_needs_no_material() -> None:
 
 def _impedances(x: Any) -> Any:
     model = mjx.put_model(mujoco.MjModel.from_xml_string(BOX.format("elliptic")))
-    return jnp.stack([
-        jnp.stack(constraint._kbi(model, jnp.array([0.02, 1.0]), jnp.array([0.5, 0.9, x[1], x[2], power]), x[0]))
-        for power in (1.0, 1.5, 2.0, 3.3)
-    ])  # fmt: skip
+    return jnp.stack(
+        [
+            jnp.stack(constraint._kbi(model, jnp.array([0.02, 1.0]), jnp.array([0.5, 0.9, x[1], x[2], power]), x[0]))
+            for power in (1.0, 1.5, 2.0, 3.3)
+        ]
+    )
 
 
 RANGE = jnp.array([0.0, 1.0])
@@ -164,7 +178,8 @@ MUSCLE = jnp.array([0.75, 1.05, 10.0, 200.0, 0.5, 1.6, 1.5, 1.3, 1.2])
 #: singular.
 SINGULAR: dict[str, tuple[Callable[[Any], Any], list[list[float]]]] = {
     "rotation vector": (
-        lambda q: jnp.multiply(*math.quat_to_axis_angle(q)), [[1, 0, 0, 0], [-1, 0, 0, 0], [0.6, 0.8, 0, 0]],
+        lambda q: jnp.multiply(*math.quat_to_axis_angle(q)),
+        [[1, 0, 0, 0], [-1, 0, 0, 0], [0.6, 0.8, 0, 0]],
     ),
     "difference of rotations": (lambda q: math.quat_sub(q[:4], q[4:]), [[1, 0, 0, 0] * 2, [0.6, 0.8, 0, 0] * 2]),
     "impedance": (
@@ -172,7 +187,8 @@ SINGULAR: dict[str, tuple[Callable[[Any], Any], list[list[float]]]] = {
         [[d, 0.01, 0.5] for d in (0.0, 0.005, 0.01, 0.02, -0.01)] + [[0.01, 1e-15, 0.5], [0.02, 0.01, 0.0]],
     ),
     "tendon's segment": (
-        lambda v: _segment_length(v) * _segment_direction(v, _segment_length(v)), [[0, 0, 0], [1, 0, 0]],
+        lambda v: _segment_length(v) * _segment_direction(v, _segment_length(v)),
+        [[0, 0, 0], [1, 0, 0]],
     ),
     "normal": (math.normalize, [[0, 0, 1], [1e-9, 0, 1]]),
     "frame": (math.make_frame, [[1, 0, 0], [0, 1, 0], [0, 0, 1], [0, 0.5, 0.75**0.5]]),
@@ -190,15 +206,23 @@ SINGULAR: dict[str, tuple[Callable[[Any], Any], list[list[float]]]] = {
     ),
     "arc": (
         lambda x: jnp.concatenate([each.ravel() for each in support.wrap_circle(x[:4], x[4:6], x[6] > 0, x[6])]),
-        [[*ends, 0, 1, radius] for *ends, radius in
-         ([-2, 1, 2, 1, 1], [2, 0, 2, 0, 1], [-2, 0, 2, 0, 1], [-2, 0, 2, 0, 0], [0.5, 0, 2, 0, 1])],
+        [
+            [*ends, 0, 1, radius]
+            for *ends, radius in (
+                [-2, 1, 2, 1, 1],
+                [2, 0, 2, 0, 1],
+                [-2, 0, 2, 0, 1],
+                [-2, 0, 2, 0, 0],
+                [0.5, 0, 2, 0, 1],
+            )
+        ],
     ),
     "cylinder": (
         lambda x: collision_sdf._cylinder(x[:3], x[3:]),
         [[*point, 1, 2, 0] for point in ([0, 0, 0], [1, 0, 2], [0, 0, 3], [1, 0, 0])],
     ),
     "drag's box": (lambda x: jnp.abs(x) * x, [[0, 0, 0]]),
-}  # fmt: skip
+}
 
 
 @pytest.mark.compiles

@@ -16,17 +16,31 @@ from nermo_mjx.dynamics import differentiable
 #: What MJX calls with (model, data), in its order.
 STAGES = {
     "fwd_position": [
-        "kinematics", "com_pos", "camlight", "tendon", "crb", "tendon_armature", "factor_m", "collision",
-        "make_constraint", "transmission",
+        "kinematics",
+        "com_pos",
+        "camlight",
+        "tendon",
+        "crb",
+        "tendon_armature",
+        "factor_m",
+        "collision",
+        "make_constraint",
+        "transmission",
     ],
     "fwd_velocity": ["com_vel", "passive", "rne", "tendon_bias"],
     "fwd_acceleration": ["xfrc_accumulate", "solve_m"],
     "forward": [
-        "fwd_position", "sensor_pos", "fwd_velocity", "sensor_vel", "fwd_actuation", "fwd_acceleration", "solve",
+        "fwd_position",
+        "sensor_pos",
+        "fwd_velocity",
+        "sensor_vel",
+        "fwd_actuation",
+        "fwd_acceleration",
+        "solve",
         "sensor_acc",
     ],
     "step": ["forward", "euler", "rungekutta4", "implicit"],
-}  # fmt: skip
+}
 #: What stands in place of it here, under names of its own; `passive` and `rne` do not see each other.
 OURS = {
     "fwd_position": differentiable.position,

@@ -80,8 +80,14 @@ def test_a_directory_that_is_being_written_is_read(tmp_path: Path) -> None:
 def test_the_last_three_sessions_are_shown(tmp_path: Path) -> None:
     """Where run.json has no codes, the chunks know the engine."""
     run_sweep(SPEC, tmp_path, chunk=8, simulator=FakeSimulator())
-    sessions = [{"started": "2026-01-01T00:00:00+0000", "command": "nermo-mjx sweep a", "versions": {"jax": "0.1"},
-                 "machine": {"host": "far", "cores": 4}}]  # fmt: skip
+    sessions = [
+        {
+            "started": "2026-01-01T00:00:00+0000",
+            "command": "nermo-mjx sweep a",
+            "versions": {"jax": "0.1"},
+            "machine": {"host": "far", "cores": 4},
+        }
+    ]
     (tmp_path / "run.json").write_text(json.dumps({"kind": "sweep", "sessions": sessions * 5}))
     content = said(tmp_path)
     assert known(content) == ("sweep", 36, 36, True)
@@ -209,8 +215,11 @@ def test_benchmarks_say_what_failed_and_which_commits_were_measured(tmp_path: Pa
 
 def test_what_is_no_directory_of_results_is_refused_in_a_sentence(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    for name, sentence in (("missing", "there is no such file or directory."), ("file", "is not a results directory"),
-                           (".", "is not a results directory: it contains neither a sweep, ")):  # fmt: skip
+    for name, sentence in (
+        ("missing", "there is no such file or directory."),
+        ("file", "is not a results directory"),
+        (".", "is not a results directory: it contains neither a sweep, "),
+    ):
         result = status(tmp_path / name)
         assert result.exit_code == 2
         assert sentence in result.stderr

@@ -74,10 +74,12 @@ POLICY = ROOT / "docs" / "howto" / "terrain" / "stiff.npz"
 RECORDED = ROOT / "docs" / "howto" / "terrain" / "walks" / "ramp" / "stiff.npz"
 #: The file that says what a directory is for, by kind.
 SPECS: dict[str, tuple[str, dict[str, Any]]] = {
-    "sweep": ("sweep.yaml", SWEEP), "search": ("search.yaml", SEARCH), "tuning": ("tuning.yaml", TUNE),
+    "sweep": ("sweep.yaml", SWEEP),
+    "search": ("search.yaml", SEARCH),
+    "tuning": ("tuning.yaml", TUNE),
     "landscape": ("tuning.yaml", TUNE),
     "training": ("training.yaml", {"worlds": 64, "steps": 10_000}),
-}  # fmt: skip
+}
 
 
 @pytest.fixture
@@ -95,8 +97,12 @@ def canary(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 @pytest.mark.parametrize("kind", KINDS)
 def test_no_command_that_reads_runs_the_code_of_a_directory(kind: str, own: str, tmp_path: Path, canary: Path) -> None:
     out, code = tmp_path / "theirs", (tmp_path / "own.py").read_text()
-    named = {"metrics": {"metrics": "metrics.py"}, "controller": {"controller": "controller.py:stiff"},
-             "module": {"metrics": "own"}, "deep": {"controller": "own.under:stiff"}}[own]  # fmt: skip
+    named = {
+        "metrics": {"metrics": "metrics.py"},
+        "controller": {"controller": "controller.py:stiff"},
+        "module": {"metrics": "own"},
+        "deep": {"controller": "own.under:stiff"},
+    }[own]
     (out / "results").mkdir(parents=True)
     for name in ("metrics.py", "controller.py", "own.py", "sitecustomize.py"):
         (out / name).write_text(code)
@@ -105,10 +111,15 @@ def test_no_command_that_reads_runs_the_code_of_a_directory(kind: str, own: str,
         name, spec = SPECS[kind]
         (out / name).write_text(json.dumps(spec | named))
     for words in (
-        ("status", out), ("status", out, "--json"), ("plot", out, "--format", "png"), ("compare", out, out),
-        ("compare", out, "--by", "gait"), ("sensitivity", out), ("view", out, "--no-open", "--out", out / "page.html"),
+        ("status", out),
+        ("status", out, "--json"),
+        ("plot", out, "--format", "png"),
+        ("compare", out, out),
+        ("compare", out, "--by", "gait"),
+        ("sensitivity", out),
+        ("view", out, "--no-open", "--out", out / "page.html"),
         ("merge", out, out, "--out", tmp_path / "both"),
-    ):  # fmt: skip
+    ):
         result = call(*words)
         assert result.exception is None or isinstance(result.exception, SystemExit), (words, result.exception)
         assert not canary.exists(), f"{words[0]} ran it"
@@ -151,9 +162,11 @@ def test_no_code_of_a_directory_is_run(directories: tuple[str, Path, Path, Path]
     own, a, b, log = directories
     half = a.with_name("half")
     for words in (
-        ("status", a), ("plot", a, "--format", "png"), ("plot", half, "--format", "png"),
+        ("status", a),
+        ("plot", a, "--format", "png"),
+        ("plot", half, "--format", "png"),
         ("compare", a, "--by", "stride"),
-    ):  # fmt: skip
+    ):
         result = call(*words)
         assert result.exit_code == 0, result.stderr
     assert "sample is grid, whose variants are not drawn" in call("sensitivity", a).stderr
@@ -264,11 +277,18 @@ def mutated_arrays(content: bytes, draw: random.Random) -> bytes:
         arrays[name] = np.frombuffer(text, np.uint8) if name == "about" else np.array(text.decode())
     else:
         odd: list[Callable[[], Any]] = [
-            lambda: given[:0], lambda: given.ravel(), lambda: given[None], lambda: given.astype("U4"),
-            lambda: given.astype(complex) if given.dtype.kind in "fiu" else given, lambda: np.array([]),
-            lambda: np.full_like(given, np.nan) if given.dtype.kind == "f" else given, lambda: -given[::-1],
-            lambda: given[:-1], lambda: np.zeros(3, "datetime64[s]"), lambda: np.zeros(2, [("a", "f8")]),
-        ]  # fmt: skip
+            lambda: given[:0],
+            lambda: given.ravel(),
+            lambda: given[None],
+            lambda: given.astype("U4"),
+            lambda: given.astype(complex) if given.dtype.kind in "fiu" else given,
+            lambda: np.array([]),
+            lambda: np.full_like(given, np.nan) if given.dtype.kind == "f" else given,
+            lambda: -given[::-1],
+            lambda: given[:-1],
+            lambda: np.zeros(3, "datetime64[s]"),
+            lambda: np.zeros(2, [("a", "f8")]),
+        ]
         try:
             arrays[name] = draw.choice(odd)()
         except (TypeError, IndexError, ValueError):
@@ -320,12 +340,22 @@ def mutated_table(content: bytes, draw: random.Random) -> bytes:
 
 
 IDENTIFIED = {
-    "settings": {"generations": 1, "population": 4, "seed": 0}, "costs": [0.9, None, 0.5], "plots": [],
-    "objective": {"start": 0.9, "end": 0.5}, "engine": "c", "started": "2026-01-01", "versions": {"jax": "0"},
-    "machine": {"cores": 2}, "targets": {"a": {"residual": 0.1, "start_residual": None}},
-    "ensemble": {"size": 2, "tolerance": 0.5, "bodies": {"servo.gain": [1.0, 2.0], "objective": [0.1, 0.2],
-                 "weight": [0.5, 0.5]}, "parameters": {"servo.gain": {"low": 0.1, "high": 9.0, "quantiles": [1.0]}}},
-}  # fmt: skip
+    "settings": {"generations": 1, "population": 4, "seed": 0},
+    "costs": [0.9, None, 0.5],
+    "plots": [],
+    "objective": {"start": 0.9, "end": 0.5},
+    "engine": "c",
+    "started": "2026-01-01",
+    "versions": {"jax": "0"},
+    "machine": {"cores": 2},
+    "targets": {"a": {"residual": 0.1, "start_residual": None}},
+    "ensemble": {
+        "size": 2,
+        "tolerance": 0.5,
+        "bodies": {"servo.gain": [1.0, 2.0], "objective": [0.1, 0.2], "weight": [0.5, 0.5]},
+        "parameters": {"servo.gain": {"low": 0.1, "high": 9.0, "quantiles": [1.0]}},
+    },
+}
 CHANNELS = {"rate": 50, "front_left_hip": {"channel": 0, "direction": 1, "zero": 90, "low": 20, "high": 160}}
 HARDWARE = {"device": "cpu", "cores": 2, "cpu": "some", "mujoco": "3", "jax": "0", "python": "3"}
 CASE = {"case": "throughput", "engine": "c", "worlds": 64, "steps_per_second": 3.0}
@@ -376,8 +406,11 @@ def kinds_of_files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[
         "sweep.json": (sweep / "sweep.json", text, lambda: two_tables(sweep, search)),
         "metrics.json": (sweep / "metrics.json", text, lambda: own_metrics.load_metrics(str(sweep / "metrics.py"))),
         "best.json": (search / "best.json", text, kind("search", search)),
-        "identification.json": (_file(identified / identification.RESULT, IDENTIFIED), text,
-                                lambda: (identification.status(identified), identification.drawn(identified))),
+        "identification.json": (
+            _file(identified / identification.RESULT, IDENTIFIED),
+            text,
+            lambda: (identification.status(identified), identification.drawn(identified)),
+        ),
         "results.jsonl": (_file(bench / "results.jsonl", MEASURED), text, kind("benchmarks", bench)),
         "experiment": (experiments.path(name), table_like, kind("experiments", experiments.out)),
         "part": (part, table_like, lambda: (read_table(sweep), Results([part]), status(sweep), runs_of(sweep))),
@@ -385,9 +418,12 @@ def kinds_of_files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[
         "rows.parquet": (top / "rows.parquet", table_like, rows(top / "rows.parquet")),
         "sweep.yaml": (_file(top / "s.yaml", SWEEP), text, lambda: Sweep.from_file(top / "s.yaml")),
         "channels.yaml": (_file(top / "c.yaml", CHANNELS), text, lambda: read_channels(top / "c.yaml")),
-        "spec as text": (_text(top / "t.yaml", Sweep.from_dict(SWEEP).to_yaml()), [mutated_bytes],
-                         lambda: read_file(top / "t.yaml")),
-    }  # fmt: skip
+        "spec as text": (
+            _text(top / "t.yaml", Sweep.from_dict(SWEEP).to_yaml()),
+            [mutated_bytes],
+            lambda: read_file(top / "t.yaml"),
+        ),
+    }
     return found
 
 
@@ -482,8 +518,10 @@ def test_a_scene_that_asks_for_more_than_fits_is_refused(name: str, tmp_path: Pa
     """As text, and as a file that another one includes."""
     with pytest.raises(ParameterError, match=r"asks for [\d,]+ (bytes|elements): allowed are|only the robot may move"):
         resolve_scene(HUGE[name])
-    _text(tmp_path / "inner.xml", HUGE[name].replace("<mujoco model='theirs'>", "<mujocoinclude>").replace(
-        "</mujoco>", "</mujocoinclude>"))  # fmt: skip
+    _text(
+        tmp_path / "inner.xml",
+        HUGE[name].replace("<mujoco model='theirs'>", "<mujocoinclude>").replace("</mujoco>", "</mujocoinclude>"),
+    )
     outer = _text(tmp_path / "outer.xml", '<mujoco><include file="inner.xml"/></mujoco>')
     with pytest.raises(ParameterError, match=r"allowed are|only the robot may move"):
         resolve_scene(str(outer))
@@ -505,19 +543,26 @@ def test_a_picture_with_many_pixels_is_refused(tmp_path: Path) -> None:
         (Search.from_dict, SEARCH | {"batch": 100_000}, "field 'batch' is 100,000: 100,000 worlds at once take 5.0 GB"),
         (Search.from_dict, SEARCH | {"batch": 700, "randomize": {"repeats": 100}}, "70,000 worlds at once take 3.5 GB"),
         (Tuning.from_dict, TUNE | {"starts": 100_000}, "100,000 worlds at once take 5.0 GB"),
-        (Tuning.from_dict, TUNE | {"starts": 9, "estimator": {"smoothed": {"samples": 9000, "sigma": 0.1}}},
-         "81,000 worlds at once take 4"),
+        (
+            Tuning.from_dict,
+            TUNE | {"starts": 9, "estimator": {"smoothed": {"samples": 9000, "sigma": 0.1}}},
+            "81,000 worlds at once take 4",
+        ),
         (Training.from_dict, {"worlds": 500_000, "steps": 1_000_000}, "500,000 worlds at once take 25.0 GB"),
     ],
-)  # fmt: skip
+)
 def test_a_batch_that_does_not_fit_and_a_run_without_end_are_refused(read: Any, spec: Any, said: str) -> None:
     with pytest.raises(SpecError, match=re.escape(said)):
         read(spec)
 
 
 def test_the_ticks_of_a_sweep_have_a_limit(tmp_path: Path) -> None:
-    spec = {"vary": {"frequency": {"linspace": [1e-3, 2e-3, 100]}}, "run": {"cycles": 100},
-            "randomize": {"repeats": 1000}, "plots": False}  # fmt: skip
+    spec = {
+        "vary": {"frequency": {"linspace": [1e-3, 2e-3, 100]}},
+        "run": {"cycles": 100},
+        "randomize": {"repeats": 1000},
+        "plots": False,
+    }
     with pytest.raises(SpecError, match=r"simulates .* s in 100,000 runs: allowed are 1e\+09 s"):
         run_sweep(spec, tmp_path, chunk=1000, simulator=FakeSimulator())
     with pytest.raises(SpecError, match=r"chunk is 100,000: 100,000 worlds at once take 5\.0 GB"):
@@ -591,8 +636,15 @@ def test_whose_code_is_run_is_said_before(tmp_path: Path, canary: Path) -> None:
 
 def test_control_characters_of_a_stranger_are_escaped(tmp_path: Path) -> None:
     evil = "\x1b]0;owned\x07\x1b[2J\x9b2J\u202egnp.exe\r\nfigures  rm -rf ~"
-    stamp = {"package": evil, "sources": evil, "model": evil, "engine": evil, "mujoco": evil, "mujoco_mjx": evil,
-             "jax": evil}  # fmt: skip
+    stamp = {
+        "package": evil,
+        "sources": evil,
+        "model": evil,
+        "engine": evil,
+        "mujoco": evil,
+        "mujoco_mjx": evil,
+        "jax": evil,
+    }
     session = {"started": evil, "command": f"nermo-mjx {evil}", "machine": {"host": evil}, "versions": {"jax": evil}}
     record = {"kind": "sweep", "codes": {evil: stamp}, "sessions": [session]}
     for kind in KINDS:

@@ -73,9 +73,12 @@ EXTENSIONS = {
         {"plots": False, "rows": [{"gait": "lat", "frequency": 0.7}, {"gait": "lat", "frequency": 0.9}]},
         1,
     ),
-    "a row of a grid": (SMALL, {"plots": False, "rows": [{"frequency": 0.7, "contact.friction": 1.0}],
-                                "randomize": SMALL["randomize"]}, 1),
-}  # fmt: skip
+    "a row of a grid": (
+        SMALL,
+        {"plots": False, "rows": [{"frequency": 0.7, "contact.friction": 1.0}], "randomize": SMALL["randomize"]},
+        1,
+    ),
+}
 
 
 class Counting(FakeSimulator):

@@ -106,13 +106,16 @@ def test_what_is_saved_belongs_to_the_sweep(tmp_path: Path) -> None:
         ({"sensors": ["front_left_foot_forc"]}, r"did you mean 'front_left_foot_force'\?"),
         ({"sensors": []}, "save.sensors' is an empty list: name sensors"),
         ({"rate": 50}, "save' has no 'sensors': expected {sensors:"),
-        ({"sensors": "gyro", "rate": 30}, "save.rate' is 30: allowed is the control rate, 100 Hz, or that divided by a "
-                                          "whole number; the nearest is 33.3333"),
+        (
+            {"sensors": "gyro", "rate": 30},
+            "save.rate' is 30: allowed is the control rate, 100 Hz, or that divided by a "
+            "whole number; the nearest is 33.3333",
+        ),
         ({"sensors": "gyro", "rate": 500}, "save.rate' is 500: .* the nearest is 100"),
         ({"sensors": "gyro", "rate": 0}, "save.rate' is 0: expected a finite number above 0"),
         ({"sensors": "gyro", "rat": 50}, r"save.rat' is not a field of what is saved; .*did you mean 'rate'\?"),
     ],
-)  # fmt: skip
+)
 def test_what_cannot_be_saved_is_refused(save: Any, message: str) -> None:
     with pytest.raises(SpecError, match=message):
         Sweep.from_dict({**SPEC, "save": save})
@@ -151,10 +154,13 @@ def test_what_a_simulator_saves_is_its_recording_at_a_rate() -> None:
     at = np.searchsorted(trace.time, kept.time - 1e-6)
     velocity, foot = trace.sensors["linear_velocity"][:, at], trace.sensors["foot_velocity"][:, at, 0]
     expected = {
-        "front_left_foot_velocity_x": foot[..., 0], "front_left_foot_velocity_y": foot[..., 1],
-        "front_left_foot_velocity_z": foot[..., 2], "spine_ctrl": trace.ctrl[:, at, 8],
-        "qvel_root_z": trace.qvel[:, at, 2], "speed": np.linalg.norm(velocity[..., :2], axis=-1),
-    }  # fmt: skip
+        "front_left_foot_velocity_x": foot[..., 0],
+        "front_left_foot_velocity_y": foot[..., 1],
+        "front_left_foot_velocity_z": foot[..., 2],
+        "spine_ctrl": trace.ctrl[:, at, 8],
+        "qvel_root_z": trace.qvel[:, at, 2],
+        "speed": np.linalg.norm(velocity[..., :2], axis=-1),
+    }
     assert set(kept.values) == {*expected, "yaw"}
     for name, values in expected.items():
         np.testing.assert_allclose(kept.values[name], values, atol=1e-6, err_msg=name)
@@ -179,8 +185,10 @@ def test_signals_have_the_names_of_the_models_sensors() -> None:
 
 
 def results(speed: list[float], status: list[str], variant: list[int]) -> Results:
-    fields = [pa.field("speed", pa.float64(), metadata={"role": "metric", "better": "high"}),
-              pa.field("own", pa.float64(), metadata={"role": "metric", "better": "low"})]  # fmt: skip
+    fields = [
+        pa.field("speed", pa.float64(), metadata={"role": "metric", "better": "high"}),
+        pa.field("own", pa.float64(), metadata={"role": "metric", "better": "low"}),
+    ]
     table = pa.table({"row": range(len(speed)), "variant": variant, "status": status, "speed": speed, "own": speed})
     for field in fields:
         table = table.set_column(table.column_names.index(field.name), field, table.column(field.name))
@@ -200,9 +208,11 @@ def test_the_best_of_each_variant_and_the_first_that_fell_are_kept() -> None:
 
 
 KEPT: dict[str, Any] = {
-    "run": {"duration": 0.4, "warmup": 0.1}, "plots": False, "keep": {"best": 1},
+    "run": {"duration": 0.4, "warmup": 0.1},
+    "plots": False,
+    "keep": {"best": 1},
     "vary": {"frequency": [0.7, 0.8, 0.9]},
-}  # fmt: skip
+}
 
 
 @pytest.mark.compiles
@@ -261,14 +271,17 @@ def test_a_replay_that_gives_other_numbers_says_so(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("keep", "message"),
     [
-        ({"best": 2, "metric": "sped"}, r"keep.metric' is 'sped': allowed is a metric with a better direction, "
-                                        r"speed, .*; did you mean 'speed'\?"),
+        (
+            {"best": 2, "metric": "sped"},
+            r"keep.metric' is 'sped': allowed is a metric with a better direction, "
+            r"speed, .*; did you mean 'speed'\?",
+        ),
         ({"best": 2, "metric": "yaw_mean"}, "allowed is a metric with a better direction"),
         ({"best": -1}, "keep.best' is -1: expected a whole number from 0"),
         ({"falls": 1}, r"keep.falls' is not a field of what is kept; .*did you mean 'fell'\?"),
         (3, "keep' is the number 3: expected {best: 3, fell: 3, diverged: 3}"),
     ],
-)  # fmt: skip
+)
 def test_what_cannot_be_kept_is_refused(keep: Any, message: str) -> None:
     with pytest.raises(SpecError, match=message):
         Sweep.from_dict({**SPEC, "keep": keep})

@@ -89,8 +89,16 @@ def test_a_pareto_front_again_with_repeats_by_the_command(tmp_path):
     assert sweep.repeats == 2
     assert sweep.variants == len({row[:3] for row in fast}) > 1
     assert sweep.setup.spine == "stride_extension"
-    command = ["sweep", str(tmp_path / "grid" / "sweep.yaml"), "--rows", str(tmp_path / "best.parquet"),
-               "--out", str(tmp_path / "out"), "--engine", "steam"]  # fmt: skip
+    command = [
+        "sweep",
+        str(tmp_path / "grid" / "sweep.yaml"),
+        "--rows",
+        str(tmp_path / "best.parquet"),
+        "--out",
+        str(tmp_path / "out"),
+        "--engine",
+        "steam",
+    ]
     assert CliRunner().invoke(main, command).exit_code == 2  # engines are checked; the rest is run here
     result = run_sweep(sweep, tmp_path / "out", simulator=FakeSimulator())
     assert result.rows == 2 * sweep.variants

@@ -221,8 +221,11 @@ def test_each_run_has_a_body_and_the_table_says_which(tmp_path):
     np.testing.assert_allclose(slower, speed(whole.column("frequency").to_numpy()), atol=1e-6)
 
 
-SWEEPS = [path for path in Path(__file__).parents[1].glob("sweeps/*.yaml")
-          if not re.search("^(tune|objective|pareto|task):", path.read_text(), re.MULTILINE)]  # fmt: skip
+SWEEPS = [
+    path
+    for path in Path(__file__).parents[1].glob("sweeps/*.yaml")
+    if not re.search("^(tune|objective|pareto|task):", path.read_text(), re.MULTILINE)
+]
 
 
 @pytest.mark.parametrize("path", sorted(SWEEPS), ids=lambda path: path.stem)

@@ -54,8 +54,11 @@ def test_a_chunk_on_devices_fits_their_memory_and_divides_among_them(gibibytes, 
 def test_the_memory_of_a_world_is_what_was_measured_last():
     """In the benchmarks of this repository: enough for every batch, and not twice as much."""
     runs = (Path(__file__).parents[1] / "docs" / "benchmarks" / "gpu_plan.jsonl").read_text().splitlines()
-    newest = {tuple(line[key] for key in ("target", "program", "worlds")): line["bytes_per_world"]
-              for run in runs for line in json.loads(run)["cases"]}  # fmt: skip
+    newest = {
+        tuple(line[key] for key in ("target", "program", "worlds")): line["bytes_per_world"]
+        for run in runs
+        for line in json.loads(run)["cases"]
+    }
     most = max(needed for (_, program, _), needed in newest.items() if program == "walk")
     assert most <= WORLD_BYTES["mjx"] < 2 * most
 

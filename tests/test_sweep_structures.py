@@ -114,8 +114,10 @@ def test_chunks_have_one_structure_and_each_gets_its_own_setup_run_and_values(tm
         assert ("pilot.radius" in values) == (setup.pilot == "arc")
         assert values.get("pilot.radius", [0.5])[0] == 0.5
     assert {(setup.pilot, run.distance) for setup, run, _ in asked} == {
-        ("straight", None), ("arc", None), ("straight", 0.5),
-    }  # fmt: skip
+        ("straight", None),
+        ("arc", None),
+        ("straight", 0.5),
+    }
     assert {setup.tail for setup, _, _ in asked} == {"rigid", "articulated"}
 
 
@@ -181,15 +183,21 @@ WRONG = {
     "the same pilot": ("pilot: [{arc: {radius: 1, direction: left}}, {arc: {direction: 1, radius: 1.0}}]", "twice"),
     "pilot's option": ("pilot: [straight, {arc: {radus: 1}}]", "did you mean 'radius'?"),
     "two sources": ("profile: [exact, as_published]", "is varied and also given as 'profile': give it one source"),
-    "no effect in any": ("spine: [none, balance]\n  spine.phase: [0, 1]",
-                         "has no effect: it is read only with spine: stride_extension, and spine is none or balance"),
+    "no effect in any": (
+        "spine: [none, balance]\n  spine.phase: [0, 1]",
+        "has no effect: it is read only with spine: stride_extension, and spine is none or balance",
+    ),
     "pilot's own number": ("pilot: [straight, {arc: {radius: 1}}]\n  pilot.radius: [1, 2]", "set by 'pilot.arc"),
     "beyond the legs": ("gait: [trt, lat]\n  stance.swing_amplitude: [0.01, 0.04]", "'stance.swing_"),
-    "too many": ("\n  ".join(f"{name}: [{', '.join('abcdefghijk')}]" for name in ("gait", "spine", "tail")),
-                 "makes 1,331 combinations of structures; allowed are 1,000"),
-    "beyond one time step": ("physics: [reference, fast]\n  contact.time_constant: [0.005, 0.01]",
-                             "contact.time_constant' is 0.005: allowed is [0.00666"),
-}  # fmt: skip
+    "too many": (
+        "\n  ".join(f"{name}: [{', '.join('abcdefghijk')}]" for name in ("gait", "spine", "tail")),
+        "makes 1,331 combinations of structures; allowed are 1,000",
+    ),
+    "beyond one time step": (
+        "physics: [reference, fast]\n  contact.time_constant: [0.005, 0.01]",
+        "contact.time_constant' is 0.005: allowed is [0.00666",
+    ),
+}
 
 
 @pytest.mark.parametrize(("vary", "sentence"), WRONG.values(), ids=WRONG)
@@ -224,9 +232,12 @@ def test_figures_put_structures_side_by_side(tmp_path):
     run_sweep(SPEC, tmp_path, simulator=FakeSimulator())
     drawn = dict(figures(tmp_path))
     assert list(drawn) == [
-        "speed-over-structures", "speed-over-frequency-by-structure", "speed-over-spine.amplitude-by-structure",
-        "speed-over-frequency-and-spine.amplitude-by-structure", "speed-against-roll_std",
-    ]  # fmt: skip
+        "speed-over-structures",
+        "speed-over-frequency-by-structure",
+        "speed-over-spine.amplitude-by-structure",
+        "speed-over-frequency-and-spine.amplitude-by-structure",
+        "speed-against-roll_std",
+    ]
     dots = drawn["speed-over-structures"].axes[0]
     assert [label.get_text() for label in dots.get_yticklabels()] == [
         f"{spoken(g)}, {spoken(s)}" for g in GAITS for s in SPINES
@@ -251,10 +262,17 @@ def test_figures_put_structures_side_by_side(tmp_path):
 @pytest.mark.compiles
 def test_on_the_engine_c_an_extended_directory_is_that_of_one_go_bit_for_bit(tmp_path):
     """Real walks: another gait, another frequency and a repeat are added; one row alone replays to the last bit."""
-    small = {"plots": False, "run": {"duration": 0.3}, "vary": {"frequency": [0.7, 0.9]}, "set": {"stride": 0.8},
-             "randomize": {"repeats": 2, "contact.friction": {"uniform": [1.0, 1.6]}}}  # fmt: skip
-    large = small | {"vary": {"gait": ["lat", "trt"], "frequency": [0.7, 0.8, 0.9]},
-                     "randomize": small["randomize"] | {"repeats": 3}}  # fmt: skip
+    small = {
+        "plots": False,
+        "run": {"duration": 0.3},
+        "vary": {"frequency": [0.7, 0.9]},
+        "set": {"stride": 0.8},
+        "randomize": {"repeats": 2, "contact.friction": {"uniform": [1.0, 1.6]}},
+    }
+    large = small | {
+        "vary": {"gait": ["lat", "trt"], "frequency": [0.7, 0.8, 0.9]},
+        "randomize": small["randomize"] | {"repeats": 3},
+    }
     run_sweep(small, tmp_path / "extended", engine="c", chunk=3)
     before = read_table(tmp_path / "extended")
     extended = run_sweep(large, tmp_path / "extended", engine="c", extend=True)

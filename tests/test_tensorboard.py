@@ -26,8 +26,14 @@ def test_tensorboard_reads_each_chunk_of_both_sessions(tmp_path: Path) -> None:
     table = read_table(tmp_path)
     well = np.array(table.column("status").to_pylist()) == "ok"
     speed = table.column("speed").to_numpy()[well]
-    known = {"best/speed": speed.max(), "mean/speed": speed.mean(), "rows": 36, "best/roll_std": 0.1,
-             "status/ok": well.sum(), "status/fell": (~well).sum()}  # fmt: skip
+    known = {
+        "best/speed": speed.max(),
+        "mean/speed": speed.mean(),
+        "rows": 36,
+        "best/roll_std": 0.1,
+        "status/ok": well.sum(),
+        "status/fell": (~well).sum(),
+    }
     found: dict[str, dict[int, float]] = {}
     for path in sorted((tmp_path / "tensorboard").iterdir()):
         content = path.read_bytes()

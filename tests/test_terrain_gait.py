@@ -72,8 +72,12 @@ def test_trainings_of_the_three_spines_differ_in_gait_and_spine_alone():
         assert [each.setup.scene for each in other.scenes] == [each.setup.scene for each in free.scenes]
         assert [each.share for each in other.scenes] == [each.share for each in free.scenes]
         assert (other.algorithm, other.worlds, other.steps, other.evaluation, other.validation) == (
-            free.algorithm, free.worlds, free.steps, free.evaluation, free.validation
-        )  # fmt: skip
+            free.algorithm,
+            free.worlds,
+            free.steps,
+            free.evaluation,
+            free.validation,
+        )
         assert other.task.rewards == free.task.rewards
         assert other.task.randomize == free.task.randomize
         assert "spine" not in other.setup.spine
@@ -87,8 +91,12 @@ def test_the_policy_of_the_page_climbs_the_spiral_stair():
     """
     policy = load_policy(FOLDER / "free.npz").upon(pilot="arc")
     simulator = Simulator(Setup(scene="spiral_stairs", physics="fast", controller=policy), engine="c")
-    values = {"pilot.radius": 0.5, "terrain.height": 0.01, "contact.friction": [0.9, 1.2, 1.4, 1.5] * 32,
-              "start.phase": np.arange(128) / 128}  # fmt: skip
+    values = {
+        "pilot.radius": 0.5,
+        "terrain.height": 0.01,
+        "contact.friction": [0.9, 1.2, 1.4, 1.5] * 32,
+        "start.phase": np.arange(128) / 128,
+    }
     # The body that it was trained on; on the default one it passes in a fifth of the walks.
     values |= {"damping.knee": 0.02531, "damping.ankle": 0.02531, "damping.spine": 0.09242}
     none = dataclasses.replace(policy, actor=jax.tree.map(np.zeros_like, policy.actor)).parameters

@@ -43,8 +43,12 @@ def test_what_needs_nothing_is_fast(item: Any, marks: list[str]) -> None:
 
 def test_the_longest_files_come_first() -> None:
     items: list[Any] = [
-        Item(path="a"), Item("slow", path="b"), Item(path="c"), Item(path="b"), Item(path="d"),
-    ]  # fmt: skip
+        Item(path="a"),
+        Item("slow", path="b"),
+        Item(path="c"),
+        Item(path="b"),
+        Item(path="d"),
+    ]
     tiers.sort(items, ("d", "c"))
     assert [item.path.name for item in items] == ["d", "c", "b", "b", "a"]
 

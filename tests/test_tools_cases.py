@@ -92,18 +92,30 @@ CONTROLLERS = {
     "numpy": (UPDATE, "        import numpy\n        numpy.asarray(phase)\n" + UPDATE, "at own.py:41: it cannot be"),
     "range": (UPDATE, "        for i in range(phase): pass\n" + UPDATE, "at own.py:40: (it cannot be|TypeError)"),
     "sensor": (UPDATE, "        sensors.gyros\n" + UPDATE, "at own.py:40: AttributeError.*did you mean 'gyro'"),
-    "whole start": ("        return phase\n\n    def initial", "        return 0\n\n    def initial",
-                    "makes float32 of the state, which init begins as int32"),
-    "truth start": ("        return phase\n\n    def initial", "        return True\n\n    def initial",
-                    "makes float32 of the state, which init begins as bool"),
-    "NaN start": ("        return phase\n\n    def initial", "        return phase / phase\n\n    def initial",
-                  "init .*, which gives nan for a robot at rest"),
+    "whole start": (
+        "        return phase\n\n    def initial",
+        "        return 0\n\n    def initial",
+        "makes float32 of the state, which init begins as int32",
+    ),
+    "truth start": (
+        "        return phase\n\n    def initial",
+        "        return True\n\n    def initial",
+        "makes float32 of the state, which init begins as bool",
+    ),
+    "NaN start": (
+        "        return phase\n\n    def initial",
+        "        return phase / phase\n\n    def initial",
+        "init .*, which gives nan for a robot at rest",
+    ),
     "NaN servos": ("params.reach * jnp.cos", "jnp.nan * jnp.cos", r"initial_servo .*, which gives \[nan.*at rest"),
     "signature": ("def init(self, params, sensors, phase)", "def init(self, params, sensors)", "fails: TypeError"),
     "NaN rate": ("        return params.frequency", "        return jnp.sqrt(-params.lag)", "cycle_rate .*gives nan"),
     "no rate": ("        return params.frequency", "        return None", "cycle_rate .*which gives NoneType"),
-    "rate by if": ("        return params.frequency", "        return 1.0 if params.frequency > 1 else 2.0",
-                   "cycle_rate .*it cannot be compiled"),
+    "rate by if": (
+        "        return params.frequency",
+        "        return 1.0 if params.frequency > 1 else 2.0",
+        "cycle_rate .*it cannot be compiled",
+    ),
     "no time": ("dt = 0.01", "dt = 0.0", "dt 0.0: expected the seconds of a tick"),
     "NaN time": ("dt = 0.01", "dt = float('nan')", "dt nan: expected the seconds of a tick"),
     "text time": ("dt = 0.01", "dt = '10 ms'", "dt '10 ms': expected the seconds of a tick"),
@@ -112,7 +124,7 @@ CONTROLLERS = {
     "arguments": ("    dt = 0.01", "    dt = 0.01\n    def __init__(self, gain): ...", "cannot be made without arg"),
     "other state": (UPDATE, "        return (phase, phase), self.servos(params, phase)\n", "which makes a state of"),
     "import": ("import jax.numpy as jnp", "import jax.numpy as jnp; exit(3)", "imported at own.py:5: SystemExit"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.compiles
@@ -220,20 +232,24 @@ MERGED = (
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("a: &a [x]\n" + "".join(f"{b}: &{b} [{', '.join(['*' + a] * 60)}]\n" for a, b in PAIRS),
-         "^x:1: aliases stand for more than 100,000 values"),
+        (
+            "a: &a [x]\n" + "".join(f"{b}: &{b} [{', '.join(['*' + a] * 60)}]\n" for a, b in PAIRS),
+            "^x:1: aliases stand for more than 100,000 values",
+        ),
         (MERGED, "aliases stand for more than"),
         ("run: {duration: 1}\nset: " + "[" * 900, "^x:2: .*too deep in one another"),
         ("set: " + "[" * 30_000, "^x:1: .*too deep"),
         ("set: " + "{a: " * 900, "^x:1: .*too deep"),
         ("\n".join(" " * i + "a:" for i in range(900)), "^x:900: .*too deep"),
-        ("run: {duration: 1e30, warmup: 0.5}\nvary: {frequency: [0.6]}",
-         r"^x:1: field 'run.duration' is 1e\+30: allowed is \(0, 100000\]"),
+        (
+            "run: {duration: 1e30, warmup: 0.5}\nvary: {frequency: [0.6]}",
+            r"^x:1: field 'run.duration' is 1e\+30: allowed is \(0, 100000\]",
+        ),
         ("run: {cycles: 1e30}\nvary: {frequency: [0.6]}", "field 'run.cycles' is"),
         ("pilot: {straight: {distance: 1e30}}\nvary: {frequency: [0.6]}", "field 'pilot.straight.distance' is"),
         ("vary: {frequency: [" + "1" * 400 + "]}", "field 'frequency' is the number 111"),
     ],
-)  # fmt: skip
+)
 def test_files_without_end_are_refused(text: str, message: str) -> None:
     refused(Sweep.from_text, message, text, "x")
 
@@ -309,8 +325,15 @@ class Broker(threading.Thread):
 def test_a_broker_that_goes_away_is_noticed_and_the_password_unquoted() -> None:
     pytest.importorskip("paho.mqtt.client")
     broker = Broker(0.5)
-    words = ["servos", "--channels", "published", "--seconds", "2",
-             "--send", f"mqtt://us%40er:p%2Fss@127.0.0.1:{broker.port}"]  # fmt: skip
+    words = [
+        "servos",
+        "--channels",
+        "published",
+        "--seconds",
+        "2",
+        "--send",
+        f"mqtt://us%40er:p%2Fss@127.0.0.1:{broker.port}",
+    ]
     done = run_command(words)
     assert done.returncode == 1, done.stderr
     sent, lost = map(int, re.search(r"broker is gone: (\d+) messages were sent, (\d+) were not", done.stderr).groups())
@@ -333,16 +356,29 @@ def test_a_bridge_that_goes_away_is_noticed() -> None:
         thread = threading.Thread(target=server.serve_forever)
         thread.start()
         address = f"ws://127.0.0.1:{server.socket.getsockname()[1]}"
-        with pytest.raises(ParameterError, match=r"server is gone: \d+ messages were sent, \d+ were not"), \
-             connected(address) as send:  # fmt: skip
+        with (
+            pytest.raises(ParameterError, match=r"server is gone: \d+ messages were sent, \d+ were not"),
+            connected(address) as send,
+        ):
             play(servo_table(channels="published"), send, 2.0)
         server.shutdown()
         thread.join(10)
 
 
 @pytest.mark.parametrize("scheme", ["mqtt", "ws"])
-@pytest.mark.parametrize("address", ["u:s3cret@h:99999", "u:s3cret/x@h", "u:s3#cret@h", ":s3cret@h", "u:x@s3cret@h:0",
-                                     "u:s3cret@[::1", "u:s3cret@127.0.0.1:9", "s3cret@127.0.0.1:9"])  # fmt: skip
+@pytest.mark.parametrize(
+    "address",
+    [
+        "u:s3cret@h:99999",
+        "u:s3cret/x@h",
+        "u:s3#cret@h",
+        ":s3cret@h",
+        "u:x@s3cret@h:0",
+        "u:s3cret@[::1",
+        "u:s3cret@127.0.0.1:9",
+        "s3cret@127.0.0.1:9",
+    ],
+)
 def test_no_password_is_repeated(scheme: str, address: str) -> None:
     pytest.importorskip("paho.mqtt.client")
     from nermo_mjx.hardware import connected
@@ -358,8 +394,12 @@ def test_no_password_is_repeated(scheme: str, address: str) -> None:
 
 
 def run_command(words: list[str], **given: Any) -> Any:
-    return subprocess.run([sys.executable, "-m", "nermo_mjx", *words], text=True, check=False,
-                          **{"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, **given})  # fmt: skip
+    return subprocess.run(
+        [sys.executable, "-m", "nermo_mjx", *words],
+        text=True,
+        check=False,
+        **{"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, **given},
+    )
 
 
 @pytest.mark.process
@@ -394,8 +434,13 @@ def test_a_name_that_is_not_utf8_is_refused(tmp_path: Path) -> None:
 # --- searches, tunings, environments
 
 
-@pytest.mark.parametrize("aim", [{"objective": {"minimize": "turning_radius"}},
-                                 {"pareto": [{"maximize": "speed"}, {"minimize": "turning_radius"}]}])  # fmt: skip
+@pytest.mark.parametrize(
+    "aim",
+    [
+        {"objective": {"minimize": "turning_radius"}},
+        {"pareto": [{"maximize": "speed"}, {"minimize": "turning_radius"}]},
+    ],
+)
 def test_an_objective_that_is_nan_is_told_after_the_first_batch(tmp_path: Path, aim: Any) -> None:
     class Straight(search_fake.FakeSimulator):
         def run(self, *given: Any, **named: Any) -> Any:
@@ -417,8 +462,12 @@ def test_a_dry_run_refuses_the_recording_that_the_run_refuses(tmp_path: Path) ->
         ("short.npz", "expected all of the run, from its start to 1 s"),
         ("text.npz", "recording is"),
     ):
-        tuning = {"objective": [{"minimize": "trajectory_error"}], "recording": str(tmp_path / name),
-                  "run": {"duration": 1.0}, "tune": {"stride": {"bounds": [0.5, 1.0]}}}  # fmt: skip
+        tuning = {
+            "objective": [{"minimize": "trajectory_error"}],
+            "recording": str(tmp_path / name),
+            "run": {"duration": 1.0},
+            "tune": {"stride": {"bounds": [0.5, 1.0]}},
+        }
         refused(lambda given=tuning: costs_of(Tuning.from_dict(given)), message)
 
 

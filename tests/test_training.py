@@ -37,9 +37,12 @@ pytestmark = pytest.mark.compiles
 SHIPPED = sorted((Path(__file__).parents[1] / "sweeps").glob("train_*.yaml"))
 #: Two sections of three iterations, and one of a single one, of a point mass.
 SPEC = {
-    "worlds": 8, "steps": 8 * 4 * 7, "checkpoint": 8 * 4 * 3, "plots": False,
+    "worlds": 8,
+    "steps": 8 * 4 * 7,
+    "checkpoint": 8 * 4 * 3,
+    "plots": False,
     "algorithm": {"ppo": {"horizon": 4, "hidden": [8]}},
-}  # fmt: skip
+}
 EFFORT = ("environment_cpu", "learner_cpu", "wall_seconds")
 
 
@@ -90,9 +93,11 @@ def test_its_page_has_curves_evaluation_and_the_policy_in_3d(tmp_path, done, mon
     (out / "evaluation.parquet").touch()
     before = sorted(each.name for each in out.rglob("*"))
     for name, found in {
-        "load_policy": None, "recorded": [("flat", falling())], "parquet_table": None,
+        "load_policy": None,
+        "recorded": [("flat", falling())],
+        "parquet_table": None,
         "summary_of": {"flat": {"policy": numbers, "alone": numbers | {"success": 0.5}}},
-    }.items():  # fmt: skip
+    }.items():
         monkeypatch.setattr(f"nermo_mjx.view.trained.{name}", lambda *_, found=found: found)
     monkeypatch.setattr("nermo_mjx.view.trained.figures", lambda _: [])
     page = show(out)
@@ -138,10 +143,16 @@ def test_another_training_is_refused_and_more_steps_are_not(tmp_path, done):
 def test_a_resolved_file_is_the_same_training():
     """With all defaults written out, in every form."""
     given = {
-        "task": {"action": {"modulation": {"ranges": {"frequency": [0.5, 1.2]}}}, "set": {"command.speed": 0.1},
-                 "rewards": {"speed": 1.0}, "distance": 1.0, "corridor": 0.3},
-        "algorithm": {"short_horizon": {"hidden": [8]}}, "set": {"contact.friction": 1.2},
-    }  # fmt: skip
+        "task": {
+            "action": {"modulation": {"ranges": {"frequency": [0.5, 1.2]}}},
+            "set": {"command.speed": 0.1},
+            "rewards": {"speed": 1.0},
+            "distance": 1.0,
+            "corridor": 0.3,
+        },
+        "algorithm": {"short_horizon": {"hidden": [8]}},
+        "set": {"contact.friction": 1.2},
+    }
     for training in (Training.from_dict(given), *map(Training.from_file, SHIPPED)):
         again = Training.from_text(training.to_yaml())
         assert again == training
@@ -166,9 +177,12 @@ def evaluated(policy):
     """The evaluation of a policy on two scenes with corridors of their own, and the same without corridors."""
     scenes = [{"scene": "flat"}, {"scene": "planks"}]
     fields = {
-        "worlds": 2, "run": {"duration": 1.0, "warmup": 0.1}, "task": {"decimation": 2},
-        "randomize": {"start.yaw": [-0.3, 0.3]}, "evaluate": {"bodies": 8, "distance": 0.0},
-    }  # fmt: skip
+        "worlds": 2,
+        "run": {"duration": 1.0, "warmup": 0.1},
+        "task": {"decimation": 2},
+        "randomize": {"start.yaw": [-0.3, 0.3]},
+        "evaluate": {"bodies": 8, "distance": 0.0},
+    }
     narrow = [scenes[0] | {"corridor": 0.01}, scenes[1]]
     trainings = [Training.from_dict(fields | {"scenes": each}) for each in (scenes, narrow)]
     return [Evaluator(training, "c")(policy[0]).to_pandas() for training in trainings]
@@ -177,10 +191,16 @@ def evaluated(policy):
 def test_an_evaluation_draws_from_ranges_of_its_own():
     """Where a scene has such a parameter; what it sets is not drawn, and the training's draws stay."""
     harder = {"scene": "rough", "randomize": {"contact.friction": [1.2, 1.6], "terrain.height": [0.009, 0.013]}}
-    training = Training.from_dict({
-        "randomize": {"contact.friction": [0.8, 1.6], "start.yaw": [0.0, 0.1]}, "scenes": [{"scene": "ramp"}, harder],
-        "evaluate": {"set": {"start.yaw": 0}, "randomize": {"contact.friction": [0.8, 1.6], "terrain.side": [0, 0.1]}},
-    })  # fmt: skip
+    training = Training.from_dict(
+        {
+            "randomize": {"contact.friction": [0.8, 1.6], "start.yaw": [0.0, 0.1]},
+            "scenes": [{"scene": "ramp"}, harder],
+            "evaluate": {
+                "set": {"start.yaw": 0},
+                "randomize": {"contact.friction": [0.8, 1.6], "terrain.side": [0, 0.1]},
+            },
+        }
+    )
     friction = {"contact.friction": (0.8, 1.6)}
     ramp, rough = (task for _, task in training.evaluated())
     assert ramp.randomize == friction
@@ -305,8 +325,15 @@ def test_a_training_ends_when_its_validation_is_enough(tmp_path, monkeypatch):
 
     with monkeypatch.context() as killed:  # behind the second checkpoint, before its policy walks
         first = Directory.keep
-        killed.setattr(Directory, "keep", lambda self, learned, curves: first(self, learned, curves) if len(curves) < 6
-                       else (first(self, learned, curves), stopped(self, learned, curves)))  # fmt: skip
+        killed.setattr(
+            Directory,
+            "keep",
+            lambda self, learned, curves: (
+                first(self, learned, curves)
+                if len(curves) < 6
+                else (first(self, learned, curves), stopped(self, learned, curves))
+            ),
+        )
         with pytest.raises(KeyboardInterrupt):
             run_training(SPEC | fields, tmp_path / "killed", environment=point)
     again = run_training(SPEC | fields, tmp_path / "killed", environment=point)

@@ -76,9 +76,24 @@ def test_what_goes_along_the_tree_is_as_in_c(kind: str, sparse: bool) -> None:
     """Places, axes, inertias and velocities; and how a point on each body moves with each velocity."""
     model, data, (found, bodies, joints) = after(kind, sparse)
     for field in (
-        "qpos", "xpos", "xquat", "xmat", "xipos", "ximat", "xanchor", "xaxis", "geom_xpos", "geom_xmat", "site_xpos",
-        "site_xmat", "subtree_com", "cdof", "cvel", "cdof_dot", "qfrc_bias",
-    ):  # fmt: skip
+        "qpos",
+        "xpos",
+        "xquat",
+        "xmat",
+        "xipos",
+        "ximat",
+        "xanchor",
+        "xaxis",
+        "geom_xpos",
+        "geom_xmat",
+        "site_xpos",
+        "site_xmat",
+        "subtree_com",
+        "cdof",
+        "cvel",
+        "cdof_dot",
+        "qfrc_bias",
+    ):
         right, ours = np.asarray(getattr(data, field)), getattr(found, field)
         scale = 1e-12 * (1.0 + np.abs(right).max())
         np.testing.assert_allclose(ours.reshape(right.shape), right, rtol=1e-9, atol=scale, err_msg=field)

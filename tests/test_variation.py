@@ -110,11 +110,15 @@ def test_contact_parameters_reach_what_they_name(scene):
     robot, worlds = load_robot(scene=scene), np.array([0.5, 1.5])
     friction = {"sole": worlds, "tail": np.array([0.2, 0.7]), "trunk": np.array([0.3, 0.8]), "obstacle": worlds / 4}
     values = {
-        "contact.friction": friction["sole"], "contact.tail_friction": friction["tail"],
-        "contact.trunk_friction": friction["trunk"], "contact.obstacle_friction": friction["obstacle"],
-        "contact.time_constant": np.array([0.008, 0.02]), "contact.damping_ratio": worlds,
-        "contact.impedance": np.array([0.9, 0.99]), "contact.width": np.array([0.002, 0.003]),
-    }  # fmt: skip
+        "contact.friction": friction["sole"],
+        "contact.tail_friction": friction["tail"],
+        "contact.trunk_friction": friction["trunk"],
+        "contact.obstacle_friction": friction["obstacle"],
+        "contact.time_constant": np.array([0.008, 0.02]),
+        "contact.damping_ratio": worlds,
+        "contact.impedance": np.array([0.9, 0.99]),
+        "contact.width": np.array([0.002, 0.003]),
+    }
     fields = varied(robot, values, 2)
     for i in range(robot.model.npair):
         ground, _, part = robot.model.pair(i).name.partition("_")
@@ -231,10 +235,13 @@ def test_c_engine_worlds_move_like_models_compiled_for_them():
     robot = load_robot()
     loop, worlds = Standing(robot), 3
     values = {
-        "mass.front": np.array([0.15, 0.1647, 0.22]), "mass.rear": np.array([0.13, 0.1053, 0.08]),
-        "contact.friction": np.array([0.3, 1.0, 1.5]), "stiffness.rear_knee": np.array([0.15, 0.19, 0.25]),
-        "ground.slope": np.array([0.0, 0.1, -0.2]), "ground.gravity": np.array([9.81, 9.0, 5.0]),
-    }  # fmt: skip
+        "mass.front": np.array([0.15, 0.1647, 0.22]),
+        "mass.rear": np.array([0.13, 0.1053, 0.08]),
+        "contact.friction": np.array([0.3, 1.0, 1.5]),
+        "stiffness.rear_knee": np.array([0.15, 0.19, 0.25]),
+        "ground.slope": np.array([0.0, 0.1, -0.2]),
+        "ground.gravity": np.array([9.81, 9.0, 5.0]),
+    }
     qpos = np.tile(robot.model.qpos0, (worlds, 1))
     swing = np.full(worlds, 0.2, np.float32)
     trace = CEngine(robot, loop).open(swing, qpos, varied(robot, values, worlds)).record(30)

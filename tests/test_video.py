@@ -51,9 +51,14 @@ def walk(model: mujoco.MjModel, seconds: float = 0.3, rate: float = 100.0, speed
 def test_an_mp4_has_the_size_and_length_asked_for_and_moves(model: mujoco.MjModel, tmp_path: Path) -> None:
     calls: list[tuple[int, int]] = []
     path = render(
-        walk(model), model, tmp_path / "a" / "walk.mp4", fps=20, width=128, height=96,
+        walk(model),
+        model,
+        tmp_path / "a" / "walk.mp4",
+        fps=20,
+        width=128,
+        height=96,
         progress=lambda done, total: calls.append((done, total)),
-    )  # fmt: skip
+    )
     with imageio.get_reader(path) as reader:
         frames, meta = [np.asarray(frame) for frame in reader], reader.get_meta_data()
     assert (meta["codec"], meta["pix_fmt"][:7], meta["fps"]) == ("h264", "yuv420p", 20), "as players can play it"

@@ -60,8 +60,10 @@ def stage_picture(tab: chromium.Tab) -> np.ndarray:
     """The 3D picture without the overlaid tools."""
     tab.evaluate("viewer.stage.stale = true")
     tab.wait(RESTING)
-    box = tab.evaluate("(() => { const r = document.getElementById('stage').getBoundingClientRect();"
-                       "return [r.left, r.top + 34, r.right, r.bottom - 30]; })()")  # fmt: skip
+    box = tab.evaluate(
+        "(() => { const r = document.getElementById('stage').getBoundingClientRect();"
+        "return [r.left, r.top + 34, r.right, r.bottom - 30]; })()"
+    )
     return tab.pixels(box)
 
 

@@ -19,10 +19,19 @@ pytestmark = pytest.mark.slow
 #: tick, and the measured way has a kink; at 0.81 Hz a step of the pilot has one, and C's differences hang on their
 #: width.
 POINT = {
-    "spine.amplitude": 0.2, "spine.phase": -1.0, "frequency": 0.82, "stride": 0.9, "stiffness.ankle": 0.1,
-    "mass.front": 0.165, "contact.friction": 1.3, "contact.width": 0.001, "servo.back_emf": 0.3,
-    "servo.supply_voltage": 5.5, "servo.dead_band": 0.006, "servo.backlash": 0.02,
-}  # fmt: skip
+    "spine.amplitude": 0.2,
+    "spine.phase": -1.0,
+    "frequency": 0.82,
+    "stride": 0.9,
+    "stiffness.ankle": 0.1,
+    "mass.front": 0.165,
+    "contact.friction": 1.3,
+    "contact.width": 0.001,
+    "servo.back_emf": 0.3,
+    "servo.supply_voltage": 5.5,
+    "servo.dead_band": 0.006,
+    "servo.backlash": 0.02,
+}
 ONE_CYCLE = Run(cycles=1, warmup_cycles=0)
 #: A loop, and NVIDIA's library of solvers.
 HELD = ("stablehlo.while", "cusolver")

@@ -58,12 +58,17 @@ def test_auto_takes_warp_on_an_nvidia_gpu_where_it_is_installed(machine, backend
 @pytest.mark.parametrize(
     ("backend", "cuda", "warp", "sentence"),
     [
-        ("cpu", False, True, "it needs an NVIDIA GPU, and JAX computes on cpu here; take the engine mjx or c, or "
-         "install nermo-mjx[cuda,warp] on a machine that has one."),
+        (
+            "cpu",
+            False,
+            True,
+            "it needs an NVIDIA GPU, and JAX computes on cpu here; take the engine mjx or c, or "
+            "install nermo-mjx[cuda,warp] on a machine that has one.",
+        ),
         ("tpu", False, True, "it needs an NVIDIA GPU, and JAX computes on tpu here; "),
         ("gpu", True, False, "the package warp-lang is not installed; install the package with its extra warp."),
     ],
-)  # fmt: skip
+)
 def test_warp_says_in_a_sentence_why_it_cannot_run(machine, backend, cuda, warp, sentence):
     machine(backend, cuda, warp)
     with pytest.raises(ParameterError, match=re.escape(f"engine is 'warp': {sentence}")):

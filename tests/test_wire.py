@@ -65,9 +65,22 @@ def test_the_authors_message_is_read_by_meaning() -> None:
     assert not measured.told
     measured.receive(AUTHORS)
     found = robot.sensors(measured.sensordata)
-    legs = dict(zip(["front_left_hip", "front_left_knee", "front_right_hip", "front_right_knee", "rear_left_hip",
-                     "rear_left_knee", "rear_right_hip", "rear_right_knee"], AUTHORS["servo_pos_leg"],
-                    strict=True))  # fmt: skip
+    legs = dict(
+        zip(
+            [
+                "front_left_hip",
+                "front_left_knee",
+                "front_right_hip",
+                "front_right_knee",
+                "rear_left_hip",
+                "rear_left_knee",
+                "rear_right_hip",
+                "rear_right_knee",
+            ],
+            AUTHORS["servo_pos_leg"],
+            strict=True,
+        )
+    )
     for name, angle in {**legs, "spine": 0.35, "neck": -0.1}.items():
         assert found.servo_angle[robot.servos.index(name)] == pytest.approx(angle, abs=1e-12)
     np.testing.assert_array_equal(found.foot_force, [1.0, 0.0, 0.5, 2.0])
@@ -76,8 +89,15 @@ def test_the_authors_message_is_read_by_meaning() -> None:
     np.testing.assert_array_equal(found.linear_velocity, [0.01, -0.02, 0.03])
     np.testing.assert_array_equal(found.accelerometer, [0.0, 0.1, 9.8])
     np.testing.assert_array_equal(found.gyro, [0.4, 0.5, 0.6])
-    assert measured.told == {"servo_angle", "foot_force", "position", "orientation", "linear_velocity",
-                             "accelerometer", "gyro"}  # fmt: skip
+    assert measured.told == {
+        "servo_angle",
+        "foot_force",
+        "position",
+        "orientation",
+        "linear_velocity",
+        "accelerometer",
+        "gyro",
+    }
     measured.receive({"imu_sensor": AUTHORS["imu_sensor"]})
     assert "servo_angle" not in measured.told
 
@@ -96,19 +116,26 @@ def test_a_wired_servo_is_read_as_it_is_commanded() -> None:
     assert told["header"]["stamp"] == {"sec": 2, "nanosec": 250_000_000}
 
 
-@pytest.mark.parametrize(("message", "why"), [
-    (None, "garbage"), ("Hello World! mqtt publisher here", "garbage"), ([1, 2], "garbage"), ({}, "garbage"),
-    ({"servo_pos_leg": "abc"}, "garbage"), ({"imu_sensor": [{}] * 16}, "garbage"),
-    (AUTHORS | {"servo_pos_leg": [0.1] * 7}, "of a wrong size"),
-    (AUTHORS | {"imu_sensor": [0.0] * 17}, "of a wrong size"),
-    (AUTHORS | {"servo_pos_aux": [[0.1]] * 4}, "of a wrong size"),
-    (AUTHORS | {"servo_pos_aux": [0.0, float("nan"), 0.0, 0.0]}, "not finite"),
-    (AUTHORS | {"contact_sensors": [None] * 4}, "not finite"),
-    (AUTHORS | {"contact_sensors": [1e300] * 4}, "not finite"),
-    (AUTHORS | {"imu_sensor": [0.0] * 16}, "not finite"),
-    (AUTHORS | {"header": {"stamp": 3}}, "garbage"), (AUTHORS | {"header": {"stamp": {"sec": 10**400, "nanosec": 0}}},
-                                                      "garbage"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("message", "why"),
+    [
+        (None, "garbage"),
+        ("Hello World! mqtt publisher here", "garbage"),
+        ([1, 2], "garbage"),
+        ({}, "garbage"),
+        ({"servo_pos_leg": "abc"}, "garbage"),
+        ({"imu_sensor": [{}] * 16}, "garbage"),
+        (AUTHORS | {"servo_pos_leg": [0.1] * 7}, "of a wrong size"),
+        (AUTHORS | {"imu_sensor": [0.0] * 17}, "of a wrong size"),
+        (AUTHORS | {"servo_pos_aux": [[0.1]] * 4}, "of a wrong size"),
+        (AUTHORS | {"servo_pos_aux": [0.0, float("nan"), 0.0, 0.0]}, "not finite"),
+        (AUTHORS | {"contact_sensors": [None] * 4}, "not finite"),
+        (AUTHORS | {"contact_sensors": [1e300] * 4}, "not finite"),
+        (AUTHORS | {"imu_sensor": [0.0] * 16}, "not finite"),
+        (AUTHORS | {"header": {"stamp": 3}}, "garbage"),
+        (AUTHORS | {"header": {"stamp": {"sec": 10**400, "nanosec": 0}}}, "garbage"),
+    ],
+)
 def test_what_is_no_measurement_is_left_out_and_counted(message: Any, why: str) -> None:
     measured = Measured(load_robot(), CHANNELS)
     before = measured.sensordata
@@ -154,8 +181,15 @@ def test_what_a_controller_reads_is_found_and_must_be_told() -> None:
 class Together:
     """A controller and a simulated robot, tick by tick in one time."""
 
-    def __init__(self, driving: RobotDriving, channels: Channels = CHANNELS, delay: float = 0.0, loss: float = 0.0,
-                 rate: float | None = None, values: dict[str, float] | None = None) -> None:  # fmt: skip
+    def __init__(
+        self,
+        driving: RobotDriving,
+        channels: Channels = CHANNELS,
+        delay: float = 0.0,
+        loss: float = 0.0,
+        rate: float | None = None,
+        values: dict[str, float] | None = None,
+    ) -> None:
         self.clock, self.silent = wires.Clock(), False
         self.body = SimulatedRobot(driving.setup, values or {}, channels, delay, loss, self.clock)
         self.measured = Measured(self.body.robot, channels, clock=self.clock)
@@ -380,8 +414,12 @@ def until(is_so: Callable[[], Any], seconds: float = 120.0) -> None:
 def channels(tmp_path) -> Path:
     """`CHANNELS`, as a file."""
     file = tmp_path / "channels.yaml"
-    file.write_text("".join(f"{each.servo}: {{channel: {each.number}, direction: {each.direction:g}, missing: 0}}\n"
-                            for each in CHANNELS))  # fmt: skip
+    file.write_text(
+        "".join(
+            f"{each.servo}: {{channel: {each.number}, direction: {each.direction:g}, missing: 0}}\n"
+            for each in CHANNELS
+        )
+    )
     return file
 
 

@@ -24,8 +24,12 @@ NEEDS: Final = {
 }
 #: Fixtures that bring what they need to whatever asks for them.
 OF_FIXTURES: Final = {
-    "simulator": "compiles", "walks": "compiles", "drawing": "draws", "program": "browser", "browser": "browser",
-}  # fmt: skip
+    "simulator": "compiles",
+    "walks": "compiles",
+    "drawing": "draws",
+    "program": "browser",
+    "browser": "browser",
+}
 #: When each test marked `long` last passed, null if it has not yet: `pytest -m long` writes it.
 LAST_RUN: Final = Path(__file__).with_name("long.json")
 

@@ -98,8 +98,17 @@ class Worlds:
 
     def observe(self) -> np.ndarray:
         angle = 2 * np.pi * self.clock[:, None]
-        parts = (self.sensor("velocity"), self.sensor("gyro"), self.sensor("up"), self.qpos[:, 7:] - STAND,
-                 self.qvel[:, 6:], self.action, self.command, np.sin(angle), np.cos(angle))  # fmt: skip
+        parts = (
+            self.sensor("velocity"),
+            self.sensor("gyro"),
+            self.sensor("up"),
+            self.qpos[:, 7:] - STAND,
+            self.qvel[:, 6:],
+            self.action,
+            self.command,
+            np.sin(angle),
+            np.cos(angle),
+        )
         return np.concatenate(parts, 1, dtype=np.float32)
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -122,10 +131,13 @@ class Worlds:
             + 0.5 * np.exp(-((gyro[:, 2] - self.command[:, 2]) ** 2) / 0.25)
             + 2.0 * (share * swing + (1 - share) * stance).mean(1)
             + 0.5 * np.exp(-np.sum((q - STAND) ** 2 * ((1.0, 1.0, 0.1) * 4), 1))
-            - 5.0 * np.sum(up[:, :2] ** 2, 1) - 0.5 * self.qvel[:, 2] ** 2 - 0.05 * np.sum(gyro[:, :2] ** 2, 1)
-            - np.sum(over, 1) - 0.01 * np.sum((action - self.action) ** 2, 1)
+            - 5.0 * np.sum(up[:, :2] ** 2, 1)
+            - 0.5 * self.qvel[:, 2] ** 2
+            - 0.05 * np.sum(gyro[:, :2] ** 2, 1)
+            - np.sum(over, 1)
+            - 0.01 * np.sum((action - self.action) ** 2, 1)
             - np.sum((down & ~self.down) * np.sum(landing**2, 2), 1)
-        )  # fmt: skip
+        )
         self.clock, self.action, self.down = (self.clock + CLOCK * TICK) % 1.0, action, down
         return np.maximum(reward, 0.0).astype(np.float32), up[:, 2] < 0
 
@@ -133,8 +145,10 @@ class Worlds:
 def network(key: jax.Array, out: int) -> list[tuple[jax.Array, jax.Array]]:
     sizes = (OBSERVED, 128, 128, out)
     keys, scales = jax.random.split(key, 3), (1.0, 1.0, 0.01 if out > 1 else 1.0)
-    return [(scale * jax.random.normal(k, (m, n)) / np.sqrt(m), jnp.zeros(n))
-            for k, m, n, scale in zip(keys, sizes, sizes[1:], scales, strict=False)]  # fmt: skip
+    return [
+        (scale * jax.random.normal(k, (m, n)) / np.sqrt(m), jnp.zeros(n))
+        for k, m, n, scale in zip(keys, sizes, sizes[1:], scales, strict=False)
+    ]
 
 
 def apply(layers: Any, x: jax.Array) -> jax.Array:

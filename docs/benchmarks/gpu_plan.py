@@ -88,14 +88,17 @@ def figures(text, ticks, steps, worlds, bandwidth):
     chosen = (module.round(loop) * (steps * times) for loop, times in over_steps if loop.body not in within)
     step, tick = sum(chosen, Work()) * (1.0 / (count * steps)), tick * (1.0 / count)
     return {
-        "kernels_per_step": round(step.kernels, 1), "library_calls_per_step": round(step.libraries, 1),
-        "copies_per_step": round(step.copies, 1), "launches_per_step": round(step.launches, 1),
-        "launches_per_tick": round(tick.launches, 1), "unknown_loops": sum(loop.rounds is None for loop, _ in loops),
+        "kernels_per_step": round(step.kernels, 1),
+        "library_calls_per_step": round(step.libraries, 1),
+        "copies_per_step": round(step.copies, 1),
+        "launches_per_step": round(step.launches, 1),
+        "launches_per_tick": round(tick.launches, 1),
+        "unknown_loops": sum(loop.rounds is None for loop, _ in loops),
         "moved_bytes_per_step": round(step.bytes / worlds),
         "estimated_launch_bound": worlds * steps / (tick.launches * LAUNCH_S + tick.waits * WAIT_S),
         "estimated_bandwidth_bound": worlds * steps * bandwidth / tick.bytes,
         "estimated_with": {"rounds": ROUNDS, "launch_s": LAUNCH_S, "wait_s": WAIT_S},
-    }  # fmt: skip
+    }
 
 
 @click.command(help=__doc__)
@@ -113,12 +116,18 @@ def main(target, program, worlds, into):
     kept = memory.argument_size_in_bytes + memory.output_size_in_bytes - memory.alias_size_in_bytes
     needed = kept + memory.temp_size_in_bytes
     line = {
-        "case": "gpu-plan", "target": target, "program": program, "worlds": worlds, "trace_s": compiled.trace_s,
-        "compile_s": compiled.compile_s, "bytes_per_world": needed // worlds,
+        "case": "gpu-plan",
+        "target": target,
+        "program": program,
+        "worlds": worlds,
+        "trace_s": compiled.trace_s,
+        "compile_s": compiled.compile_s,
+        "bytes_per_world": needed // worlds,
         "temporary_bytes_per_world": memory.temp_size_in_bytes // worlds,
         "fits": "yes" if needed <= TARGETS[target][10] else "no",
-        **figures(compiled.program.as_text(), ticks, steps, worlds, TARGETS[target][11]), "peak_bytes": peak_bytes(),
-    }  # fmt: skip
+        **figures(compiled.program.as_text(), ticks, steps, worlds, TARGETS[target][11]),
+        "peak_bytes": peak_bytes(),
+    }
     append(into, run_of(describe(), [line]))
     print(json.dumps(line, indent=2))
 

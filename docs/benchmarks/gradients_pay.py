@@ -42,16 +42,26 @@ def _feet(groups: tuple[str, ...], points: tuple[str, ...], axes: str = "yz") ->
 #: a Fourier series, lift and trim of the pairs of limbs, their strides and duties, the points of their foot paths, and
 #: of each foot's. `SIZES` of them are searched at a time.
 REACH: Final[dict[str, float]] = {
-    "spine.harmonics.cos1": 0.4, "spine.harmonics.sin1": 0.4,
-    "limb.lift.front": 0.01, "limb.lift.rear": 0.01,
-    "trim.hip.front": 0.15, "trim.hip.rear": 0.15, "trim.knee.front": 0.15, "trim.knee.rear": 0.15,
-    "spine.harmonics.cos2": 0.15, "spine.harmonics.sin2": 0.15,
-    "spine.harmonics.cos3": 0.15, "spine.harmonics.sin3": 0.15,
-    "limb.stride.front": 0.2, "limb.stride.rear": 0.2, "limb.duty.front": 0.1, "limb.duty.rear": 0.1,
+    "spine.harmonics.cos1": 0.4,
+    "spine.harmonics.sin1": 0.4,
+    "limb.lift.front": 0.01,
+    "limb.lift.rear": 0.01,
+    "trim.hip.front": 0.15,
+    "trim.hip.rear": 0.15,
+    "trim.knee.front": 0.15,
+    "trim.knee.rear": 0.15,
+    "spine.harmonics.cos2": 0.15,
+    "spine.harmonics.sin2": 0.15,
+    "spine.harmonics.cos3": 0.15,
+    "spine.harmonics.sin3": 0.15,
+    "limb.stride.front": 0.2,
+    "limb.stride.rear": 0.2,
+    "limb.duty.front": 0.1,
+    "limb.duty.rear": 0.1,
     **_feet(("front", "rear"), _POINTS),
     **_feet(("front", "rear"), _OTHERS),
     **_feet(("front_left", "front_right", "rear_left", "rear_right"), ("3", "7")),
-}  # fmt: skip
+}
 SIZES: Final = (2, 8, 16, 32, 64)
 
 
@@ -86,9 +96,14 @@ def paying_case(task: str, gait: str, parameters: int, method: str, seed: int, c
     named = {name: dict(zip(tuning.names, map(float, point), strict=True)) for name, point in points.items()}
     again = verified(tuning, named, Simulator(tuning.setup, "c"))
     return {
-        "ready_wall_s": curve[0][0], "ready_cpu_s": curve[0][1], "evaluations": len(curve), "curve": curve,
-        "began": again["began"], "found": again["found"], "parameters_found": named["found"],
-    }  # fmt: skip
+        "ready_wall_s": curve[0][0],
+        "ready_cpu_s": curve[0][1],
+        "evaluations": len(curve),
+        "curve": curve,
+        "began": again["began"],
+        "found": again["found"],
+        "parameters_found": named["found"],
+    }
 
 
 def tuning_of(task: str, gait: str, parameters: int, method: str, seed: int) -> Tuning:
@@ -109,17 +124,25 @@ def tuning_of(task: str, gait: str, parameters: int, method: str, seed: int) -> 
         held = {"hold": "speed", "at": HELD[gait], "scale": 0.01, "weight": 2}
         objective = [{"minimize": "cost_of_transport"}, held]
     methods: dict[str, dict[str, Any]] = {
-        "exact": {}, "mixture": {"estimator": {"mixture": {"samples": 4, "sigma": 0.05}}},
-        "line_search": {"estimator": {"smoothed": {"samples": 4, "sigma": 0.1, "normalized": True}},
-                        "optimizer": "line_search"},
+        "exact": {},
+        "mixture": {"estimator": {"mixture": {"samples": 4, "sigma": 0.05}}},
+        "line_search": {
+            "estimator": {"smoothed": {"samples": 4, "sigma": 0.1, "normalized": True}},
+            "optimizer": "line_search",
+        },
         "cma": {"method": {"cma": {"sigma": SIGMA, "population": POPULATION}}},
-    }  # fmt: skip
+    }
     return Tuning.from_dict({**_walk(gait), **methods[method], "tune": tuned, "objective": objective, "seed": seed})
 
 
 def _walk(gait: str) -> dict[str, Any]:
-    return {"gait": gait, "spine": "harmonics", "trajectory": "free", "run": {"cycles": 3, "warmup_cycles": 1},
-            "set": {"frequency": FREQUENCY}}  # fmt: skip
+    return {
+        "gait": gait,
+        "spine": "harmonics",
+        "trajectory": "free",
+        "run": {"cycles": 3, "warmup_cycles": 1},
+        "set": {"frequency": FREQUENCY},
+    }
 
 
 class Counted:

@@ -37,8 +37,19 @@ def figures(lines: Sequence[Line]) -> Iterator[tuple[str, Figure]]:
 def text(lines: Sequence[Line]) -> str:
     """The page, in Markdown, from the finished searches."""
     cells = _cells(lines)
-    headings = ["parameters", "task", "gait", "budget [CPU s]", "method", "seeds", "found", "range",
-                "at equal simulated time", "to the first evaluation [CPU s]", "evaluations"]  # fmt: skip
+    headings = [
+        "parameters",
+        "task",
+        "gait",
+        "budget [CPU s]",
+        "method",
+        "seeds",
+        "found",
+        "range",
+        "at equal simulated time",
+        "to the first evaluation [CPU s]",
+        "evaluations",
+    ]
     parts = ["# Where gradients pay: the searches", "", *_INTRODUCTION, ""]
     parts += [table(headings, [row for cell, own in cells.items() for row in _rows(cell, own)]), ""]
     parts += [sentence for cell, own in cells.items() for sentence in _verdicts(cell, own)]
@@ -79,12 +90,21 @@ def _rows(cell: Cell, own: Sequence[Line]) -> list[list[str]]:
         ends, shared = [_end(line) for line in mine], [_shown(line, _at(line, 2, equal)) for line in mine]
         ready = np.median([line["ready_cpu_s"] for line in mine])
         count = np.median([line["evaluations"] for line in mine])
-        found.append([
-            str(cell[0]), str(cell[1]), str(cell[2]), f"{cell[3]:g}", _CALLED[method], str(len(mine)),
-            f"{np.median(ends):.1f}" if cell[1] == "speed" else f"{np.median(ends):.3f}",
-            " to ".join(f"{each:.4g}" for each in (min(ends), max(ends))),
-            f"{np.median(shared):.4g} after {equal:,.0f} s", f"{ready:.0f}", f"{count:,.0f}",
-        ])  # fmt: skip
+        found.append(
+            [
+                str(cell[0]),
+                str(cell[1]),
+                str(cell[2]),
+                f"{cell[3]:g}",
+                _CALLED[method],
+                str(len(mine)),
+                f"{np.median(ends):.1f}" if cell[1] == "speed" else f"{np.median(ends):.3f}",
+                " to ".join(f"{each:.4g}" for each in (min(ends), max(ends))),
+                f"{np.median(shared):.4g} after {equal:,.0f} s",
+                f"{ready:.0f}",
+                f"{count:,.0f}",
+            ]
+        )
     return found
 
 
@@ -100,8 +120,10 @@ def _verdicts(cell: Cell, own: Sequence[Line]) -> Iterator[str]:
         higher = cell[1] == "speed"
         wins, unit = (ends > rival) == higher, " mm/s" if higher else ""
         many = "1 seed" if len(seeds) == 1 else f"medians of {len(seeds)} seeds"
-        yield (f"- {cell[0]} parameters, {cell[1]}, {cell[2]}: the {_CALLED[method]} "
-               f"**{'wins' if wins else 'loses'}**, {ends:.4g}{unit} against {rival:.4g}{unit}, {many}.")  # fmt: skip
+        yield (
+            f"- {cell[0]} parameters, {cell[1]}, {cell[2]}: the {_CALLED[method]} "
+            f"**{'wins' if wins else 'loses'}**, {ends:.4g}{unit} against {rival:.4g}{unit}, {many}."
+        )
 
 
 def _end(line: Line) -> float:

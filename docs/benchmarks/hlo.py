@@ -14,14 +14,38 @@ from collections.abc import Iterator, Mapping
 from typing import Final, NamedTuple
 
 _BYTES: Final = {
-    "pred": 1, "s8": 1, "u8": 1, "s16": 2, "u16": 2, "f16": 2, "bf16": 2, "s32": 4, "u32": 4, "f32": 4, "s64": 8,
-    "u64": 8, "f64": 8, "c64": 8, "c128": 16,
-}  # fmt: skip
+    "pred": 1,
+    "s8": 1,
+    "u8": 1,
+    "s16": 2,
+    "u16": 2,
+    "f16": 2,
+    "bf16": 2,
+    "s32": 4,
+    "u32": 4,
+    "f32": 4,
+    "s64": 8,
+    "u64": 8,
+    "f64": 8,
+    "c64": 8,
+    "c128": 16,
+}
 #: Instructions without a launch: views of existing data, and the ends of asynchronous operations.
 _FREE: Final = {
-    "parameter", "constant", "tuple", "get-tuple-element", "bitcast", "after-all", "opt-barrier", "add-dependency",
-    "copy-done", "async-done", "async-update", "partition-id", "replica-id",
-}  # fmt: skip
+    "parameter",
+    "constant",
+    "tuple",
+    "get-tuple-element",
+    "bitcast",
+    "after-all",
+    "opt-barrier",
+    "add-dependency",
+    "copy-done",
+    "async-done",
+    "async-update",
+    "partition-id",
+    "replica-id",
+}
 _COPIES: Final = {"copy", "copy-start"}
 _CONTROL: Final = {"while", "conditional", "call", "async-start"}
 #: Instructions that read only as much of their first operand as their result holds.

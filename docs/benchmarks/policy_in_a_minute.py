@@ -113,11 +113,16 @@ def main() -> None:
     table = pd.DataFrame(rows)
     ends = table.groupby("seed").last()
     summary = {
-        "spec": given.spec.name, "faster": given.faster, "seeds": given.seeds,
-        "wall_seconds": ends.wall_seconds.tolist(), "median_wall_seconds": ends.wall_seconds.median(),
-        "share": ends.share.tolist(), "least_share": ends.share.min(), "gain": ends.gain.tolist(),
+        "spec": given.spec.name,
+        "faster": given.faster,
+        "seeds": given.seeds,
+        "wall_seconds": ends.wall_seconds.tolist(),
+        "median_wall_seconds": ends.wall_seconds.median(),
+        "share": ends.share.tolist(),
+        "least_share": ends.share.min(),
+        "gain": ends.gain.tolist(),
         "reached": reached,
-    }  # fmt: skip
+    }
     (given.out / "summary.json").write_text(json.dumps(summary, indent=1) + "\n")
     drawn(table, given.out / "policies.png")
     print(json.dumps(summary))

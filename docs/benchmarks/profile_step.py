@@ -52,9 +52,14 @@ MJX_STAGES: Final[dict[str, Stage]] = {
 
 #: MuJoCo's timers of each stage.
 C_TIMERS: Final = {
-    "inertia": "POS_INERTIA", "collision": "POS_COLLISION", "constraint": "POS_MAKE", "velocity": "VELOCITY",
-    "forces": "ACTUATION", "solver": "CONSTRAINT", "integration": "ADVANCE",
-}  # fmt: skip
+    "inertia": "POS_INERTIA",
+    "collision": "POS_COLLISION",
+    "constraint": "POS_MAKE",
+    "velocity": "VELOCITY",
+    "forces": "ACTUATION",
+    "solver": "CONSTRAINT",
+    "integration": "ADVANCE",
+}
 
 
 def profile(engine: str, worlds: int = 64, setup: Setup | None = None) -> dict[str, Any]:
@@ -170,9 +175,11 @@ def profile_stage(model: mjx.Model, stage: Stage, data: mjx.Data) -> tuple[dict[
         leaves[i] = leaf
     worlds = leaves[0].shape[0]
     row = {
-        "us": 1e6 * statistics.median(took) / worlds, "operations": operations, "trace_s": compiled.trace_s,
+        "us": 1e6 * statistics.median(took) / worlds,
+        "operations": operations,
+        "trace_s": compiled.trace_s,
         "compile_s": compiled.compile_s,
-    }  # fmt: skip
+    }
     return row, jax.tree.unflatten(shape, leaves)
 
 

@@ -44,10 +44,15 @@ def dense_sweep(simulator, frequency):
 def searched(simulator, frequency, seed, dense):
     """A search of one seed: its best point, the run that reached 99 % of the dense sweep, and its wall time."""
     spec = {
-        **WALK, "set": {"frequency": frequency}, "objective": {"maximize": "speed"}, "budget": EVALUATIONS,
+        **WALK,
+        "set": {"frequency": frequency},
+        "objective": {"maximize": "speed"},
+        "budget": EVALUATIONS,
         "vary": {"spine.amplitude": {"uniform": [0.0, 0.4]}, "spine.phase": {"uniform": [-np.pi, np.pi]}},
-        "batch": BATCH, "seed": seed, "plots": False,
-    }  # fmt: skip
+        "batch": BATCH,
+        "seed": seed,
+        "plots": False,
+    }
     with tempfile.TemporaryDirectory() as folder:
         began = time.perf_counter()
         result = run_search(spec, folder, simulator=simulator)
@@ -57,30 +62,46 @@ def searched(simulator, frequency, seed, dense):
     reached = np.flatnonzero(np.maximum.accumulate(speed) >= 0.99 * dense)
     best = result.best
     return {
-        "seed": seed, "amplitude": best["parameters"]["spine.amplitude"], "phase": best["parameters"]["spine.phase"],
-        "speed": best["metrics"]["speed"], "share": best["metrics"]["speed"] / dense, "runs": len(speed),
-        "runs_to_99": int(reached[0]) + 1 if len(reached) else None, "wall_s": wall, "first_share": speed[0] / dense,
-    }  # fmt: skip
+        "seed": seed,
+        "amplitude": best["parameters"]["spine.amplitude"],
+        "phase": best["parameters"]["spine.phase"],
+        "speed": best["metrics"]["speed"],
+        "share": best["metrics"]["speed"] / dense,
+        "runs": len(speed),
+        "runs_to_99": int(reached[0]) + 1 if len(reached) else None,
+        "wall_s": wall,
+        "first_share": speed[0] / dense,
+    }
 
 
 def tuned(frequency, phase, iterations, dense):
     """A tuning by gradient from an almost stiff spine: its best point, by its own and not the engine `c`'s speed."""
     spec = {
-        **WALK, "set": {"frequency": frequency}, "objective": [{"maximize": "speed", "scale": 0.1}],
+        **WALK,
+        "set": {"frequency": frequency},
+        "objective": [{"maximize": "speed", "scale": 0.1}],
         "tune": {
             "spine.amplitude": {"bounds": [0.0, 0.4], "start": 0.05},
             "spine.phase": {"bounds": [-np.pi, np.pi], "start": phase, "periodic": True},
         },
-        "optimizer": {"name": "adam", "learning_rate": 0.5, "b1": 0.8, "b2": 0.9}, "iterations": iterations,
+        "optimizer": {"name": "adam", "learning_rate": 0.5, "b1": 0.8, "b2": 0.9},
+        "iterations": iterations,
         "plots": False,
-    }  # fmt: skip
+    }
     with tempfile.TemporaryDirectory() as folder:
         began = time.perf_counter()
         best = run_tuning(spec, folder).best
     speed = best["metrics"]["speed"]
-    return {"search": "gradient", "start_phase": phase, "amplitude": best["parameters"]["spine.amplitude"],
-            "phase": best["parameters"]["spine.phase"], "speed": speed, "share": speed / dense,
-            "iterations": iterations, "wall_s": time.perf_counter() - began}  # fmt: skip
+    return {
+        "search": "gradient",
+        "start_phase": phase,
+        "amplitude": best["parameters"]["spine.amplitude"],
+        "phase": best["parameters"]["spine.phase"],
+        "speed": speed,
+        "share": speed / dense,
+        "iterations": iterations,
+        "wall_s": time.perf_counter() - began,
+    }
 
 
 @click.command(help=__doc__)
@@ -90,8 +111,16 @@ def tuned(frequency, phase, iterations, dense):
 def main(frequency, gradient, into):
     simulator = Simulator(Setup(spine="stride_extension"), "c")
     amplitude, phase, speed, runs, seconds = dense_sweep(simulator, frequency)
-    line = {"case": "search", "frequency": frequency, "dense_runs": runs, "dense_s": seconds, "dense_speed": speed,
-            "dense_amplitude": amplitude, "dense_phase": phase, "budget_runs": EVALUATIONS}  # fmt: skip
+    line = {
+        "case": "search",
+        "frequency": frequency,
+        "dense_runs": runs,
+        "dense_s": seconds,
+        "dense_speed": speed,
+        "dense_amplitude": amplitude,
+        "dense_phase": phase,
+        "budget_runs": EVALUATIONS,
+    }
     found = [searched(simulator, frequency, seed, speed) for seed in range(SEEDS)]
     line["median_share"] = float(np.median([each["share"] for each in found]))
     line["median_wall_s"] = float(np.median([each["wall_s"] for each in found]))

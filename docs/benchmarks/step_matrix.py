@@ -52,20 +52,30 @@ def measure(path: Path, part: str, found: dict[str, Any], optimized: bool = Fals
 
 def _gradient(model: mujoco.MjModel, data: mujoco.MjData, _: Any, options: dict[str, Any]) -> dict[str, Any]:
     figures = {
-        "nv": model.nv, "contacts": data.ncon, "rows": data.nefc, "start_s": data.time, "steps": STEPS,
+        "nv": model.nv,
+        "contacts": data.ncon,
+        "rows": data.nefc,
+        "start_s": data.time,
+        "steps": STEPS,
         "cone": mujoco.mjtCone(model.opt.cone).name[7:].lower(),
         "integrator": mujoco.mjtIntegrator(model.opt.integrator).name[6:].lower(),
-    }  # fmt: skip
+    }
     with jax.enable_x64(True):
         run = trial(model, data, STEPS)
         program = _Program(jax.value_and_grad(run.value, has_aux=True), run, options)
         _, slopes = program(run.zero)
         check = compared(run, slopes, lambda point: program(point)[0])
     return figures | {
-        "finite": check.is_finite, "error": check.error, "spread": check.spread, "width": WIDTHS[check.chosen],
-        "errors": check.errors, "end_off_c": _off(model, data, check.end), "group": check.group.tolist(),
-        "gradient": _rounded(check.gradient), "differences": _rounded(check.differences[check.chosen]),
-    }  # fmt: skip
+        "finite": check.is_finite,
+        "error": check.error,
+        "spread": check.spread,
+        "width": WIDTHS[check.chosen],
+        "errors": check.errors,
+        "end_off_c": _off(model, data, check.end),
+        "group": check.group.tolist(),
+        "gradient": _rounded(check.gradient),
+        "differences": _rounded(check.differences[check.chosen]),
+    }
 
 
 def _float32(
@@ -77,10 +87,12 @@ def _float32(
         gradient = _Program(jax.value_and_grad(run.value, has_aux=True), run, options)
         slopes = moved_entries(gradient(run.zero)[1])
     return {
-        "cosine": _cosine(slopes.astype(float), np.array(found["gradient"])), "trace_s": gradient.trace_s,
-        "compile_s": gradient.compile_s, "forward_ms": 1e3 * value.seconds / STEPS,
+        "cosine": _cosine(slopes.astype(float), np.array(found["gradient"])),
+        "trace_s": gradient.trace_s,
+        "compile_s": gradient.compile_s,
+        "forward_ms": 1e3 * value.seconds / STEPS,
         "ratio": gradient.seconds / value.seconds,
-    }  # fmt: skip
+    }
 
 
 def _plain(
@@ -162,17 +174,27 @@ def lines_of(file: Path) -> dict[str, dict[str, Any]]:
 
 @click.command()
 @click.argument("models", nargs=-1, type=click.Path(exists=True, path_type=Path))
-@click.option("--into", type=click.Path(dir_okay=False, path_type=Path), default=Path("step.jsonl"), show_default=True,
-              help="File that lines are added to.")  # fmt: skip
+@click.option(
+    "--into",
+    type=click.Path(dir_okay=False, path_type=Path),
+    default=Path("step.jsonl"),
+    show_default=True,
+    help="File that lines are added to.",
+)
 @click.option("--part", "parts", type=click.Choice(list(PARTS)), multiple=True, help="Repeatable; all by default.")
 @click.option("--only", multiple=True, help="Part of a model's name; repeatable.")
 @click.option("--prefix", default="", help="What the names of MODELS begin with.")
 @click.option("--limit", type=float, default=900.0, show_default=True, help="Longest time for one part [s].")
 @click.option("--optimized", is_flag=True, help="Compile as for a user, three times as long; for figures of time.")
 def main(
-    models: tuple[Path, ...], into: Path, parts: tuple[str, ...], only: tuple[str, ...], prefix: str, limit: float,
+    models: tuple[Path, ...],
+    into: Path,
+    parts: tuple[str, ...],
+    only: tuple[str, ...],
+    prefix: str,
+    limit: float,
     optimized: bool,
-) -> None:  # fmt: skip
+) -> None:
     """Check the gradient through MODELS, MJCF files or directories of them.
 
     Without MODELS: those that come with mujoco-mjx, and with playground if it is installed. Parts with a line in the

@@ -33,9 +33,12 @@ def page(lines: Path) -> str:
         "\n".join([_HEAD, *(_row(name, each) for name, each in sorted(measured.items()))]),
     ]
     if refused:
-        said.append("Not measured:\n\n| model | because |\n|---|---|\n" + "\n".join(
-            f"| {name} | {' '.join(reason.split()).replace('|', '/')} |" for name, reason in sorted(refused.items())
-        ))  # fmt: skip
+        said.append(
+            "Not measured:\n\n| model | because |\n|---|---|\n"
+            + "\n".join(
+                f"| {name} | {' '.join(reason.split()).replace('|', '/')} |" for name, reason in sorted(refused.items())
+            )
+        )
     return "\n\n".join(said)
 
 
@@ -43,12 +46,18 @@ def _row(name: str, each: dict[str, Any]) -> str:
     plain = each.get("plain", each.get("failed", ""))
     cost = "compile_s" in each
     cells = [
-        name, each["nv"], f"{each['contacts']}, {each['rows']}", _error(each["error"]), _error(each["spread"]),
-        _error(each["end_off_c"]), "" if each.get("cosine") is None else f"{each['cosine']:.7f}",
+        name,
+        each["nv"],
+        f"{each['contacts']}, {each['rows']}",
+        _error(each["error"]),
+        _error(each["spread"]),
+        _error(each["end_off_c"]),
+        "" if each.get("cosine") is None else f"{each['cosine']:.7f}",
         plain if isinstance(plain, str) else _error(plain),
         f"{each['trace_s']:.1f}, {each['compile_s']:.1f}" if cost else "",
-        f"{each['forward_ms']:.3f}" if cost else "", f"{each['ratio']:.1f}" if cost else "",
-    ]  # fmt: skip
+        f"{each['forward_ms']:.3f}" if cost else "",
+        f"{each['ratio']:.1f}" if cost else "",
+    ]
     return "| " + " | ".join(str(cell) for cell in cells) + " |"
 
 

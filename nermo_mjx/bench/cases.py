@@ -267,9 +267,12 @@ def startup_case(engine: str, worlds: int) -> dict[str, Any]:
 def _start(engine: str, worlds: int, cache: str) -> dict[str, float]:
     environment = {key: value for key, value in os.environ.items() if key != "JAX_COMPILATION_CACHE_DIR"}
     done = subprocess.run(
-        [sys.executable, "-c", PROGRAM, engine, str(worlds)], env=environment | {"NERMO_MJX_CACHE": cache},
-        check=False, capture_output=True, text=True,
-    )  # fmt: skip
+        [sys.executable, "-c", PROGRAM, engine, str(worlds)],
+        env=environment | {"NERMO_MJX_CACHE": cache},
+        check=False,
+        capture_output=True,
+        text=True,
+    )
     if done.returncode:
         raise RuntimeError(done.stderr.strip().split("\n")[-1])
     stages: dict[str, float] = json.loads(done.stdout.strip().split("\n")[-1])

@@ -38,16 +38,30 @@ def of_package() -> dict[str, list[str]]:
     from nermo_mjx.view import CAMERAS, OVERLAYS
 
     named = {
-        "ENGINES": ENGINES, "GRADIENT_MODES": CASES["gradient"].options["mode"].default, "BENCH_CASES": CASES,
-        "ROBOTS": ROBOTS, "TAILS": TAILS, "PHYSICS": PRESETS, "GAITS": (*GAITS, *GAIT_NAMES.values()),
+        "ENGINES": ENGINES,
+        "GRADIENT_MODES": CASES["gradient"].options["mode"].default,
+        "BENCH_CASES": CASES,
+        "ROBOTS": ROBOTS,
+        "TAILS": TAILS,
+        "PHYSICS": PRESETS,
+        "GAITS": (*GAITS, *GAIT_NAMES.values()),
         "SPINE_MODES": (NO_MODE, *MODES),
-        "TRAJECTORIES": (*FORMS, FREE), "HEADS": HEADS, "TAIL_MOTIONS": TAIL_MOTIONS, "STEERINGS": STEERING,
-        "PROFILES": PROFILES, "EXPERIMENTS": EXPERIMENTS, "EXPERIMENT_PROFILES": cases.PROFILES,
-        "OVERLAYS": OVERLAYS, "VIEWS": CAMERAS, "FORMATS": FORMATS,
+        "TRAJECTORIES": (*FORMS, FREE),
+        "HEADS": HEADS,
+        "TAIL_MOTIONS": TAIL_MOTIONS,
+        "STEERINGS": STEERING,
+        "PROFILES": PROFILES,
+        "EXPERIMENTS": EXPERIMENTS,
+        "EXPERIMENT_PROFILES": cases.PROFILES,
+        "OVERLAYS": OVERLAYS,
+        "VIEWS": CAMERAS,
+        "FORMATS": FORMATS,
         # Way points are given in a sweep file or from Python, not as an option of `walk`.
         "PILOTS": [name for name in Pilot.model_fields if name != "waypoints"],
-        "SCENES": scenes(), "METRICS": METRICS, "PARAMETERS": all_parameters(),
-    }  # fmt: skip
+        "SCENES": scenes(),
+        "METRICS": METRICS,
+        "PARAMETERS": all_parameters(),
+    }
     return {name: list(values) for name, values in named.items()}
 
 

@@ -58,21 +58,35 @@ KINDS: Final = {
     kind.name: kind
     for kind in (
         Kind("sweep", "a sweep", "sweep.plots:figures", "sweep.table:status", ("x", "y", "color", "notify")),
-        Kind("search", "a search", "optimize.figures:search_figures", "optimize.directory:search_status",
-             ("x", "y", "color", "notify")),
+        Kind(
+            "search",
+            "a search",
+            "optimize.figures:search_figures",
+            "optimize.directory:search_status",
+            ("x", "y", "color", "notify"),
+        ),
         Kind("tuning", "a tuning", "optimize.figures:tuning_figures", "optimize.directory:tuning_status"),
         Kind("training", "a training", "learn.plots:figures", "learn.status:status"),
         Kind("landscape", "a landscape", "optimize.landscape:figures", "optimize.landscape:status"),
-        Kind("experiments", "published experiments", "experiments.run:images", "experiments.run:status",
-             tracked=True),
-        Kind("identification", "an identification", "experiments.identification:drawn",
-             "experiments.identification:status", tracked=True),
+        Kind("experiments", "published experiments", "experiments.run:images", "experiments.run:status", tracked=True),
+        Kind(
+            "identification",
+            "an identification",
+            "experiments.identification:drawn",
+            "experiments.identification:status",
+            tracked=True,
+        ),
         Kind("comparison", "a comparison", "sweep.comparing:figures", "sweep.table:report_status", tracked=True),
-        Kind("sensitivity", "a sensitivity analysis", "sweep.sensitivity:figures", "sweep.table:report_status",
-             tracked=True),
+        Kind(
+            "sensitivity",
+            "a sensitivity analysis",
+            "sweep.sensitivity:figures",
+            "sweep.table:report_status",
+            tracked=True,
+        ),
         Kind("benchmarks", "benchmarks", "bench.results:figures", "bench.results:status", tracked=True),
     )
-}  # fmt: skip
+}
 RECORDING: Final = Kind("recording", "a recording", "cli.view:figures", options=("notify",))
 
 
@@ -127,8 +141,14 @@ def status_command(path: Path) -> Outcome:
         again = status.command or "with the command that started it, not recorded here"
         print_pairs([*made, *_worked(sessions), *notes, (how, again)])
 
-    content = {"kind": kind.name, "rows": status.rows, "rows_done": status.rows_done,
-               "code": [*codes] or status.code, "engine": status.engine, "complete": status.complete}  # fmt: skip
+    content = {
+        "kind": kind.name,
+        "rows": status.rows,
+        "rows_done": status.rows_done,
+        "code": [*codes] or status.code,
+        "engine": status.engine,
+        "complete": status.complete,
+    }
     return Outcome(content, show)
 
 
@@ -149,8 +169,12 @@ def _worked(sessions: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, str]]:
 
 @command("plot", reads=True)
 @click.argument("path", metavar="PATH", type=FileKind(".npz"))
-@click.option("--out", metavar="DIR", type=click.Path(file_okay=False, path_type=Path),
-              help="Where the figures go; by default PATH/plots.")  # fmt: skip
+@click.option(
+    "--out",
+    metavar="DIR",
+    type=click.Path(file_okay=False, path_type=Path),
+    help="Where the figures go; by default PATH/plots.",
+)
 @click.option("--format", "form", type=click.Choice(FORMATS), help="By default both.")
 @click.option("--x", metavar="NAME", shell_complete=options.columns, help="One figure of these columns: across,")
 @click.option("--y", metavar="NAME", shell_complete=options.columns, help="up (by default the speed),")
@@ -231,16 +255,34 @@ FOLDER = click.Path(path_type=Path)
 @click.argument("b", metavar="[B]", required=False, type=FOLDER)
 @click.option("--by", metavar="NAME", shell_complete=options.columns, help="Compare the values of a column in A.")
 @click.option("--base", metavar="VALUE", help="The baseline value; by default none, or the first.")
-@click.option("--for", "groups", metavar="NAME", multiple=True, shell_complete=options.columns,
-              help="An interval for each value of a column; repeatable: for each combination.")  # fmt: skip
+@click.option(
+    "--for",
+    "groups",
+    metavar="NAME",
+    multiple=True,
+    shell_complete=options.columns,
+    help="An interval for each value of a column; repeatable: for each combination.",
+)
 @click.option("--where", metavar="NAME=VALUE", multiple=True, help="Only runs with this value of a column.")
-@click.option("--metric", "drawn", metavar="NAME", multiple=True, shell_complete=names(*METRICS),
-              help="Metric to show for the groups; by default the speed.")  # fmt: skip
+@click.option(
+    "--metric",
+    "drawn",
+    metavar="NAME",
+    multiple=True,
+    shell_complete=names(*METRICS),
+    help="Metric to show for the groups; by default the speed.",
+)
 @options.report_out
 def compare_command(
-    a: Path, b: Path | None, by: str | None, base: str | None, groups: tuple[str, ...], where: tuple[str, ...],
-    drawn: tuple[str, ...], out: Path | None,
-) -> Outcome:  # fmt: skip
+    a: Path,
+    b: Path | None,
+    by: str | None,
+    base: str | None,
+    groups: tuple[str, ...],
+    where: tuple[str, ...],
+    drawn: tuple[str, ...],
+    out: Path | None,
+) -> Outcome:
     """Compare two sweeps, A and B, or with --by the values of a column of A.
 
     Runs are paired over the variants that both have. Each metric's
@@ -321,14 +363,27 @@ def _cells(row: Mapping[str, Any]) -> list[str]:
     base, other, difference, low, high = shown(row["metric"], row["metric_unit"], values).values.tolist()
     interval = f"[{low:.3g}, {high:.3g}]" if math.isfinite(low) else ""
     relative = f"{row['relative']:+.1%}".replace("%", " %") if math.isfinite(row["relative"]) else ""
-    return [f"{base:.4g}", f"{other:.4g}", f"{difference:+.3g}", interval, relative, str(row["variants"]),
-            "*" if row["beyond_noise"] else ""]  # fmt: skip
+    return [
+        f"{base:.4g}",
+        f"{other:.4g}",
+        f"{difference:+.3g}",
+        interval,
+        relative,
+        str(row["variants"]),
+        "*" if row["beyond_noise"] else "",
+    ]
 
 
 @command("sensitivity", reads=True)
 @click.argument("path", metavar="DIR", type=click.Path(path_type=Path))
-@click.option("--metric", metavar="NAME", default="speed", show_default=True, shell_complete=names(*METRICS),
-              help="Whose variance.")  # fmt: skip
+@click.option(
+    "--metric",
+    metavar="NAME",
+    default="speed",
+    show_default=True,
+    shell_complete=names(*METRICS),
+    help="Whose variance.",
+)
 @options.report_out
 def sensitivity_command(path: Path, metric: str, out: Path | None) -> Outcome:
     """Estimate each parameter's share of a metric's variance in a sweep.
@@ -351,9 +406,16 @@ def _print_sensitivity(found: Sensitivity) -> None:
     from nermo_mjx.sweep.table import labelled
 
     structures = labelled(found.table)
-    rows = [[*(line[name] for name in structures), f"{line['parameter']} {line['second']}".strip(), line["order"],
-             f"{line['index']:.3f}", f"[{line['low']:.3f}, {line['high']:.3f}]"]
-            for line in sorted(found.table.to_pylist(), key=lambda line: (line["order"], -line["index"]))]  # fmt: skip
+    rows = [
+        [
+            *(line[name] for name in structures),
+            f"{line['parameter']} {line['second']}".strip(),
+            line["order"],
+            f"{line['index']:.3f}",
+            f"[{line['low']:.3f}, {line['high']:.3f}]",
+        ]
+        for line in sorted(found.table.to_pylist(), key=lambda line: (line["order"], -line["index"]))
+    ]
     heads = [*((name, "left") for name in structures), *columns("parameter, order, index>, 95 % interval")]
     print_table(f"{found.metric}: share of the variance", heads, rows)
     for note in found.notes:

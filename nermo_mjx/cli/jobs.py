@@ -40,9 +40,13 @@ _dry_run = click.option("--dry-run", is_flag=True, help="Estimate the cost on th
 
 @contextlib.contextmanager
 def _working(
-    name: str, unit: str, workers: str = "local", address: str | None = None,
-    compiles: Callable[[str], bool] | None = None, details: Callable[[Progress], str] = lambda _: "",
-) -> Iterator[tuple[Watch, Workers]]:  # fmt: skip
+    name: str,
+    unit: str,
+    workers: str = "local",
+    address: str | None = None,
+    compiles: Callable[[str], bool] | None = None,
+    details: Callable[[Progress], str] = lambda _: "",
+) -> Iterator[tuple[Watch, Workers]]:
     """While a job works: its display, see `Stages`, and its workers."""
     from nermo_mjx.runs.job import Watch
 
@@ -75,20 +79,36 @@ class Shard(click.ParamType):
 @options.number("--seed", "Seed, overriding the file.", click.IntRange(0))
 @options.number("--chunk", "Runs simulated and stored together.", click.IntRange(1))
 @click.option("--shard", type=Shard(), help="Run part I of N, from 0; all parts write to the same DIR.")
-@click.option("--rows", metavar="FILE", type=FileKind(".csv", ".parquet", exists=True, dir_okay=False),
-              help="Exactly these variants, instead of vary; SPEC.yaml is then optional.")  # fmt: skip
+@click.option(
+    "--rows",
+    metavar="FILE",
+    type=FileKind(".csv", ".parquet", exists=True, dir_okay=False),
+    help="Exactly these variants, instead of vary; SPEC.yaml is then optional.",
+)
 @click.option("--extend", is_flag=True, help="Add rows to DIR: more values, repeats, structures or Sobol points.")
-@click.option("--use", multiple=True, metavar="DIR2", type=click.Path(path_type=Path),
-              help="Reuse rows from DIR2 instead of running them.")  # fmt: skip
+@click.option(
+    "--use",
+    multiple=True,
+    metavar="DIR2",
+    type=click.Path(path_type=Path),
+    help="Reuse rows from DIR2 instead of running them.",
+)
 @options.workers
 @options.accept_new_code
 @click.option("--tensorboard", is_flag=True, help="Log each chunk to TensorBoard, in DIR.")
 @click.option("--dry-run", is_flag=True, help="Estimate the cost in time, disk and memory; write nothing.")
 @click.option("--list-parameters", is_flag=True, help="List what vary, set and randomize can name.")
 def sweep_command(
-    spec: Path | None, out: Path | None, seed: int | None, workers: str, ray_address: str | None,
-    rows: Path | None, dry_run: bool, list_parameters: bool, **how: Any,
-) -> Outcome:  # fmt: skip
+    spec: Path | None,
+    out: Path | None,
+    seed: int | None,
+    workers: str,
+    ray_address: str | None,
+    rows: Path | None,
+    dry_run: bool,
+    list_parameters: bool,
+    **how: Any,
+) -> Outcome:
     """Run every variant of a sweep file.
 
     Writes a table of metrics (Parquet), a summary and plots to DIR. If DIR
@@ -135,16 +155,18 @@ def _print_forecast(cost: Forecast) -> None:
     left = f", of which {cost.rows_left:,} are left to be run" if cost.rows_left < cost.rows else ""
     batches = f"{cost.batches:,} batches to be run, of {cost.structures:,} structures"
     took = "not known" if math.isnan(cost.seconds) else f"{duration(cost.seconds)}, and what compiling takes"
-    print_pairs([
-        ("rows", f"{cost.rows:,}{left}"),
-        ("chunks", f"{cost.chunks:,}; {batches}"),
-        ("engine", cost.engine),
-        ("rate", f"{rate}{cost.rate_from}"),
-        ("time", took if cost.rows_left else "none: all rows are there"),
-        ("disk", f"{cost.disk_bytes / 1e6:,.1f} MB for the table; {cost.disk_free / 1e9:,.1f} GB are free"),
-        ("memory", f"about {cost.memory_bytes / 1e9:.1f} GB"),
-        *(("note", note) for note in cost.notes),
-    ])  # fmt: skip
+    print_pairs(
+        [
+            ("rows", f"{cost.rows:,}{left}"),
+            ("chunks", f"{cost.chunks:,}; {batches}"),
+            ("engine", cost.engine),
+            ("rate", f"{rate}{cost.rate_from}"),
+            ("time", took if cost.rows_left else "none: all rows are there"),
+            ("disk", f"{cost.disk_bytes / 1e6:,.1f} MB for the table; {cost.disk_free / 1e9:,.1f} GB are free"),
+            ("memory", f"about {cost.memory_bytes / 1e9:.1f} GB"),
+            *(("note", note) for note in cost.notes),
+        ]
+    )
 
 
 def sweep_fields(out: Path, result: SweepResult) -> dict[str, Any]:
@@ -196,8 +218,10 @@ def _list_parameters(spec: Path | None) -> Outcome:
     from nermo_mjx.sweep.structures import STRUCTURES, about_structure, choices_of
 
     parameters = all_parameters(Setup() if spec is None else Sweep.from_file(spec).setup)
-    structures = {name: {"default": getattr(Setup, name), "allowed": choices_of(name), "doc": about_structure(name)}
-                  for name in STRUCTURES}  # fmt: skip
+    structures = {
+        name: {"default": getattr(Setup, name), "allowed": choices_of(name), "doc": about_structure(name)}
+        for name in STRUCTURES
+    }
 
     def show() -> None:
         rows = [[name, f"{about.default:.5g}", about.allowed(), about.doc] for name, about in gathered(parameters)]
@@ -252,9 +276,17 @@ def merge_command(sources: tuple[Path, ...], out: Path, accept_new_code: bool) -
 @options.workers
 @options.accept_new_code
 def search_command(
-    spec: Path, out: Path, engine: str, budget: int | None, seed: int | None, dry_run: bool, workers: str,
-    ray_address: str | None, accept_new_code: bool, **chosen: Any,
-) -> Outcome:  # fmt: skip
+    spec: Path,
+    out: Path,
+    engine: str,
+    budget: int | None,
+    seed: int | None,
+    dry_run: bool,
+    workers: str,
+    ray_address: str | None,
+    accept_new_code: bool,
+    **chosen: Any,
+) -> Outcome:
     """Search for the best parameters that a search file allows.
 
     A single objective is optimized by CMA-ES, several by NSGA-II for their
@@ -322,16 +354,21 @@ def _print_search(result: SearchResult) -> None:
         click.echo(f"{len(best['front']):,} points on the front, hypervolume {best['hypervolume']:.1%}")
     if "cells" in best:
         click.echo(f"{best['filled']:,} of {best['cells']:,} cells filled, QD score {best['qd_score']:.4g}")
-    made = {"atlas": search.aim.measures and "atlas.parquet", "records": result.recordings and "recordings",
-            "plots": result.plots and "plots"}  # fmt: skip
+    made = {
+        "atlas": search.aim.measures and "atlas.parquet",
+        "records": result.recordings and "recordings",
+        "plots": result.plots and "plots",
+    }
     places = {"table": "results", "best": "best.json", "sweep": "best.yaml"}
     _print_places(result.out, places | {name: place for name, place in made.items() if place})
 
 
 def _print_search_cost(cost: SearchCost) -> None:
     click.echo(f"{cost.evaluations:,} evaluations in {cost.batches:,} batches of {cost.batch}, {cost.runs:,} runs")
-    click.echo(f"{duration(cost.simulated_seconds)} simulated; about {duration(cost.wall_seconds)} here on the engine "
-               f"{cost.engine}, and {cost.disk_bytes / 1e6:.3g} MB on disk")  # fmt: skip
+    click.echo(
+        f"{duration(cost.simulated_seconds)} simulated; about {duration(cost.wall_seconds)} here on the engine "
+        f"{cost.engine}, and {cost.disk_bytes / 1e6:.3g} MB on disk"
+    )
     if cost.gradient_runs:
         click.echo(f"plus gradients: as {cost.gradient_runs:,} runs on the engine mjx, and minutes to compile, once")
 
@@ -483,8 +520,9 @@ def _in_unit(tuning: Tuning, name: str, *values: float) -> tuple[list[float], st
 @options.out
 @_spec
 @options.number("--points", "Points per line.", click.IntRange(5, 100_000), default=41)
-@options.number("--span", "Length of the lines, as a fraction of the bounds.", click.FloatRange(0, 1, min_open=True),
-                default=1.0)  # fmt: skip
+@options.number(
+    "--span", "Length of the lines, as a fraction of the bounds.", click.FloatRange(0, 1, min_open=True), default=1.0
+)
 @options.accept_new_code
 def landscape_command(spec: Path, out: Path, points: int, span: float, accept_new_code: bool) -> Outcome:
     """Measure whether the gradients of a tuning file can be trusted.
@@ -530,9 +568,15 @@ def _print_landscape(result: LandscapeResult) -> None:
 @_dry_run
 @options.accept_new_code
 def train_command(
-    spec: Path, out: Path, engine: str, onnx: bool, tensorboard: bool, dry_run: bool, accept_new_code: bool,
+    spec: Path,
+    out: Path,
+    engine: str,
+    onnx: bool,
+    tensorboard: bool,
+    dry_run: bool,
+    accept_new_code: bool,
     **chosen: Any,
-) -> Outcome:  # fmt: skip
+) -> Outcome:
     """Train a policy as described in a training file.
 
     Writes the policy, which walk and sweep files accept as a controller,
@@ -566,9 +610,15 @@ def train_command(
             watch.progress(Progress(share, done.steps, done.total, numbers=done.numbers))
 
         result = run_training(
-            training, out, engine=engine, progress=tell, warn=watch.warn, accept_new_code=accept_new_code,
-            tensorboard=tensorboard, evaluating=lambda share: watch.progress(Progress(share, what="evaluation")),
-        )  # fmt: skip
+            training,
+            out,
+            engine=engine,
+            progress=tell,
+            warn=watch.warn,
+            accept_new_code=accept_new_code,
+            tensorboard=tensorboard,
+            evaluating=lambda share: watch.progress(Progress(share, what="evaluation")),
+        )
         exported = None
         if onnx and result.policy is not None:
             from nermo_mjx.learn.onnx import export
@@ -577,8 +627,14 @@ def train_command(
 
             exported = result.policy.with_suffix(".onnx")
             replace_file(exported, export(load_policy(result.policy)))
-    content = {"out": result.out, **result.summary, "iterations_run": result.iterations_run, "policy": result.policy,
-               "onnx": exported, "plots": result.plots}  # fmt: skip
+    content = {
+        "out": result.out,
+        **result.summary,
+        "iterations_run": result.iterations_run,
+        "policy": result.policy,
+        "onnx": exported,
+        "plots": result.plots,
+    }
     return Outcome(content, lambda: _print_training(result, exported))
 
 
@@ -594,16 +650,28 @@ def _print_training(result: TrainingResult, exported: Path | None) -> None:
     for scene, about in summary["scenes"].items():
         for who, name in (("policy", "policy"), ("alone", "controller alone")):
             numbers = about[who]
-            rows.append([scene, name, f"{100 * numbers['success']:.0f}", f"{1e3 * numbers['speed']:.1f}",
-                         f"{numbers['cost_of_transport']:.3g}",
-                         f"{numbers['electrical_cost_of_transport']:.3g}"])  # fmt: skip
+            rows.append(
+                [
+                    scene,
+                    name,
+                    f"{100 * numbers['success']:.0f}",
+                    f"{1e3 * numbers['speed']:.1f}",
+                    f"{numbers['cost_of_transport']:.3g}",
+                    f"{numbers['electrical_cost_of_transport']:.3g}",
+                ]
+            )
     if rows:
-        headings = [*columns("scene, walks, success [%]>, speed [mm/s]>"), ("cost of transport, mechanical", "right"),
-                    ("electrical", "right")]  # fmt: skip
+        headings = [
+            *columns("scene, walks, success [%]>, speed [mm/s]>"),
+            ("cost of transport, mechanical", "right"),
+            ("electrical", "right"),
+        ]
         print_table(f"On {result.training.evaluation.bodies:,} unseen bodies and starts", headings, rows)
     cpu = summary["environment_cpu"] + summary["learner_cpu"]
-    click.echo(f"{summary['steps']:,} control steps, {duration(summary['simulated_seconds'])} simulated, in "
-               f"{duration(summary['wall_seconds'])} ({duration(cpu)} of CPU time)")  # fmt: skip
+    click.echo(
+        f"{summary['steps']:,} control steps, {duration(summary['simulated_seconds'])} simulated, in "
+        f"{duration(summary['wall_seconds'])} ({duration(cpu)} of CPU time)"
+    )
     if result.training.validation:
         click.echo(f"policy after {summary['policy_steps']:,} steps, the best of all checkpoints in its walks")
     places = {"policy": result.policy, "onnx": exported, "history": result.out / "history.parquet"}
@@ -614,9 +682,11 @@ def _print_training_cost(cost: TrainingCost) -> None:
     click.echo(f"{cost.iterations:,} iterations of {cost.steps_per_iteration:,} control steps, {cost.steps:,} in all")
     finite = math.isfinite(cost.wall_seconds)
     time = f"about {duration(cost.wall_seconds)} here with compiling" if finite else "for an unknown time"
-    click.echo(f"{duration(cost.simulated_seconds)} simulated; {time} on the engine {cost.engine}, and "
-               f"{cost.disk_bytes / 1e6:.3g} MB on disk; then the evaluation simulates "
-               f"{duration(cost.evaluated_seconds)}, and compiles, on top")  # fmt: skip
+    click.echo(
+        f"{duration(cost.simulated_seconds)} simulated; {time} on the engine {cost.engine}, and "
+        f"{cost.disk_bytes / 1e6:.3g} MB on disk; then the evaluation simulates "
+        f"{duration(cost.evaluated_seconds)}, and compiles, on top"
+    )
     click.echo(cost.rate_from)
 
 
@@ -629,21 +699,31 @@ ALL = "all"
 @options.choice("--profile", ("all", *EXPERIMENT_PROFILES), "Set-up: as published, as described, as built.")
 @options.number("--repeats", "Starts of each case; by default 3, or 1 with --quick.", click.IntRange(1))
 @options.number("--seed", "Seed of the shifts between repeats.", click.IntRange(0), default=0)
-@options.number("--bodies", "Also run this many identified bodies: for what share of them does a line hold?",
-                click.IntRange(1))  # fmt: skip
+@options.number(
+    "--bodies", "Also run this many identified bodies: for what share of them does a line hold?", click.IntRange(1)
+)
 @click.option("--quick", is_flag=True, help="Quick run: fewer cases, no videos; a minute.")
 @click.option("--no-video", is_flag=True, help="Render no videos.")
 @click.option("--again", is_flag=True, help="Rerun, and replace the results in DIR.")
-@click.option("--controller", metavar="FILE.npz",
-              help="A policy, in place of the published controller; for straight-line, turning and maze.")  # fmt: skip
+@click.option(
+    "--controller",
+    metavar="FILE.npz",
+    help="A policy, in place of the published controller; for straight-line, turning and maze.",
+)
 @options.workers
 @options.accept_new_code
 @options.set_option("A parameter of the body, such as contact.friction; repeatable.")
 @options.engine
 def experiment_command(
-    name: str, out: Path, profile: str, no_video: bool, workers: str, ray_address: str | None,
-    assignments: tuple[str, ...], **how: Any,
-) -> Outcome:  # fmt: skip
+    name: str,
+    out: Path,
+    profile: str,
+    no_video: bool,
+    workers: str,
+    ray_address: str | None,
+    assignments: tuple[str, ...],
+    **how: Any,
+) -> Outcome:
     """Run a published experiment, or all of them, and compare.
 
     Writes a table of every run, a report with the published figures beside
@@ -670,9 +750,15 @@ def experiment_command(
         values = assigned(assignments, dict(quantities(WorldParameters)))
         profiles = EXPERIMENT_PROFILES if profile == "all" else (profile,)
         result = run_experiments(
-            EXPERIMENTS if name == ALL else [name], out, profiles=profiles, values=values, video=not no_video,
-            watch=watch, workers=crew, **how,
-        )  # fmt: skip
+            EXPERIMENTS if name == ALL else [name],
+            out,
+            profiles=profiles,
+            values=values,
+            video=not no_video,
+            watch=watch,
+            workers=crew,
+            **how,
+        )
     run = {each.name: {"kept": each.kept} for each in result.results}
     return Outcome({"out": result.out, "run": run, **result.report}, lambda: _print_experiments(result))
 
@@ -695,8 +781,10 @@ def _print_experiments(result: ExperimentsResult) -> None:
     click.echo("Only predicted lines count as evidence.")
     for sentence in content["differences"]:
         click.echo(sentence)
-    made = {name: name if any(getattr(each, name) for each in result.results) else None
-            for name in ("plots", "recordings", "videos")}  # fmt: skip
+    made = {
+        name: name if any(getattr(each, name) for each in result.results) else None
+        for name in ("plots", "recordings", "videos")
+    }
     _print_places(result.out, {"report": "report.md", "tables": "results", **made})
 
 

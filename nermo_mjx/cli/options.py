@@ -155,8 +155,11 @@ def file(name: str, suffix: str, about: str, **more: Any) -> Callable[[F], F]:
 def given() -> dict[str, str]:
     """Flags of the options of this call that are not at their defaults, by name."""
     context = click.get_current_context()
-    return {each.name or "": each.opts[0] for each in context.command.params
-            if context.get_parameter_source(each.name or "") is not ParameterSource.DEFAULT}  # fmt: skip
+    return {
+        each.name or "": each.opts[0]
+        for each in context.command.params
+        if context.get_parameter_source(each.name or "") is not ParameterSource.DEFAULT
+    }
 
 
 def _keep_threads(ctx: click.Context, parameter: click.Parameter, value: int | None) -> None:
@@ -166,23 +169,45 @@ def _keep_threads(ctx: click.Context, parameter: click.Parameter, value: int | N
 
 
 #: The directory of results, and that, or a file, of what is found in finished tables: see `nermo_mjx.sweep.table`.
-out = click.option("--out", metavar="DIR", required=True, type=click.Path(file_okay=False, path_type=Path),
-                   help="Where results go.")  # fmt: skip
-report_out = click.option("--out", metavar="DIR|FILE", type=click.Path(path_type=Path),
-                          help="A directory for table, JSON and figures, or FILE.csv or FILE.parquet for the table "
-                          "only.")  # fmt: skip
-threads = number("--threads", "Number of CPU cores for the engine c; by default all.", click.IntRange(1),
-                 expose_value=False, callback=_keep_threads)  # fmt: skip
-accept_new_code = click.option("--accept-new-code", is_flag=True,
-                               help="Resume a directory made by other code or another engine; the column code "
-                               "distinguishes its rows.")  # fmt: skip
+out = click.option(
+    "--out", metavar="DIR", required=True, type=click.Path(file_okay=False, path_type=Path), help="Where results go."
+)
+report_out = click.option(
+    "--out",
+    metavar="DIR|FILE",
+    type=click.Path(path_type=Path),
+    help="A directory for table, JSON and figures, or FILE.csv or FILE.parquet for the table only.",
+)
+threads = number(
+    "--threads",
+    "Number of CPU cores for the engine c; by default all.",
+    click.IntRange(1),
+    expose_value=False,
+    callback=_keep_threads,
+)
+accept_new_code = click.option(
+    "--accept-new-code",
+    is_flag=True,
+    help="Resume a directory made by other code or another engine; the column code distinguishes its rows.",
+)
 robot, tail = choice("--robot", ROBOTS), choice("--tail", TAILS)
 physics = choice("--physics", PHYSICS, "fast: 1.6 to 2 times the speed, speeds within 1.5 %.")
-scene = click.option("--scene", default="flat", metavar="NAME", show_default=True, shell_complete=names(*SCENES),
-                     help="A scene of mjcf/scenes, or the path of an MJCF file.")  # fmt: skip
-camera = click.option("--camera", default=VIEWS[0], metavar="NAME", show_default=True,
-                      help=f"{', '.join(VIEWS)}; what the robot sees: eyes, left_eye, right_eye, stereo.",
-                      shell_complete=names(*VIEWS, "eyes", "left_eye", "right_eye", "stereo"))  # fmt: skip
+scene = click.option(
+    "--scene",
+    default="flat",
+    metavar="NAME",
+    show_default=True,
+    shell_complete=names(*SCENES),
+    help="A scene of mjcf/scenes, or the path of an MJCF file.",
+)
+camera = click.option(
+    "--camera",
+    default=VIEWS[0],
+    metavar="NAME",
+    show_default=True,
+    help=f"{', '.join(VIEWS)}; what the robot sees: eyes, left_eye, right_eye, stereo.",
+    shell_complete=names(*VIEWS, "eyes", "left_eye", "right_eye", "stereo"),
+)
 
 
 def engine(function: F) -> F:
@@ -216,8 +241,9 @@ def crew(kind: str, address: str | None, say: Callable[[str], None] | None) -> A
 
 def set_option(about: str) -> Callable[[F], F]:
     """`--set`; see `assigned`."""
-    return click.option("--set", "assignments", multiple=True, metavar="NAME=X", help=about,
-                        shell_complete=names(*PARAMETERS, end="="))  # fmt: skip
+    return click.option(
+        "--set", "assignments", multiple=True, metavar="NAME=X", help=about, shell_complete=names(*PARAMETERS, end="=")
+    )
 
 
 set_any = set_option("Any parameter that `sweep --list-parameters` prints; repeatable.")
@@ -236,20 +262,31 @@ def gait(function: F) -> F:
         choice("--gait", GAITS, "Trot, walking trot, lateral walk, bound, rotary gallop."),
         number("--frequency", "Gait cycles per second [Hz]."),
         number("--stride", "Stride length, as a fraction of the maximum."),
-        click.option("--spine", default="none", show_default=True, metavar="NAME[+NAME]", shell_complete=_modes,
-                     help=f"{', '.join(SPINE_MODES[1:])}; several joined by +. The last two bend the vertical joints "
-                     "of nermo_41."),
+        click.option(
+            "--spine",
+            default="none",
+            show_default=True,
+            metavar="NAME[+NAME]",
+            shell_complete=_modes,
+            help=f"{', '.join(SPINE_MODES[1:])}; several joined by +. The last two bend the vertical joints "
+            "of nermo_41.",
+        ),
         number("--spine-amplitude", "Servo amplitude of the stride extension [rad]."),
         number("--spine-phase", "Phase of the stride extension [rad]."),
         number("--turn-rate", "Turn rate held without feedback, -1 right to 1 left."),
         choice("--steering", STEERINGS, "What turns the robot. Default: leg; in as_published spine.", default=None),
-        number("--offset-compensation", "Rear legs compensate the hip's rise: a fraction, or all without a number.",
-               is_flag=False, flag_value=1.0, metavar="[X]"),
+        number(
+            "--offset-compensation",
+            "Rear legs compensate the hip's rise: a fraction, or all without a number.",
+            is_flag=False,
+            flag_value=1.0,
+            metavar="[X]",
+        ),
         choice("--trajectory", TRAJECTORIES, "Shape of the foot path; free: with movable points."),
         choice("--head", HEADS, "gaze: the neck keeps the image still while the torso sways."),
         choice("--tail-motion", TAIL_MOTIONS, "Motion of the articulated tail."),
         choice("--profile", PROFILES, "For design; the published simulation; the robot as built."),
-    ]  # fmt: skip
+    ]
     for option in reversed(listed):
         function = option(function)
     return function

@@ -33,9 +33,15 @@ class Progress:
     """
 
     def __init__(
-        self, what: str, unit: str = "", *, quiet: bool | None = None, compiles: bool = False, every: float = 10.0,
+        self,
+        what: str,
+        unit: str = "",
+        *,
+        quiet: bool | None = None,
+        compiles: bool = False,
+        every: float = 10.0,
         stream: IO[str] | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self._what, self._unit, self._every, self._stream = what, unit, every, stream or sys.stderr
         self._quiet = is_quiet() if quiet is None else quiet
         self._bar: Any = None

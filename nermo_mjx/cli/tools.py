@@ -133,8 +133,12 @@ def schema_command(kind: str, out: Path | None) -> None:
 @options.number("--worlds", "Size of the batch; repeatable.", click.IntRange(1), multiple=True)
 @options.choice("--mode", GRADIENT_MODES, "How gradients are computed; repeatable.", default=None, multiple=True)
 @options.number("--cycles", "Gait cycles to differentiate; repeatable.", options.POSITIVE, multiple=True)
-@click.option("--into", metavar="DIR", type=click.Path(file_okay=False, path_type=Path),
-              help="Append to DIR/results.jsonl, and draw its page and plots.")  # fmt: skip
+@click.option(
+    "--into",
+    metavar="DIR",
+    type=click.Path(file_okay=False, path_type=Path),
+    help="Append to DIR/results.jsonl, and draw its page and plots.",
+)
 def bench_command(cases: tuple[str, ...], into: Path | None, **given: tuple[Any, ...]) -> Outcome:
     """Measure throughput, compile time and memory on this machine.
 

@@ -57,9 +57,13 @@ def figures(path: Path, *, notify: Callable[[str], None]) -> Figures:
 @options.file("--out", ".mp4", "MP4 (H.264), GIF or WebP.", required=True)
 @options.camera
 @click.option(
-    "--overlay", "overlays", multiple=True, type=click.Choice(OVERLAYS), metavar="NAME",
+    "--overlay",
+    "overlays",
+    multiple=True,
+    type=click.Choice(OVERLAYS),
+    metavar="NAME",
     help="gait: footfall; servos: their angles; support: support polygon and centre of mass. Repeatable.",
-)  # fmt: skip
+)
 @options.number("--fps", "Frames per second.", click.IntRange(1, 240), default=30)
 @options.number("--width", "Pixels of one robot's picture.", click.IntRange(16, 7680), default=640)
 @options.number("--height", "Pixels of one robot's picture.", click.IntRange(16, 4320), default=480)
@@ -150,8 +154,12 @@ def play_command(recording: Path, speed: float, once: bool, xml: Path | None, ra
 @click.argument("path", metavar="PATH", type=FileKind(".npz"))
 @click.argument("other", metavar="[OTHER.npz]", required=False, type=options.RECORDING)
 @options.file("--out", ".html", "Write the page to this file.")
-@options.number("--recordings", "For a directory: maximum number of recordings in the page; by default 50.",
-                click.IntRange(0), metavar="N")  # fmt: skip
+@options.number(
+    "--recordings",
+    "For a directory: maximum number of recordings in the page; by default 50.",
+    click.IntRange(0),
+    metavar="N",
+)
 @click.option("--no-open", is_flag=True, help="Do not open a browser.")
 def view_command(path: Path, other: Path | None, out: Path | None, recordings: int | None, no_open: bool) -> Outcome:
     """View a recording, a sweep, a search or a training in the browser.

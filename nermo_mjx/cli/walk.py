@@ -27,11 +27,28 @@ if TYPE_CHECKING:
 
 #: Options that set one parameter.
 PARAMETER_OPTIONS = {
-    "frequency": "frequency", "stride": "stride", "spine_amplitude": "spine.amplitude", "spine_phase": "spine.phase",
-    "turn_rate": "pilot.turn_rate", "offset_compensation": "spine.offset_compensation",
-}  # fmt: skip
-SETUP_OPTIONS = ("robot", "scene", "tail", "physics", "gait", "spine", "steering", "profile", "trajectory",
-                 "head", "tail_motion", "controller", "metrics")  # fmt: skip
+    "frequency": "frequency",
+    "stride": "stride",
+    "spine_amplitude": "spine.amplitude",
+    "spine_phase": "spine.phase",
+    "turn_rate": "pilot.turn_rate",
+    "offset_compensation": "spine.offset_compensation",
+}
+SETUP_OPTIONS = (
+    "robot",
+    "scene",
+    "tail",
+    "physics",
+    "gait",
+    "spine",
+    "steering",
+    "profile",
+    "trajectory",
+    "head",
+    "tail_motion",
+    "controller",
+    "metrics",
+)
 DEFAULT_CYCLES, DEFAULT_WARMUP = 8.0, 2.0
 
 
@@ -64,9 +81,16 @@ class Plan:
 
 
 def plan(
-    *, pilot: str | None, assignments: tuple[str, ...], switches: tuple[str, ...] = (), seed: int | None = None,
-    cycles: float | None = None, duration: float | None = None, warmup: float | None = None, **options: Any,
-) -> Plan:  # fmt: skip
+    *,
+    pilot: str | None,
+    assignments: tuple[str, ...],
+    switches: tuple[str, ...] = (),
+    seed: int | None = None,
+    cycles: float | None = None,
+    duration: float | None = None,
+    warmup: float | None = None,
+    **options: Any,
+) -> Plan:
     """Join and check the options; raises `WrongUse` or `ParameterError`."""
     from nermo_mjx.control.spine_modes import mode_names
     from nermo_mjx.robot.quantity import values_of
@@ -200,9 +224,14 @@ def _number(value: float | None, factor: float) -> str:
 @options.tail
 @options.physics
 @options.set_any
-@click.option("--switch", "switches", multiple=True, metavar="AT,NAME=X...",
-              help="From AT seconds on another gait, spine, steering, head, tail_motion or parameter; blend=X cycles; "
-                   "repeatable.")  # fmt: skip
+@click.option(
+    "--switch",
+    "switches",
+    multiple=True,
+    metavar="AT,NAME=X...",
+    help="From AT seconds on another gait, spine, steering, head, tail_motion or parameter; blend=X cycles; "
+    "repeatable.",
+)
 @options.number("--seed", "Shift the start slightly, like the repeats of a sweep.", click.IntRange(0))
 @options.engine
 @options.produced
@@ -245,10 +274,16 @@ def _address(context: click.Context, parameter: click.Parameter, given: tuple[st
 
 #: Options of `drive` that need another one: which, and what is missing without it.
 DRIVE_NEEDS = {
-    "headless": "--robot URL", "rate": "--robot URL", "watchdog": "--robot URL", "delay": "--serve URL",
-    "loss": "--serve URL", "channels": "--robot URL or --serve URL", "port": "a page", "browser": "a page",
+    "headless": "--robot URL",
+    "rate": "--robot URL",
+    "watchdog": "--robot URL",
+    "delay": "--serve URL",
+    "loss": "--serve URL",
+    "channels": "--robot URL or --serve URL",
+    "port": "a page",
+    "browser": "a page",
     "record": "a page",
-}  # fmt: skip
+}
 
 
 @command("drive")
@@ -263,27 +298,60 @@ DRIVE_NEEDS = {
 @options.number("--port", "Of the page; by default any that is free.", click.IntRange(1, 65535))
 @options.number("--seconds", "Duration; by default until Ctrl-C.", options.POSITIVE)
 @click.option("--browser/--no-browser", default=True, help="Open the page, or only print its address.")
-@click.option("--robot", multiple=True, metavar="NAME|URL", callback=_address, shell_complete=options.names(*ROBOTS),
-              help=f"{' or '.join(ROBOTS)}, and the address of a real one: mqtt://HOST[:PORT] of a broker, or "
-              "ros://HOST[:PORT] of a rosbridge.")  # fmt: skip
+@click.option(
+    "--robot",
+    multiple=True,
+    metavar="NAME|URL",
+    callback=_address,
+    shell_complete=options.names(*ROBOTS),
+    help=f"{' or '.join(ROBOTS)}, and the address of a real one: mqtt://HOST[:PORT] of a broker, or "
+    "ros://HOST[:PORT] of a rosbridge.",
+)
 @click.option("--serve", metavar="URL", help="Be a simulated robot that is driven from there.")
-@click.option("--channels", default="published", show_default=True, metavar="FILE.yaml", type=options.SPEC,
-              help="Channel, direction, zero and limits of each servo, as for `servos`.")  # fmt: skip
-@options.number("--rate", "Commands per second; by default that of the channels, or of the controller.",
-                options.POSITIVE)  # fmt: skip
-@options.number("--watchdog", "Seconds without messages after which the robot holds still.",
-                click.FloatRange(0, 5, min_open=True), default=0.25)  # fmt: skip
+@click.option(
+    "--channels",
+    default="published",
+    show_default=True,
+    metavar="FILE.yaml",
+    type=options.SPEC,
+    help="Channel, direction, zero and limits of each servo, as for `servos`.",
+)
+@options.number(
+    "--rate", "Commands per second; by default that of the channels, or of the controller.", options.POSITIVE
+)
+@options.number(
+    "--watchdog",
+    "Seconds without messages after which the robot holds still.",
+    click.FloatRange(0, 5, min_open=True),
+    default=0.25,
+)
 @click.option("--headless", is_flag=True, help="Drive a robot without a page, from now on.")
 @click.option("--switch", "switches", multiple=True, metavar="AT,NAME=X...", help="As for `walk`; repeatable.")
-@options.number("--delay", "With --serve: each message takes about this long, each way [ms].",
-                click.FloatRange(0, 10_000), default=0.0)  # fmt: skip
-@options.number("--loss", "With --serve: share of messages that get lost, each way.", click.FloatRange(0, 1),
-                default=0.0)  # fmt: skip
+@options.number(
+    "--delay",
+    "With --serve: each message takes about this long, each way [ms].",
+    click.FloatRange(0, 10_000),
+    default=0.0,
+)
+@options.number(
+    "--loss", "With --serve: share of messages that get lost, each way.", click.FloatRange(0, 1), default=0.0
+)
 def drive_command(
-    record: Path | None, port: int | None, seconds: float | None, browser: bool, pilot: str | None,
-    robot: tuple[str, str | None], serve: str | None, headless: bool, delay: float, loss: float, channels: Path,
-    rate: float | None, watchdog: float, **chosen: Any,
-) -> Outcome:  # fmt: skip
+    record: Path | None,
+    port: int | None,
+    seconds: float | None,
+    browser: bool,
+    pilot: str | None,
+    robot: tuple[str, str | None],
+    serve: str | None,
+    headless: bool,
+    delay: float,
+    loss: float,
+    channels: Path,
+    rate: float | None,
+    watchdog: float,
+    **chosen: Any,
+) -> Outcome:
     """Drive the robot in the browser while it walks: keyboard, gamepad, sliders.
 
     The page is served to this machine alone, and its address holds a secret.
@@ -370,9 +438,14 @@ def drive_command(
 @options.produced
 @options.file("--sweep", ".yaml", "Write a sweep file that walks as was driven, of a FILE.npz.")
 def replay_command(
-    out: Path, row: int | None, engine: str | None, record: Path | None, video: Path | None, sweep: Path | None,
+    out: Path,
+    row: int | None,
+    engine: str | None,
+    record: Path | None,
+    video: Path | None,
+    sweep: Path | None,
     camera: str,
-) -> Outcome:  # fmt: skip
+) -> Outcome:
     """Rerun one row of a sweep's or a search's directory on its own, or a
     recorded drive.
 
@@ -444,8 +517,11 @@ def _replay_drive(path: Path, record: Path | None, video: Path | None, sweep: Pa
         raise WrongUse(f"{path}: {error}") from None
     save_run(again, record, video, camera)
     differs, samples = difference(recording, again), f"{len(again.time):,} samples"
-    sentence = (f"All {samples} equal the recording's, to the last bit." if differs is None else
-                f"Of {samples} those from {differs:.2f} s on differ from the recording's.")  # fmt: skip
+    sentence = (
+        f"All {samples} equal the recording's, to the last bit."
+        if differs is None
+        else f"Of {samples} those from {differs:.2f} s on differ from the recording's."
+    )
     content = {"recording": path, "samples": len(again.time), "equal": differs is None, "differs_from": differs}
     return Outcome(content, lambda: click.echo(sentence))
 
@@ -454,14 +530,21 @@ def _replay_drive(path: Path, record: Path | None, video: Path | None, sweep: Pa
 @options.gait
 @options.number("--rate", "Rows per second; by default that of the channels, or 50.", options.POSITIVE)
 @options.number("--cycles", "Whole gait cycles, by default 1.", click.IntRange(1))
-@click.option("--channels", metavar="FILE.yaml", type=options.SPEC,
-              help="Channel, direction, zero and limits of each servo; published: the author's order, whole degrees "
-                   "at 30 Hz.")  # fmt: skip
+@click.option(
+    "--channels",
+    metavar="FILE.yaml",
+    type=options.SPEC,
+    help="Channel, direction, zero and limits of each servo; published: the author's order, whole degrees at 30 Hz.",
+)
 @options.robot
 @options.tail
 @options.set_any
-@click.option("--recording", metavar="FILE.npz", type=options.RECORDING,
-              help="Instead of a gait: what was commanded in a recorded walk, such as that of a policy.")  # fmt: skip
+@click.option(
+    "--recording",
+    metavar="FILE.npz",
+    type=options.RECORDING,
+    help="Instead of a gait: what was commanded in a recorded walk, such as that of a policy.",
+)
 @options.file("--out", ".csv", "File for the table.")
 @click.option(
     "--send",
@@ -471,9 +554,15 @@ def _replay_drive(path: Path, record: Path | None, video: Path | None, sweep: Pa
 @click.option("--topic", default="q_values", show_default=True, metavar="NAME", help="MQTT or ROS topic.")
 @options.number("--seconds", "Duration of sending; by default until Ctrl-C.", options.POSITIVE)
 def servos_command(
-    rate: float | None, channels: Path | None, recording: Path | None, out: Path | None, send: str | None, topic: str,
-    seconds: float | None, **chosen: Any,
-) -> Outcome:  # fmt: skip
+    rate: float | None,
+    channels: Path | None,
+    recording: Path | None,
+    out: Path | None,
+    send: str | None,
+    topic: str,
+    seconds: float | None,
+    **chosen: Any,
+) -> Outcome:
     """Write the servo angles of a gait as CSV, ready to be played in a loop, or
     send them to the robot.
 
@@ -537,24 +626,41 @@ def servos_command(
         except SendError as error:  # nobody there is a failure, and not wrong use
             raise Failure(str(error)) from None
     lows, highs = table.angles.min(axis=0), table.angles.max(axis=0)
-    servos = [{"servo": name, "channel": channel.number, "low_deg": low, "high_deg": high, "speed_deg_per_s": speed}
-              for name, channel, low, high, speed
-              in zip(table.names, table.channels, lows, highs, table.speed, strict=True)]  # fmt: skip
-    content: dict[str, Any] = {"out": out, "rows": len(table.time), "rate": table.rate, "cycles": table.cycles,
-               "frequency": table.frequency, "servo_speed_deg_per_s": table.servo_speed}  # fmt: skip
+    servos = [
+        {"servo": name, "channel": channel.number, "low_deg": low, "high_deg": high, "speed_deg_per_s": speed}
+        for name, channel, low, high, speed in zip(table.names, table.channels, lows, highs, table.speed, strict=True)
+    ]
+    content: dict[str, Any] = {
+        "out": out,
+        "rows": len(table.time),
+        "rate": table.rate,
+        "cycles": table.cycles,
+        "frequency": table.frequency,
+        "servo_speed_deg_per_s": table.servo_speed,
+    }
     content |= {} if sent is None else {"sent": dataclasses.asdict(sent)}
 
     def show() -> None:
         if table.too_fast:
             say(table.too_fast)
-        rows = [[str(each["channel"]), each["servo"], f"{each['low_deg']:.1f}", f"{each['high_deg']:.1f}",
-                 f"{each['speed_deg_per_s']:.0f}"] for each in servos]  # fmt: skip
+        rows = [
+            [
+                str(each["channel"]),
+                each["servo"],
+                f"{each['low_deg']:.1f}",
+                f"{each['high_deg']:.1f}",
+                f"{each['speed_deg_per_s']:.0f}",
+            ]
+            for each in servos
+        ]
         headings = columns("channel>, servo, from [deg]>, to [deg]>, fastest [deg/s]>")
         print_table(f"{table.how_many}, {len(table.time)} rows, {table.rate:.6g} rows/s", headings, rows)
         if out is not None:
             click.echo(f"wrote {out}")
         if sent is not None:
-            click.echo(f"sent {sent.messages} messages in {sent.seconds:.1f} s, {sent.skipped} skipped; the latest was "
-                       f"{1e3 * sent.latest:.1f} ms late")  # fmt: skip
+            click.echo(
+                f"sent {sent.messages} messages in {sent.seconds:.1f} s, {sent.skipped} skipped; the latest was "
+                f"{1e3 * sent.latest:.1f} ms late"
+            )
 
     return Outcome({**content, "servos": servos}, show)

@@ -9,9 +9,7 @@ from nermo_mjx.control.protocol import ControllerLike, leg_servos
 from nermo_mjx.control.spine_modes import SagittalLike, SagittalModes, SpineLike, SpineModes
 from nermo_mjx.control.stepping import GaitLike, Stepping, Steps
 
-__all__ = [
-    "ControlParameters", "Controller", "ControllerLike", "ControllerState", "Drive", "External", "Follow",
-    "GaitLike", "HeadAngles", "HeadLike", "OpenLoop", "Pace", "PilotLike", "SagittalLike", "SagittalModes",
-    "SpineLike", "SpineModes", "Stepping", "Steps", "TailLike", "Walk", "check", "control_parameters", "leg_servos",
-    "load_controller", "published_controller", "published_values", "tabulated",
-]  # fmt: skip
+__all__ = ["ControlParameters", "Controller", "ControllerLike", "ControllerState", "Drive", "External", "Follow"]
+__all__ += ["GaitLike", "HeadAngles", "HeadLike", "OpenLoop", "Pace", "PilotLike", "SagittalLike", "SagittalModes"]
+__all__ += ["SpineLike", "SpineModes", "Stepping", "Steps", "TailLike", "Walk", "check", "control_parameters"]
+__all__ += ["leg_servos", "load_controller", "published_controller", "published_values", "tabulated"]

@@ -104,8 +104,12 @@ class Source:
 
 
 #: Errors of functions that cannot be traced.
-_NOT_JITTABLE: Final = (jax.errors.ConcretizationTypeError, jax.errors.TracerArrayConversionError,
-                        jax.errors.TracerBoolConversionError, jax.errors.TracerIntegerConversionError)  # fmt: skip
+_NOT_JITTABLE: Final = (
+    jax.errors.ConcretizationTypeError,
+    jax.errors.TracerArrayConversionError,
+    jax.errors.TracerBoolConversionError,
+    jax.errors.TracerIntegerConversionError,
+)
 #: Packages whose lines are not the user's, where an error arises.
 _OTHERS: Final = ("jax", "jaxlib", "numpy", "nermo_mjx", "importlib", "contextlib", "_sitebuiltins")
 

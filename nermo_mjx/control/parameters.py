@@ -273,19 +273,34 @@ def tracking_share(rate: float, closed: float = PUBLISHED_TRACKING) -> float:
 #: turns the spine whatever its mode. Its gains are those of c66c3df; 30 and 300 (583a152) and 40 and 300 (736e7ec)
 #: make it oscillate.
 AS_PUBLISHED: Final = {
-    "stance.front_y": -0.005, "stance.front_z": -0.038, "stance.rear_y": 0.010, "stance.rear_z": -0.042,
-    "tracking.foot_gain": tracking_share(PUBLISHED_RATE), "tracking.clock_ratio": PUBLISHED_CLOCK_RATIO,
-    "spine.offset_at_feet": 1.0, "pilot.error_gain": 25.0, "pilot.change_gain": 200.0, "pilot.guidance": 0.0,
-}  # fmt: skip
+    "stance.front_y": -0.005,
+    "stance.front_z": -0.038,
+    "stance.rear_y": 0.010,
+    "stance.rear_z": -0.042,
+    "tracking.foot_gain": tracking_share(PUBLISHED_RATE),
+    "tracking.clock_ratio": PUBLISHED_CLOCK_RATIO,
+    "spine.offset_at_feet": 1.0,
+    "pilot.error_gain": 25.0,
+    "pilot.change_gain": 200.0,
+    "pilot.guidance": 0.0,
+}
 #: His body, from his model of the same days, whose physics no later commit of that year changes: torque limits of legs
 #: (0.4 N m) and spine (0.157), damping, the masses in front and behind as compiled, and MuJoCo's default friction of
 #: the tail. His servos have gains of 200 and 300 N m/rad without damping, which only their torque limits keep stable.
 #: Here they have 60 with 0.05 N m s/rad, with which his own model is 3 % faster (docs/published_set_up.md).
 AS_PUBLISHED_BODY: Final = {
-    "servo.kp": 60.0, "servo.kv": 0.05, "servo.torque_limit": 0.4, "servo.spine_torque": 0.3925,
-    "servo.speed": 100.0, "damping.knee": 0.005, "damping.ankle": 0.005, "damping.spine": 0.01,
-    "mass.front": 0.2122, "mass.rear": 0.1257, "contact.tail_friction": 1.0,
-}  # fmt: skip
+    "servo.kp": 60.0,
+    "servo.kv": 0.05,
+    "servo.torque_limit": 0.4,
+    "servo.spine_torque": 0.3925,
+    "servo.speed": 100.0,
+    "damping.knee": 0.005,
+    "damping.ankle": 0.005,
+    "damping.spine": 0.01,
+    "mass.front": 0.2122,
+    "mass.rear": 0.1257,
+    "contact.tail_friction": 1.0,
+}
 #: Weights (leg, spine) of the three published turning strategies.
 STEERING: dict[str, tuple[float, float]] = {"leg": (1.0, 0.0), "spine": (0.0, 1.0), "mix": (1.0, 1.0)}
 

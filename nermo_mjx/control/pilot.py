@@ -152,10 +152,15 @@ class Follow(PilotLike):
         point = self.locate(params, sensors.position, memory.point.progress)
         seen = jnp.stack([point.error, heading(point, sensors, geometry_of(params))])
         estimate = observe(
-            params.pilot, memory.guidance, seen, walk.phase, walk.speed,
+            params.pilot,
+            memory.guidance,
+            seen,
+            walk.phase,
+            walk.speed,
             params.pilot.grip * walk.yaw_rate - walk.speed * point.curvature,
-            params.gait.frequency / params.tracking.clock_ratio, 1.0 / walk.rate,
-        )  # fmt: skip
+            params.gait.frequency / params.tracking.clock_ratio,
+            1.0 / walk.rate,
+        )
         curvature = point.curvature + correction(params.pilot, estimate, walk.speed, point.curvature)
         # Avoids Newton steps for a turn rate that is not used.
         speed, turn_rate = self._guided(params, jnp.where(walk.due, curvature, 0.0))

@@ -84,8 +84,12 @@ class Switch:
         given = self.values.items() if isinstance(self.values, Mapping) else self.values
         object.__setattr__(self, "values", tuple((str(name), float(value)) for name, value in given))
         object.__setattr__(self, "gait", GAIT_CODES.get(self.gait or "", self.gait))
-        for field, names in (("gait", GAIT_PATTERNS), ("steering", STEERING), ("head", HEADS),
-                             ("tail_motion", TAIL_MOTIONS)):  # fmt: skip
+        for field, names in (
+            ("gait", GAIT_PATTERNS),
+            ("steering", STEERING),
+            ("head", HEADS),
+            ("tail_motion", TAIL_MOTIONS),
+        ):
             if (name := getattr(self, field)) is not None:
                 choice(field, name, names)
         modes = self.modes
@@ -194,8 +198,10 @@ def scheduled(control: Tree, schedule: Schedule | None, time: Scalars | float, c
     rate = jnp.asarray(cycle_rate)[..., None]
     come = jnp.clip((time - schedule.at) * rate / schedule.blend, 0.0, 1.0)
     courses = _courses(control, schedule)
-    now = {name: course[..., 0] + jnp.sum(come * (course[..., 1:] - course[..., :-1]), -1)
-           for name, course in courses.items()}  # fmt: skip
+    now = {
+        name: course[..., 0] + jnp.sum(come * (course[..., 1:] - course[..., :-1]), -1)
+        for name, course in courses.items()
+    }
     return replace_quantities(control, now)
 
 

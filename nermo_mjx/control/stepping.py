@@ -210,9 +210,11 @@ class FreeStepping(Stepping):
         """The servo angles plus the offset of each [rad]."""
         trim = params.trim
         return dataclasses.replace(
-            servos, hip=servos.hip + _added(trim.hip), knee=servos.knee + _added(trim.knee),
+            servos,
+            hip=servos.hip + _added(trim.hip),
+            knee=servos.knee + _added(trim.knee),
             spine=servos.spine + trim.spine,
-        )  # fmt: skip
+        )
 
     def check(self, params: ControlParameters) -> None:
         """Reject limbs that would always or never be in stance; `params` are not traced, and may have leading batch

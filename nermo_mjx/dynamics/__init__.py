@@ -31,10 +31,8 @@ _HOMES = {
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 
-__all__ = [
-    "GradientCheck", "MassConstants", "PlaceConstants", "approximated", "check_gradient", "checkpointed_scan", "fitted",
-    "forward", "not_simulated", "step",
-]  # fmt: skip
+__all__ = ["GradientCheck", "MassConstants", "PlaceConstants", "approximated", "check_gradient", "checkpointed_scan"]
+__all__ += ["fitted", "forward", "not_simulated", "step"]
 
 
 def __getattr__(name: str) -> Any:

@@ -182,10 +182,12 @@ def trial(
     def value(point: Point) -> tuple[Array, Array]:
         heavier, rougher = 1.0 + point.factors  # constants that MuJoCo derives from masses are not updated
         changed = device.replace(
-            body_mass=device.body_mass * heavier, body_inertia=device.body_inertia * heavier,
+            body_mass=device.body_mass * heavier,
+            body_inertia=device.body_inertia * heavier,
             body_subtreemass=device.body_subtreemass * heavier,
-            geom_friction=device.geom_friction * rougher, pair_friction=device.pair_friction * rougher,
-        )  # fmt: skip
+            geom_friction=device.geom_friction * rougher,
+            pair_friction=device.pair_friction * rougher,
+        )
         qpos, qvel, act, ctrl = state
         first = positions(device, qpos, point.position), qvel + point.velocity, act + point.activation
         ctrl = ctrl + point.control

@@ -19,9 +19,24 @@ _RESULTS_OVER_CARRY: Final = 256
 #: Operations that only move data: the backward pass repeats them instead of storing their results. Gathers made up half
 #: of what was stored for a step of the robot.
 _MOVES: Final = frozenset(
-    {"broadcast_in_dim", "concatenate", "convert_element_type", "dynamic_slice", "gather", "iota", "neg", "pad",
-     "reshape", "rev", "select_n", "slice", "split", "squeeze", "transpose"}
-)  # fmt: skip
+    {
+        "broadcast_in_dim",
+        "concatenate",
+        "convert_element_type",
+        "dynamic_slice",
+        "gather",
+        "iota",
+        "neg",
+        "pad",
+        "reshape",
+        "rev",
+        "select_n",
+        "slice",
+        "split",
+        "squeeze",
+        "transpose",
+    }
+)
 
 
 def keeping_little(function: Callable[..., Any]) -> Callable[..., Any]:

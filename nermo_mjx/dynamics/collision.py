@@ -271,10 +271,16 @@ def closest_on_segment(start: Vector, end: Vector, point: Vector) -> Vector:
 OURS: Final = {
     (getattr(GeomType, one), getattr(GeomType, other)): function
     for one, other, function in (
-        ("PLANE", "CAPSULE", plane_capsule), ("PLANE", "BOX", plane_box), ("PLANE", "CYLINDER", plane_cylinder),
+        ("PLANE", "CAPSULE", plane_capsule),
+        ("PLANE", "BOX", plane_box),
+        ("PLANE", "CYLINDER", plane_cylinder),
         ("SPHERE", "SPHERE", sphere_sphere),
-        ("SPHERE", "CAPSULE", sphere_capsule), ("SPHERE", "CYLINDER", sphere_cylinder), ("SPHERE", "BOX", sphere_box),
-        ("CAPSULE", "CAPSULE", capsule_capsule), ("SPHERE", "ELLIPSOID", sphere_ellipsoid),
-        ("CAPSULE", "ELLIPSOID", capsule_ellipsoid), ("ELLIPSOID", "ELLIPSOID", ellipsoid_ellipsoid),
+        ("SPHERE", "CAPSULE", sphere_capsule),
+        ("SPHERE", "CYLINDER", sphere_cylinder),
+        ("SPHERE", "BOX", sphere_box),
+        ("CAPSULE", "CAPSULE", capsule_capsule),
+        ("SPHERE", "ELLIPSOID", sphere_ellipsoid),
+        ("CAPSULE", "ELLIPSOID", capsule_ellipsoid),
+        ("ELLIPSOID", "ELLIPSOID", ellipsoid_ellipsoid),
     )
-}  # fmt: skip
+}

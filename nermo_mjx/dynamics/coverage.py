@@ -15,17 +15,22 @@ from jaxtyping import Float
 
 #: Fields that say which elements have a feature, by what is said of it; an element has it where its entry is not zero.
 FEATURES: Final[dict[str, tuple[tuple[str, str], ...]]] = {
-    "has a delay, and MJX keeps no history: set delay to "
-    "0": (("actuator", "actuator_delay"), ("sensor", "sensor_delay")),
+    "has a delay, and MJX keeps no history: set delay to 0": (
+        ("actuator", "actuator_delay"),
+        ("sensor", "sensor_delay"),
+    ),
     "is read at an interval, and MJX keeps no history: remove interval": (("sensor", "sensor_interval"),),
     "has a surface velocity: remove surfacevel": (("geom", "geom_surfacevel"),),
     "is adhesive: set adhesion to 0": (("geom", "geom_adhesion"), ("pair", "pair_adhesion")),
     "has a spring that yields: remove its yield": (("joint", "jnt_springyield"), ("tendon", "tendon_springyield")),
-}  # fmt: skip
+}
 #: Fields with the plugin of each element; -1 is none.
 PLUGINS: Final = (
-    ("body", "body_plugin"), ("geom", "geom_plugin"), ("actuator", "actuator_plugin"), ("sensor", "sensor_plugin"),
-)  # fmt: skip
+    ("body", "body_plugin"),
+    ("geom", "geom_plugin"),
+    ("actuator", "actuator_plugin"),
+    ("sensor", "sensor_plugin"),
+)
 #: What a rangefinder of MJX cannot see.
 UNSEEN: Final = (mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_HFIELD, mujoco.mjtGeom.mjGEOM_SDF)
 _OTHERS: Final = "their contacts are MJX's, and may be others than MuJoCo C's"

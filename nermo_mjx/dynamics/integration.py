@@ -118,9 +118,11 @@ def _runge_kutta(model: mjx.Model, start: mjx.Data, forward: Forward) -> mjx.Dat
     def stage(rates: Rates, node: Array) -> tuple[Rates, Rates]:
         velocity, acceleration, activation = (node * dt * rate for rate in rates)
         data = start.replace(
-            qpos=positions(model, start.qpos, velocity), qvel=start.qvel + acceleration, act=start.act + activation,
+            qpos=positions(model, start.qpos, velocity),
+            qvel=start.qvel + acceleration,
+            act=start.act + activation,
             time=start.time + node * dt,
-        )  # fmt: skip
+        )
         after = forward(model, data)
         found = (data.qvel, after.qacc, after.act_dot)
         return found, found
@@ -159,10 +161,12 @@ def _turned(quaternion: Float[Array, " 4"], turn: Float[Array, " 3"]) -> Float[A
     sinc = jnp.where(small, 1.0 - square / 6.0, jnp.sin(angle) / angle)
     cosine = jnp.where(small, 1.0 - square / 2.0, jnp.cos(angle))
     (w, x, y, z), (a, b, c) = quaternion, sinc * half
-    product = jnp.stack([
-        w * cosine - x * a - y * b - z * c,
-        w * a + x * cosine + y * c - z * b,
-        w * b - x * c + y * cosine + z * a,
-        w * c + x * b - y * a + z * cosine,
-    ])  # fmt: skip
+    product = jnp.stack(
+        [
+            w * cosine - x * a - y * b - z * c,
+            w * a + x * cosine + y * c - z * b,
+            w * b - x * c + y * cosine + z * a,
+            w * c + x * b - y * a + z * cosine,
+        ]
+    )
     return product / jnp.sqrt(product @ product)

@@ -76,20 +76,29 @@ def _segment_direction(vector: Array, length: Scalar) -> Array:
 
 
 #: What MJX's `smooth` takes from `math`, where `norm` and `safe_div` are those of tendons' segments.
-_TENDONS_MATH: Final = types.SimpleNamespace(**{
-    **vars(math), "norm": _segment_length, "safe_div": _segment_direction, "quat_to_axis_angle": axis_and_angle,
-})  # fmt: skip
+_TENDONS_MATH: Final = types.SimpleNamespace(
+    **{
+        **vars(math),
+        "norm": _segment_length,
+        "safe_div": _segment_direction,
+        "quat_to_axis_angle": axis_and_angle,
+    }
+)
 
 
 def with_point_jacobians(stage: Callable[P, T]) -> Callable[P, T]:
     """A function that calls stages of MJX, with the replacements of this module in place while it is traced."""
     ours = {
-        (support, "jac"): point_jacobian, (support, "wrap_circle"): circle,
-        (support, "wrap_inside"): inside, (support, "_length_circle"): arc,
+        (support, "jac"): point_jacobian,
+        (support, "wrap_circle"): circle,
+        (support, "wrap_inside"): inside,
+        (support, "_length_circle"): arc,
         (collision_sdf, "_cylinder"): spatial.cylinder_distance,
-        (support, "muscle_dynamics_timescale"): muscle_time_constant, (math, "quat_to_axis_angle"): axis_and_angle,
-        (constraint, "_kbi"): stiffness_damping_impedance, (smooth, "math"): _TENDONS_MATH,
-    }  # fmt: skip
+        (support, "muscle_dynamics_timescale"): muscle_time_constant,
+        (math, "quat_to_axis_angle"): axis_and_angle,
+        (constraint, "_kbi"): stiffness_damping_impedance,
+        (smooth, "math"): _TENDONS_MATH,
+    }
 
     @functools.wraps(stage)
     def traced(*args: P.args, **kwargs: P.kwargs) -> T:

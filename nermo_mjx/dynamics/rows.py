@@ -75,9 +75,14 @@ def read(model: mjx.Model, data: mjx.Data) -> tuple[Layout, Problem]:
     friction = contact.friction[len(dims) - len(chosen) :]
     mu = friction[:, :1] / jnp.sqrt(model.opt.impratio)
     return Layout(*_counts(model), cones), Problem(
-        inertia=mjx.full_m(model, data), smooth=data.qfrc_smooth, jacobian=rows.efc_J, aref=rows.efc_aref,
-        stiffness=rows.efc_D, frictionloss=rows.efc_frictionloss, cone=jnp.concatenate([mu, friction], axis=1),
-    )  # fmt: skip
+        inertia=mjx.full_m(model, data),
+        smooth=data.qfrc_smooth,
+        jacobian=rows.efc_J,
+        aref=rows.efc_aref,
+        stiffness=rows.efc_D,
+        frictionloss=rows.efc_frictionloss,
+        cone=jnp.concatenate([mu, friction], axis=1),
+    )
 
 
 def with_joint_inertia(model: mjx.Model, data: mjx.Data, lower: Float[Array, "nv nv"]) -> mjx.Data:

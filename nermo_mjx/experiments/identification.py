@@ -219,7 +219,7 @@ class Candidates:
             np.concatenate([walk[i][: len(block)] for walk, block in zip(walks, blocks, strict=True)]) for i in (0, 1)
         )
         found = figures(speed)
-        return found, objective(found, ~walked.all(axis=1))
+        return found, objective(found, np.logical_not(walked.all(axis=1)))
 
     def _append(self, row: dict[str, object]) -> None:
         if self._path is not None:

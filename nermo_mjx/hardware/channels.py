@@ -111,8 +111,12 @@ class Channels:
 def default_channels(servos: Sequence[str], routing: str = "type3") -> Channels:
     """A robot's servos in their order, in the controller's own angles, with the model's limits."""
     limits = [tuple(math.degrees(end) for end in servo_range(servo, routing)) for servo in servos]
-    return Channels(tuple(Channel(servo, i, low=low, high=high)
-                          for i, (servo, (low, high)) in enumerate(zip(servos, limits, strict=True))))  # fmt: skip
+    return Channels(
+        tuple(
+            Channel(servo, i, low=low, high=high)
+            for i, (servo, (low, high)) in enumerate(zip(servos, limits, strict=True))
+        )
+    )
 
 
 def read_channels(source: str | os.PathLike[str] | Mapping[str, Any]) -> Channels:
@@ -139,8 +143,10 @@ def read_channels(source: str | os.PathLike[str] | Mapping[str, Any]) -> Channel
         if channel.number in found:
             doc.fail((servo, "channel"), f"is {channel.number}, which {found[channel.number].servo} has already.")
         if channel.low >= channel.high:
-            doc.fail((servo, "low" if "low" in given else "high"), f"low is {channel.low:g} and high {channel.high:g}: "
-                     "low must be less.")  # fmt: skip
+            doc.fail(
+                (servo, "low" if "low" in given else "high"),
+                f"low is {channel.low:g} and high {channel.high:g}: low must be less.",
+            )
         found[channel.number] = channel
     if not found:
         doc.fail((), "no servo is named; at least one is needed.")

@@ -167,11 +167,16 @@ def address(url: str, field: str) -> SplitResult:
     try:
         parts = urlsplit(re.sub("^ros://", "ws://", url))
         # A port out of range raises; MQTT has no path (the topic is none), and takes a user without a password.
-        right = all((
-            parts.scheme in _PORTS and parts.hostname, parts.port != 0, not parts.fragment,
-            parts.username or parts.password is None, parts.scheme == "mqtt" or not parts.username or parts.password,
-            parts.scheme != "mqtt" or not (parts.path.strip("/") or parts.query),
-        ))  # fmt: skip
+        right = all(
+            (
+                parts.scheme in _PORTS and parts.hostname,
+                parts.port != 0,
+                not parts.fragment,
+                parts.username or parts.password is None,
+                parts.scheme == "mqtt" or not parts.username or parts.password,
+                parts.scheme != "mqtt" or not (parts.path.strip("/") or parts.query),
+            )
+        )
     except ValueError:
         right = False
     if not right:

@@ -85,8 +85,11 @@ class ServoTable:
     @property
     def too_fast(self) -> str:
         """A sentence on the servos that exceed the speed of the model's; empty if there are none."""
-        names = [f"{name} ({speed:.0f})" for name, speed in zip(self.names, self.speed, strict=True)
-                 if speed > self.servo_speed]  # fmt: skip
+        names = [
+            f"{name} ({speed:.0f})"
+            for name, speed in zip(self.names, self.speed, strict=True)
+            if speed > self.servo_speed
+        ]
         what = f"asked for more than the {self.servo_speed:.0f} deg/s that the model's servos can do: "
         return f"{what}{', '.join(names)}." if names else ""
 
@@ -108,8 +111,10 @@ class ServoTable:
         ]
         headings = ["time [s]", *(f"{name} [deg]" for name in self.names)]
         digits = 3 if self.channels.whole_degrees is None else 0
-        rows = (",".join([f"{t:.6f}", *(f"{angle + 0.0:.{digits}f}" for angle in row)])
-                for t, row in zip(self.time.tolist(), np.round(self.given, 3).tolist(), strict=True))  # fmt: skip
+        rows = (
+            ",".join([f"{t:.6f}", *(f"{angle + 0.0:.{digits}f}" for angle in row)])
+            for t, row in zip(self.time.tolist(), np.round(self.given, 3).tolist(), strict=True)
+        )
         return "\n".join([*(f"# {line}" for line in lines), ",".join(headings), *rows]) + "\n"
 
 
@@ -186,8 +191,17 @@ def servo_table(
     check_limits(connected, columns, time)
     steps = np.abs(np.diff(np.concatenate([columns, columns[:1]]), axis=0))
     fastest = math.degrees(float(world.model.servo.top_speed))
-    return ServoTable(tuple(channel.servo for channel in connected), time, columns, rate, cycles, frequency, connected,
-                      steps.max(axis=0) * rate, fastest)  # fmt: skip
+    return ServoTable(
+        tuple(channel.servo for channel in connected),
+        time,
+        columns,
+        rate,
+        cycles,
+        frequency,
+        connected,
+        steps.max(axis=0) * rate,
+        fastest,
+    )
 
 
 def check_rate(rate: float) -> None:
@@ -247,9 +261,16 @@ def _run(
 def _still(n_servos: int) -> Sensors:
     """Placeholder sensor readings, which an open loop ignores."""
     shapes = {
-        "orientation": 4, "servo_angle": n_servos, "servo_velocity": n_servos, "servo_torque": n_servos,
-        "knee_angle": 4, "foot_force": 4, "foot_position": (4, 3), "foot_velocity": (4, 3), "tail_force": (),
-    }  # fmt: skip
+        "orientation": 4,
+        "servo_angle": n_servos,
+        "servo_velocity": n_servos,
+        "servo_torque": n_servos,
+        "knee_angle": 4,
+        "foot_force": 4,
+        "foot_position": (4, 3),
+        "foot_velocity": (4, 3),
+        "tail_force": (),
+    }
     return Sensors(**{f.name: jnp.zeros(shapes.get(f.name, 3)) for f in dataclasses.fields(Sensors)})
 
 
@@ -334,8 +355,11 @@ def recorded_table(
     check_limits(connected, angles, time)
     fastest = np.abs(np.diff(angles, axis=0)).max(axis=0) * rate
     known = dict(quantities(ModelParameters))
-    given = {name: float(value) for name, value in (recording.metadata.get("parameters") or {}).items()
-             if name.startswith("servo.") and name in known}  # fmt: skip
+    given = {
+        name: float(value)
+        for name, value in (recording.metadata.get("parameters") or {}).items()
+        if name.startswith("servo.") and name in known
+    }
     possible = math.degrees(float(replace_quantities(ModelParameters(), given).servo.top_speed))
     names = tuple(channel.servo for channel in connected)
     return ServoTable(names, time, angles, rate, None, None, connected, fastest, possible)

@@ -254,10 +254,14 @@ def four_legs(geometry: Geometry) -> Leg:
         return xp.stack(xp.broadcast_arrays(*(xp.asarray(each, float) for each in (front, front, rear, rear))), axis)
 
     front, rear = (leg_geometry(geometry, pair, xp) for pair in ("front", "rear"))
-    return Leg(**{
-        field.name: stacked(getattr(front, field.name), getattr(rear, field.name), -2 if field.name == "guide" else -1)
-        for field in dataclasses.fields(Leg)
-    })  # fmt: skip
+    return Leg(
+        **{
+            field.name: stacked(
+                getattr(front, field.name), getattr(rear, field.name), -2 if field.name == "guide" else -1
+            )
+            for field in dataclasses.fields(Leg)
+        }
+    )
 
 
 def points(leg: Leg, q1: ArrayLike, knee_angle: ArrayLike, ankle: ArrayLike = 0.0) -> LegPoints:

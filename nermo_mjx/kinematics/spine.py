@@ -174,12 +174,14 @@ def _magnitude(value: Array) -> tuple[Array, Array]:
 def _link(alpha: float, a: float, theta: float, d: float) -> np.ndarray:
     """One modified DH link (5.23)."""
     (cos, sin), (cos_a, sin_a) = ((math.cos(angle), math.sin(angle)) for angle in (theta, alpha))
-    return np.array([
-        [cos, -sin, 0.0, a],
-        [sin * cos_a, cos * cos_a, -sin_a, -sin_a * d],
-        [sin * sin_a, cos * sin_a, cos_a, cos_a * d],
-        [0.0, 0.0, 0.0, 1.0],
-    ])  # fmt: skip
+    return np.array(
+        [
+            [cos, -sin, 0.0, a],
+            [sin * cos_a, cos * cos_a, -sin_a, -sin_a * d],
+            [sin * sin_a, cos * sin_a, cos_a, cos_a * d],
+            [0.0, 0.0, 0.0, 1.0],
+        ]
+    )
 
 
 @functools.cache

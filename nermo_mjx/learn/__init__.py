@@ -19,10 +19,9 @@ if TYPE_CHECKING:
 #: Names that import tables, figures and checkpoints, which running a policy does not need.
 _LATER: Final = {"Training": "spec", "TrainingResult": "run", "run_training": "run"}
 
-__all__ = [
-    "PPO", "SENTENCES", "TERMS", "Environment", "Modulation", "Outcome", "Policy", "Residual", "ShortHorizon", "State",
-    "Targets", "Task", "Term", "Training", "TrainingResult", "load_policy", "run_training", "task_parameters",
-]  # fmt: skip
+__all__ = ["PPO", "SENTENCES", "TERMS", "Environment", "Modulation", "Outcome", "Policy", "Residual", "ShortHorizon"]
+__all__ += ["State", "Targets", "Task", "Term", "Training", "TrainingResult", "load_policy", "run_training"]
+__all__ += ["task_parameters"]
 
 
 def __getattr__(name: str) -> Any:

@@ -131,9 +131,12 @@ class Targets(ServoAction):
 
 #: Default parameters of `Modulation`, and their ranges.
 MODULATED: Final[Mapping[str, tuple[float, float]]] = {
-    "frequency": (0.4, 1.4), "stride": (0.4, 1.0), "spine.amplitude": (0.0, 0.4), "spine.phase": (-3.1416, 3.1416),
+    "frequency": (0.4, 1.4),
+    "stride": (0.4, 1.0),
+    "spine.amplitude": (0.0, 0.4),
+    "spine.phase": (-3.1416, 3.1416),
     "pilot.turn_rate": (-1.0, 1.0),
-}  # fmt: skip
+}
 
 
 @dataclasses.dataclass(frozen=True)

@@ -70,5 +70,14 @@ def cost_of(training: Training, engine: str = "auto") -> Cost:
     disk = KEPT * 16 * weights + 40 * _NUMBER * training.iterations
     walks = 2 * training.evaluation.bodies  # by the policy, and by the controller alone
     evaluated = sum(walks * float(training.run.seconds(setup.cycle_rate({}))[1]) for setup, _ in training.evaluated())
-    return Cost(name, training.iterations, training.steps_per_iteration, steps, steps * worlds.step_seconds, wall, said,
-                disk, evaluated)  # fmt: skip
+    return Cost(
+        name,
+        training.iterations,
+        training.steps_per_iteration,
+        steps,
+        steps * worlds.step_seconds,
+        wall,
+        said,
+        disk,
+        evaluated,
+    )

@@ -114,9 +114,11 @@ class Directory:
     def keep(self, learned: Learned, curves: Curves) -> None:
         """Store what was learned, and its history."""
         about = {
-            "names": list(curves.names), "rows": list(curves.rows.shape), "codes": curves.codes,
+            "names": list(curves.names),
+            "rows": list(curves.rows.shape),
+            "codes": curves.codes,
             "identity": self.training.identity(),
-        }  # fmt: skip
+        }
         with clear_errors(self.out):
             self._checkpoints.save(int(learned.iteration), {"learned": learned, "history": curves.rows}, about)
 
@@ -130,8 +132,10 @@ class Directory:
         here, there = self.training.identity(), about["identity"]
         apart = changes(there["fields"], _plain(here["fields"]))
         if apart:
-            raise WrongDirectory(f"{self.out} holds another training, with another {', '.join(apart)} (see "
-                                 f"{self.out / SPEC}); choose another directory.")  # fmt: skip
+            raise WrongDirectory(
+                f"{self.out} holds another training, with another {', '.join(apart)} (see "
+                f"{self.out / SPEC}); choose another directory."
+            )
         apart = changes(there["defaults"], _plain(here["defaults"]))
         if apart and not accept:
             raise OtherCode(

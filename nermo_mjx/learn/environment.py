@@ -142,9 +142,18 @@ class CWorlds:
             observation[ended], privileged[ended] = first.observation, first.privileged
         self.newest = object()
         return State(
-            observation, privileged, seen.reward, seen.terms, seen.terminated, seen.truncated, seen.status,
-            seen.observation, seen.privileged, seen.episode, self.newest,
-        )  # fmt: skip
+            observation,
+            privileged,
+            seen.reward,
+            seen.terms,
+            seen.terminated,
+            seen.truncated,
+            seen.status,
+            seen.observation,
+            seen.privileged,
+            seen.episode,
+            self.newest,
+        )
 
 
 class World(NamedTuple):
@@ -225,9 +234,18 @@ class MjxWorlds:
     def _state(self, seen: Observed, first: Observed | None, world: World) -> State:
         first = seen if first is None else first
         return State(
-            first.observation, first.privileged, seen.reward, seen.terms, seen.terminated, seen.truncated, seen.status,
-            seen.observation, seen.privileged, seen.episode, world,
-        )  # fmt: skip
+            first.observation,
+            first.privileged,
+            seen.reward,
+            seen.terms,
+            seen.terminated,
+            seen.truncated,
+            seen.status,
+            seen.observation,
+            seen.privileged,
+            seen.episode,
+            world,
+        )
 
 
 def picked(choice: Truth, one: Any, other: Any) -> Any:

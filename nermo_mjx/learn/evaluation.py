@@ -24,9 +24,17 @@ UNSEEN: Final = 0x5EED
 POLICY, ALONE = "policy", "alone"
 #: Metrics of the table.
 METRICS: Final = (
-    "speed", "distance", "lateral_drift", "cross_track_peak", "cost_of_transport", "electrical_cost_of_transport",
-    "servo_work", "slip", "fell", "diverged",
-)  # fmt: skip
+    "speed",
+    "distance",
+    "lateral_drift",
+    "cross_track_peak",
+    "cost_of_transport",
+    "electrical_cost_of_transport",
+    "servo_work",
+    "slip",
+    "fell",
+    "diverged",
+)
 
 
 class Evaluator:

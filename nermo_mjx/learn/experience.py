@@ -106,8 +106,10 @@ def new_layers(key: PRNGKeyArray, sizes: Sequence[int]) -> Layers:
     """Layers of these sizes: orthogonal weights, so that signals keep their length, and no bias."""
     orthogonal = jax.nn.initializers.orthogonal(jnp.sqrt(2.0))
     keys = jax.random.split(key, len(sizes) - 1)
-    return tuple((orthogonal(each, (a, b), jnp.float32), jnp.zeros(b, jnp.float32))
-                 for each, a, b in zip(keys, sizes[:-1], sizes[1:], strict=True))  # fmt: skip
+    return tuple(
+        (orthogonal(each, (a, b), jnp.float32), jnp.zeros(b, jnp.float32))
+        for each, a, b in zip(keys, sizes[:-1], sizes[1:], strict=True)
+    )
 
 
 def apply(layers: Layers, x: Float[Array, "*batch i"]) -> Float[Array, "*batch o"]:
@@ -294,8 +296,17 @@ def _stepped(
         action = np.asarray(policy(state.observation, each))
         state = environment.step(state, action)
         then = np.concatenate([state.final_observation, state.final_privileged], axis=-1, dtype=np.float32)
-        rows.append(Experience(seen, action, np.asarray(state.reward, np.float32), dict(state.terms),
-                               np.asarray(state.terminated), np.asarray(state.truncated), then))  # fmt: skip
+        rows.append(
+            Experience(
+                seen,
+                action,
+                np.asarray(state.reward, np.float32),
+                dict(state.terms),
+                np.asarray(state.terminated),
+                np.asarray(state.truncated),
+                then,
+            )
+        )
     return state, jax.tree.map(lambda *each: np.stack(each), *rows)
 
 
@@ -303,8 +314,10 @@ def _of_parts(
     mixture: Mixture, policy: Callable[[Any, Any], Array], state: Any, noise: Float[Values, "t n a"]
 ) -> tuple[Any, Experience]:
     """Steps of several environments on the host. None waits for another one, so that all processors are busy."""
-    calls = [functools.partial(_stepped, part, policy, *given)
-             for part, *given in zip(mixture.parts, state.engine, mixture.split(noise, 1), strict=True)]  # fmt: skip
+    calls = [
+        functools.partial(_stepped, part, policy, *given)
+        for part, *given in zip(mixture.parts, state.engine, mixture.split(noise, 1), strict=True)
+    ]
     states, found = zip(*mixture.at_once(calls), strict=True)
 
     def told(i: int, values: Float[Values, "t n k"]) -> Float[Values, "t n k"]:
@@ -333,9 +346,14 @@ def scanned(
         state, action = finite_backwards((state, _act(actor, statistics, state.observation, noise)))
         after = environment.step(state, action)
         return after, Experience(
-            both(state.observation, state.privileged), action, jnp.asarray(after.reward, jnp.float32), after.terms,
-            after.terminated, after.truncated, both(after.final_observation, after.final_privileged),
-        )  # fmt: skip
+            both(state.observation, state.privileged),
+            action,
+            jnp.asarray(after.reward, jnp.float32),
+            after.terms,
+            after.terminated,
+            after.truncated,
+            both(after.final_observation, after.final_privileged),
+        )
 
     return jax.lax.scan(step, state, noise)
 
@@ -349,8 +367,12 @@ def finite_backwards(tree: Any) -> Any:
 def _backwards(_: None, cotangents: Any) -> tuple[Any]:
     leaves = [each for each in jax.tree.leaves(cotangents) if _batched(each)]
     fine = jnp.stack([jnp.isfinite(each).reshape(len(each), -1).all(axis=1) for each in leaves]).all(axis=0)
-    return (jax.tree.map(lambda each: jnp.where(fine.reshape(-1, *[1] * (each.ndim - 1)), each, 0.0)
-                         if _batched(each) else each, cotangents),)  # fmt: skip
+    return (
+        jax.tree.map(
+            lambda each: jnp.where(fine.reshape(-1, *[1] * (each.ndim - 1)), each, 0.0) if _batched(each) else each,
+            cotangents,
+        ),
+    )
 
 
 def _batched(cotangent: Any) -> bool:
@@ -412,9 +434,16 @@ def beginning(environment: EnvironmentLike, seed: int, hidden: tuple[int, ...], 
         critic = new_layers(second, (size, *hidden, 1))
         step = descent()
         return Learned(
-            actor, critic, critic, Statistics.none(size), (step.init(actor), step.init(critic)), jnp.float32(rate),
-            jax.random.key_data(key), jnp.zeros((), jnp.int32), jnp.zeros((), jnp.int32),
-        )  # fmt: skip
+            actor,
+            critic,
+            critic,
+            Statistics.none(size),
+            (step.init(actor), step.init(critic)),
+            jnp.float32(rate),
+            jax.random.key_data(key),
+            jnp.zeros((), jnp.int32),
+            jnp.zeros((), jnp.int32),
+        )
 
     learned: Learned = begun(jax.random.key(seed))
     return learned

@@ -151,11 +151,17 @@ class EpisodeLoop:
         sensors = self.run.last_reading(now, sensordata)
         status, failed = self._status(params, state, now)
         moment = Moment(
-            before=state.before, now=now, sensors=sensors, seconds=jnp.asarray(self.dt * self.task.decimation),
-            speed=speed, command={name: getattr(params.given.command, name) for name in self.task.commands},
-            action=state.action, last_action=state.last_action, failed=failed,
+            before=state.before,
+            now=now,
+            sensors=sensors,
+            seconds=jnp.asarray(self.dt * self.task.decimation),
+            speed=speed,
+            command={name: getattr(params.given.command, name) for name in self.task.commands},
+            action=state.action,
+            last_action=state.last_action,
+            failed=failed,
             arrived=status == _code(Outcome.arrived),
-        )  # fmt: skip
+        )
         begun = state.loop.tick > 0
         values = {term.name: jnp.where(begun, term.value(moment), 0.0) for term in self.terms}
         # A world that diverged gives none; it is restarted.
@@ -164,10 +170,15 @@ class EpisodeLoop:
         observation, privileged = self._told(params, state, now, sensors)
         cut = (status == _code(Outcome.timed_out)) | (status == _code(Outcome.arrived))
         return Observed(
-            observation=observation, privileged=privileged, reward=reward, terms=values, terminated=failed,
-            truncated=cut, status=status,
+            observation=observation,
+            privileged=privileged,
+            reward=reward,
+            terms=values,
+            terminated=failed,
+            truncated=cut,
+            status=status,
             episode={"distance": now.travelled, "duration": state.loop.time, "servo_work": now.sums["work"]},
-        )  # fmt: skip
+        )
 
     def _told(
         self, params: EpisodeParameters, state: EpisodeState, now: MetricState, sensors: Sensors
@@ -197,9 +208,12 @@ class EpisodeLoop:
         arrived = no if task.distance is None else now.travelled >= task.distance
         left = no if task.corridor is None else jnp.abs(now.readings[3]) > task.corridor
         flags = {
-            Outcome.diverged: now.lost, Outcome.fell: now.fell, Outcome.left: left, Outcome.arrived: arrived,
+            Outcome.diverged: now.lost,
+            Outcome.fell: now.fell,
+            Outcome.left: left,
+            Outcome.arrived: arrived,
             Outcome.timed_out: over,
-        }  # fmt: skip
+        }
         codes = [jnp.asarray(_code(outcome), jnp.int32) for outcome in flags]
         status = jnp.select(list(flags.values()), codes, jnp.asarray(_code(Outcome.walking), jnp.int32))
         return status, now.lost | now.fell | left

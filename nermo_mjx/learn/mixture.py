@@ -170,8 +170,10 @@ def check_alike(loops: Mapping[str, EpisodeLoop]) -> None:
     for other, loop in others:
         names = set(loop.observation_names) ^ set(first.observation_names)
         same = (loop.observer, loop.controller.kind, loop.dt * loop.task.decimation) == (
-            first.observer, first.controller.kind, first.dt * first.task.decimation
-        )  # fmt: skip
+            first.observer,
+            first.controller.kind,
+            first.dt * first.task.decimation,
+        )
         if not same:
             differs = f" ({', '.join(sorted(names))})" if names else ""
             raise ParameterError(

@@ -109,9 +109,17 @@ SENSED: Final[dict[str, Sensed]] = {
 TOLD: Final = ("phase", "command", "path", "curvature", "action")
 #: Default observation of a policy.
 OBSERVED: Final = (
-    "servo_angle", "servo_load", "knee_angle", "foot_contact", "gyro", "accelerometer", "phase", "command", "path",
+    "servo_angle",
+    "servo_load",
+    "knee_angle",
+    "foot_contact",
+    "gyro",
+    "accelerometer",
+    "phase",
+    "command",
+    "path",
     "action",
-)  # fmt: skip
+)
 #: Points of the ground that the critic sees, left of and ahead of the torso [m].
 SCANNED: Final = tuple((side, ahead) for ahead in (-0.1, 0.0, 0.1, 0.2) for side in (0.04, 0.0, -0.04))
 
@@ -254,12 +262,17 @@ def privileged_names(observed: Sequence[str], drawn: Sequence[str], path: bool) 
     """Of every number that `privileged` gives."""
     return (
         *(f"exact.{name}" for name in observed),
-        *(f"velocity.{axis}" for axis in _AXES), *(f"down.{axis}" for axis in _AXES),
-        "height", *(f"foot_force.{limb}" for limb in LIMBS), "tail_force",
+        *(f"velocity.{axis}" for axis in _AXES),
+        *(f"down.{axis}" for axis in _AXES),
+        "height",
+        *(f"foot_force.{limb}" for limb in LIMBS),
+        "tail_force",
         *(f"foot_height.{limb}" for limb in LIMBS),
         *(f"ground.{side:g}.{ahead:g}" for side, ahead in SCANNED),
-        *(() if path else ("course",)), "time_left", *(f"drawn.{name}" for name in drawn),
-    )  # fmt: skip
+        *(() if path else ("course",)),
+        "time_left",
+        *(f"drawn.{name}" for name in drawn),
+    )
 
 
 def privileged(
@@ -296,7 +309,17 @@ def privileged(
     force = jnp.append(sensors.foot_force, sensors.tail_force)
     height = jnp.reshape(z - beneath, 1)
     course = () if path else (jnp.reshape(yaw, 1),)
-    return jnp.concatenate([
-        exact, ours / 0.1, down(sensors), height / 0.05, jnp.tanh(force / 2.0), feet / 0.01,
-        jnp.clip((seen - beneath) / 0.01, -5.0, 5.0), *course, jnp.reshape(time_left, 1), drawn,
-    ])  # fmt: skip
+    return jnp.concatenate(
+        [
+            exact,
+            ours / 0.1,
+            down(sensors),
+            height / 0.05,
+            jnp.tanh(force / 2.0),
+            feet / 0.01,
+            jnp.clip((seen - beneath) / 0.01, -5.0, 5.0),
+            *course,
+            jnp.reshape(time_left, 1),
+            drawn,
+        ]
+    )

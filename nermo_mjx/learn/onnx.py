@@ -34,8 +34,12 @@ def export(policy: Policy) -> bytes:
     from onnx import TensorProto, checker, helper
 
     nodes: list[Any] = []
-    constants = {"mean": policy.statistics.mean, "spread": np.sqrt(np.asarray(policy.statistics.variance) + 1e-6),
-                 "least": np.float32(-10.0), "most": np.float32(10.0)}  # fmt: skip
+    constants = {
+        "mean": policy.statistics.mean,
+        "spread": np.sqrt(np.asarray(policy.statistics.variance) + 1e-6),
+        "least": np.float32(-10.0),
+        "most": np.float32(10.0),
+    }
 
     def node(kind: str, *inputs: str) -> str:
         name = f"{kind.lower()}_{len(nodes)}"
@@ -48,8 +52,10 @@ def export(policy: Policy) -> bytes:
         last = node("Tanh", node("Add", node("MatMul", last, f"weights.{i}"), f"bias.{i}"))
     nodes.append(helper.make_node("Identity", [last], ["action"]))
     arrays = {name: np.asarray(value, np.float32) for name, value in constants.items()}
-    stored = [helper.make_tensor(name, TensorProto.FLOAT, each.shape, each.tobytes(), raw=True)
-              for name, each in arrays.items()]  # fmt: skip
+    stored = [
+        helper.make_tensor(name, TensorProto.FLOAT, each.shape, each.tobytes(), raw=True)
+        for name, each in arrays.items()
+    ]
     sizes = {"observation": len(policy.observer.names), "action": len(policy.kind.names)}
     ends = [helper.make_tensor_value_info(name, TensorProto.FLOAT, ["n", size]) for name, size in sizes.items()]
     graph = helper.make_graph(nodes, "policy", ends[:1], ends[1:], stored)

@@ -36,11 +36,16 @@ def default_config(setup: Setup | None = None, task: Task | None = None) -> Conf
     setup, task = setup or Setup(), task or Task()
     control = setup.make_controller().dt
     scales = {_name(term): float(weight) for term, weight in task.rewards.items()}
-    return ConfigDict({
-        "ctrl_dt": control * task.decimation, "sim_dt": float(setup.timestep),
-        "episode_length": round(task.duration / control / task.decimation), "action_repeat": 1, "impl": "jax",
-        "reward_config": {"scales": scales},
-    })  # fmt: skip
+    return ConfigDict(
+        {
+            "ctrl_dt": control * task.decimation,
+            "sim_dt": float(setup.timestep),
+            "episode_length": round(task.duration / control / task.decimation),
+            "action_repeat": 1,
+            "impl": "jax",
+            "reward_config": {"scales": scales},
+        }
+    )
 
 
 class NermoMjxEnv(MjxEnv):
@@ -101,16 +106,24 @@ class NermoMjxEnv(MjxEnv):
     def _state(self, world: World, time: jax.Array, info: dict[str, Any]) -> State:
         seen, carry = self._worlds.seen(world), world.carry
         data = self._worlds.engine.data.replace(
-            time=time, qpos=carry.physics.qpos, qvel=carry.physics.qvel, act=carry.physics.act,
-            qacc_warmstart=carry.physics.qacc_warmstart, sensordata=carry.sensordata[-1],
-        )  # fmt: skip
+            time=time,
+            qpos=carry.physics.qpos,
+            qvel=carry.physics.qvel,
+            act=carry.physics.act,
+            qacc_warmstart=carry.physics.qacc_warmstart,
+            sensordata=carry.sensordata[-1],
+        )
         done = seen.terminated | (seen.status == _ARRIVED)
         metrics = {f"reward/{name}": value for name, value in seen.terms.items()}
         metrics |= {f"episode/{name}": value for name, value in seen.episode.items()}
         return State(
-            data=data, obs={"state": seen.observation, "privileged_state": seen.privileged}, reward=seen.reward,
-            done=done.astype(seen.reward.dtype), metrics=metrics, info={**info, "world": world},
-        )  # fmt: skip
+            data=data,
+            obs={"state": seen.observation, "privileged_state": seen.privileged},
+            reward=seen.reward,
+            done=done.astype(seen.reward.dtype),
+            metrics=metrics,
+            info={**info, "world": world},
+        )
 
     @property
     def xml_path(self) -> str:

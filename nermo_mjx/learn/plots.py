@@ -24,10 +24,13 @@ from nermo_mjx.runs.files import DirectoryError, content_of, parquet_table
 #: What the curves show, and how an axis is named.
 PANELS: Final = {
     "reward": "mean reward\nof a step [1]",
-    "return": "return of an\nepisode [1]", "length": "length of an\nepisode [s]", "lasted": "episodes that\nlasted [%]",
-    "kl": "change of the\npolicy [nat]", "std": "standard deviation\nof actions [1]", "explained": "variance that the\n"
-    "critic explains [%]",
-}  # fmt: skip
+    "return": "return of an\nepisode [1]",
+    "length": "length of an\nepisode [s]",
+    "lasted": "episodes that\nlasted [%]",
+    "kl": "change of the\npolicy [nat]",
+    "std": "standard deviation\nof actions [1]",
+    "explained": "variance that the\ncritic explains [%]",
+}
 #: Iterations over which a curve is smoothed, as a fraction of all.
 _SMOOTHING: Final = 0.02
 
@@ -81,8 +84,13 @@ def rewards_figure(training: Training, curves: Curves) -> Figure:
     for i, name in enumerate(terms):
         term = name.removeprefix("term.")
         value = curves.column(name) * weights.get(term, 1.0) / training.step_seconds
-        ax.plot(_million(curves), _smooth(value), color=SERIES[i % len(SERIES)], ls="-" if i < len(SERIES) else "--",
-                label=term)  # fmt: skip
+        ax.plot(
+            _million(curves),
+            _smooth(value),
+            color=SERIES[i % len(SERIES)],
+            ls="-" if i < len(SERIES) else "--",
+            label=term,
+        )
     ax.set_ylabel("reward in a second [1/s]")
     ax.set_xlabel("control steps of all worlds [million]")
     ax.legend(ncols=3, loc="best")

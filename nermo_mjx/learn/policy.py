@@ -49,9 +49,19 @@ KIND: Final = "nermo-mjx policy"
 FORM: Final = 1
 #: Choices of a setup that decide the controller that is acted on.
 BASE: Final = (
-    "robot", "tail", "routing", "gait", "spine", "steering", "profile", "pilot", "waypoints", "trajectory",
-    "head", "tail_motion",
-)  # fmt: skip
+    "robot",
+    "tail",
+    "routing",
+    "gait",
+    "spine",
+    "steering",
+    "profile",
+    "pilot",
+    "waypoints",
+    "trajectory",
+    "head",
+    "tail_motion",
+)
 
 
 @parameter_tree
@@ -131,10 +141,15 @@ class Policy:
         known = dict(quantities(setup.world({}).control))
         fixed = {name: float(value) for name, value in task.set.items() if name in known or name in GIVEN}
         return cls(
-            learned.actor, learned.statistics.first(environment.observation_size), task.action,
-            environment.loop.observer, task.decimation, {name: getattr(setup, name) for name in BASE},
-            fixed | given, about or {},
-        )  # fmt: skip
+            learned.actor,
+            learned.statistics.first(environment.observation_size),
+            task.action,
+            environment.loop.observer,
+            task.decimation,
+            {name: getattr(setup, name) for name in BASE},
+            fixed | given,
+            about or {},
+        )
 
     def upon(self, **choices: Any) -> Policy:
         """See `ActsUpon`: what it observes of a path is that of the new one."""
@@ -238,12 +253,17 @@ class Policy:
     def facts(self) -> dict[str, Any]:
         """What its numbers are, as JSON knows it."""
         return {
-            "action": named(self.kind, ACTIONS), "actions": list(self.kind.names),
-            "observation": list(self.observer.names), "observer": dataclasses.asdict(self.observer),
+            "action": named(self.kind, ACTIONS),
+            "actions": list(self.kind.names),
+            "observation": list(self.observer.names),
+            "observer": dataclasses.asdict(self.observer),
             "decimation": self.decimation,
-            "step_seconds": self.dt * self.decimation, "base": dict(self.base), "fixed": dict(self.fixed),
-            "versions": versions(), **self.about,
-        }  # fmt: skip
+            "step_seconds": self.dt * self.decimation,
+            "base": dict(self.base),
+            "fixed": dict(self.fixed),
+            "versions": versions(),
+            **self.about,
+        }
 
     def content(self) -> bytes:
         """The file; the same policy gives the same bytes."""
@@ -251,8 +271,11 @@ class Policy:
         arrays: dict[str, Any] = {"about": np.frombuffer(json.dumps(about).encode(), np.uint8)}
         for i, (weights, bias) in enumerate(self.actor.layers):
             arrays |= {f"weights.{i}": np.asarray(weights), f"bias.{i}": np.asarray(bias)}
-        arrays |= {"log_std": np.asarray(self.actor.log_std), "mean": np.asarray(self.statistics.mean),
-                   "variance": np.asarray(self.statistics.variance)}  # fmt: skip
+        arrays |= {
+            "log_std": np.asarray(self.actor.log_std),
+            "mean": np.asarray(self.statistics.mean),
+            "variance": np.asarray(self.statistics.variance),
+        }
         stream = io.BytesIO()
         np.savez(stream, **arrays)
         return stream.getvalue()
@@ -328,9 +351,13 @@ def _policy(content: bytes) -> Policy:
     policy = Policy(
         Actor(tuple((numbers[f"weights.{i}"], numbers[f"bias.{i}"]) for i in range(about.layers)), numbers["log_std"]),
         Statistics(jnp.ones(()), numbers["mean"], numbers["variance"]),
-        about.action, about.observer, about.decimation, about.base, about.fixed,
+        about.action,
+        about.observer,
+        about.decimation,
+        about.base,
+        about.fixed,
         about.model_dump(include={"trained", "versions"}, exclude_none=True),
-    )  # fmt: skip
+    )
     if policy.observer.names != about.observation:
         raise ParameterError("this version observes other numbers under these names")
     # What it acts on is made now, so that nothing is wrong with it later.

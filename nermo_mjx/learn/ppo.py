@@ -135,9 +135,15 @@ def _updated(ppo: PPO, observed: int, learned: Learned, found: Experience) -> tu
         "std": jnp.exp(actor.log_std).mean(),
     }
     after = dataclasses.replace(
-        learned, actor=actor, critic=critic, optimizers=optimizers, rate=rate, iteration=learned.iteration + 1,
-        steps=learned.steps + count, statistics=learned.statistics.extended(found.seen),
-    )  # fmt: skip
+        learned,
+        actor=actor,
+        critic=critic,
+        optimizers=optimizers,
+        rate=rate,
+        iteration=learned.iteration + 1,
+        steps=learned.steps + count,
+        statistics=learned.statistics.extended(found.seen),
+    )
     return after, about
 
 

@@ -108,13 +108,24 @@ def _iterated(
     actor, of_actor = stepped(learned.actor, slope, learned.optimizers[0], learned.rate, BETAS)
     critic, of_critic, miss, explained = _criticized(shac, learned, statistics, found, follows)
     target = jax.tree.map(lambda slow, new: slow + shac.follow * (new - slow), learned.target, critic)
-    numbers = {"loss": value, "gradient": optax.global_norm(slope), "value_loss": miss, "explained": explained,
-               "rate": learned.rate, "std": jnp.exp(actor.log_std).mean()}  # fmt: skip
+    numbers = {
+        "loss": value,
+        "gradient": optax.global_norm(slope),
+        "value_loss": miss,
+        "explained": explained,
+        "rate": learned.rate,
+        "std": jnp.exp(actor.log_std).mean(),
+    }
     learned = dataclasses.replace(
-        learned, actor=actor, critic=critic, target=target, optimizers=(of_actor, of_critic),
-        statistics=learned.statistics.extended(found.seen), iteration=learned.iteration + 1,
+        learned,
+        actor=actor,
+        critic=critic,
+        target=target,
+        optimizers=(of_actor, of_critic),
+        statistics=learned.statistics.extended(found.seen),
+        iteration=learned.iteration + 1,
         steps=learned.steps + shape[0] * shape[1],
-    )  # fmt: skip
+    )
     return learned, after, found, numbers
 
 

@@ -177,8 +177,10 @@ class TrainingFile(WalkFields):
     validation: Annotated[int, Whole(0, 100_000)] = 0
     """walks on each scene of the evaluation by which the best of all checkpoints becomes the policy; 0: the last one
     does. The best one succeeds most on the scene where it succeeds least"""
-    until: Until = optional("when the training ends before its steps are over: at the first checkpoint that the "
-                            "validation finds good enough")  # fmt: skip
+    until: Until = optional(
+        "when the training ends before its steps are over: at the first checkpoint that the "
+        "validation finds good enough"
+    )
     evaluate: Evaluation = Field(default_factory=Evaluation)
     """on what the policy is evaluated at the end"""
     plots: bool = True
@@ -257,8 +259,10 @@ class Training(WalkSpec, Described):
         """Setup and task of each scene of the evaluation; what is set there is not drawn."""
         here = [(each.setup, each.task) for each in self.scenes] or [(self.setup, self.task)]
         known = {str(setup.scene): (setup, task) for setup, task in here}
-        pairs = [known.get(scene, (dataclasses.replace(self.setup, scene=scene), self.task))
-                 for scene in self.evaluation.scenes] or here  # fmt: skip
+        pairs = [
+            known.get(scene, (dataclasses.replace(self.setup, scene=scene), self.task))
+            for scene in self.evaluation.scenes
+        ] or here
         if (physics := self.evaluation.physics) is not None:
             step = PRESETS[physics].timestep
             pairs = [(dataclasses.replace(setup, physics=physics, timestep=step), task) for setup, task in pairs]
@@ -269,8 +273,10 @@ class Training(WalkSpec, Described):
         check_worlds(self.worlds, len(self.scenes))
         parts, size = self.algorithm.minibatches, self.steps_per_iteration
         if size % parts:
-            raise ParameterError(f"algorithm has {parts} minibatches, and an iteration is {self.worlds} worlds of "
-                                 f"{self.algorithm.horizon} steps: choose a number that divides {size:,}.")  # fmt: skip
+            raise ParameterError(
+                f"algorithm has {parts} minibatches, and an iteration is {self.worlds} worlds of "
+                f"{self.algorithm.horizon} steps: choose a number that divides {size:,}."
+            )
 
     def resolved(self, folder: Path | None = None) -> dict[str, Any]:
         """See `Described`."""
@@ -320,10 +326,15 @@ def _read(doc: Document) -> Training:
     walk = read_walk(doc, file)
     setup = walk["setup"]
     if setup.controller is not None:
-        doc.fail(("controller",), "is a custom controller: a policy file can only store a published one; "
-                 "learn in Python, by nermo_mjx.learn.Environment.")  # fmt: skip
-    fixed = {**walk["fixed"], **{f"pilot.{key}": value for key, value in walk["pilot"].items()
-                                 if f"pilot.{key}" in setup.defaults()}}  # fmt: skip
+        doc.fail(
+            ("controller",),
+            "is a custom controller: a policy file can only store a published one; "
+            "learn in Python, by nermo_mjx.learn.Environment.",
+        )
+    fixed = {
+        **walk["fixed"],
+        **{f"pilot.{key}": value for key, value in walk["pilot"].items() if f"pilot.{key}" in setup.defaults()},
+    }
     task = dataclasses.replace(file.task, set={**fixed, **file.task.set}, randomize=file.randomize)
     _said(doc, (), lambda: task.check(setup))
     _said(doc, ("task",), lambda: _try_out(setup, task))
@@ -357,8 +368,12 @@ def _check_evaluation(doc: Document, training: Training) -> None:
         for name in given:
             if not any(name in getattr(task, section) for _, task in pairs):
                 twice = section == "randomize" and name in evaluation.set
-                doc.fail(("evaluate", section, name), "stands under set, too: leave one out." if twice else
-                         "is no parameter of the evaluation's scenes: leave it out.")  # fmt: skip
+                doc.fail(
+                    ("evaluate", section, name),
+                    "stands under set, too: leave one out."
+                    if twice
+                    else "is no parameter of the evaluation's scenes: leave it out.",
+                )
     for setup, task in pairs:
         _said(doc, ("evaluate",), functools.partial(task.check, setup))
 
@@ -368,8 +383,11 @@ def _evaluated(setup: Setup, task: Task, evaluation: Evaluation) -> Task:
     shape, known = terrain_values(str(setup.scene)), task_parameters(setup)
 
     def there(given: Mapping[str, Any]) -> dict[str, Any]:
-        return {name: each for name, each in given.items()
-                if (name in shape if name.startswith("terrain.") else name in known)}  # fmt: skip
+        return {
+            name: each
+            for name, each in given.items()
+            if (name in shape if name.startswith("terrain.") else name in known)
+        }
 
     values, ranges = there(evaluation.set), there({**task.randomize, **evaluation.randomize})
     drawn = {name: ends for name, ends in ranges.items() if name not in values}

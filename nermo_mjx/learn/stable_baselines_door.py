@@ -58,8 +58,11 @@ class NermoVecEnv(VecEnv):
         ended = terminated | truncated
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         for world in np.flatnonzero(ended):
-            episode = {"r": float(self._returns[world]), "l": int(self._lengths[world]),
-                       "t": time.monotonic() - self._began}  # fmt: skip
+            episode = {
+                "r": float(self._returns[world]),
+                "l": int(self._lengths[world]),
+                "t": time.monotonic() - self._began,
+            }
             final = {name: column[world] for name, column in told["final_info"].items() if not name.startswith("_")}
             infos[world] = final | {
                 "terminal_observation": told["final_obs"][world],

@@ -105,37 +105,83 @@ def _sum_square(values: Array) -> Scalar:
 
 
 _TERMS: Final = (
-    Term("progress", "m", "distance along the path, or along the smoothed heading",
-         lambda m: m.now.travelled - m.before.travelled),
-    Term("speed", "s", f"time at the commanded speed: exp(-(error / {SPEED_WIDTH:g} m/s)^2)",
-         lambda m: m.seconds * _kernel(m.speed - m.command["speed"], SPEED_WIDTH), "speed"),
-    Term("headway", "s", f"time, times tanh(speed / ({SPEED_WIDTH:g} m/s)): being stuck costs more than haste earns",
-         lambda m: m.seconds * jnp.tanh(m.speed / SPEED_WIDTH)),
-    Term("yaw_rate", "s", f"time at the commanded yaw rate: exp(-(error / {YAW_RATE_WIDTH:g} rad/s)^2)",
-         lambda m: m.seconds * _kernel(m.now.turning - m.command["yaw_rate"], YAW_RATE_WIDTH), "yaw_rate"),
+    Term(
+        "progress",
+        "m",
+        "distance along the path, or along the smoothed heading",
+        lambda m: m.now.travelled - m.before.travelled,
+    ),
+    Term(
+        "speed",
+        "s",
+        f"time at the commanded speed: exp(-(error / {SPEED_WIDTH:g} m/s)^2)",
+        lambda m: m.seconds * _kernel(m.speed - m.command["speed"], SPEED_WIDTH),
+        "speed",
+    ),
+    Term(
+        "headway",
+        "s",
+        f"time, times tanh(speed / ({SPEED_WIDTH:g} m/s)): being stuck costs more than haste earns",
+        lambda m: m.seconds * jnp.tanh(m.speed / SPEED_WIDTH),
+    ),
+    Term(
+        "yaw_rate",
+        "s",
+        f"time at the commanded yaw rate: exp(-(error / {YAW_RATE_WIDTH:g} rad/s)^2)",
+        lambda m: m.seconds * _kernel(m.now.turning - m.command["yaw_rate"], YAW_RATE_WIDTH),
+        "yaw_rate",
+    ),
     Term("deviation", "m s", "distance from the path, over time", lambda m: m.seconds * jnp.abs(m.now.readings[3])),
-    Term("tilt", "rad^2 s", "roll and pitch, squared, over time",
-         lambda m: m.seconds * _sum_square(m.now.readings[:2])),
-    Term("sway", "rad^2/s", "angular velocity about roll and pitch, squared, over time",
-         lambda m: m.seconds * _sum_square(m.sensors.gyro[:2])),
+    Term(
+        "tilt", "rad^2 s", "roll and pitch, squared, over time", lambda m: m.seconds * _sum_square(m.now.readings[:2])
+    ),
+    Term(
+        "sway",
+        "rad^2/s",
+        "angular velocity about roll and pitch, squared, over time",
+        lambda m: m.seconds * _sum_square(m.sensors.gyro[:2]),
+    ),
     Term("work", "J", "mechanical work of the servos", lambda m: m.now.sums["work"] - m.before.sums["work"]),
-    Term("torque", "N^2 m^2 s", "torques of the servos, squared, over time",
-         lambda m: m.seconds * _sum_square(m.sensors.servo_torque)),
-    Term("slip", "m", "distance that loaded feet slide, the sum of all four",
-         lambda m: jnp.sum(m.now.sums["slid"] - m.before.sums["slid"])),
-    Term("dragging", "s", "time in which feet are loaded in their commanded swing, the sum of all four",
-         lambda m: jnp.sum(m.now.sums["swing_loaded"] - m.before.sums["swing_loaded"])),
-    Term("tail", "s", "time in which the tail bears load",
-         lambda m: m.now.sums["tail_loaded"] - m.before.sums["tail_loaded"]),
+    Term(
+        "torque",
+        "N^2 m^2 s",
+        "torques of the servos, squared, over time",
+        lambda m: m.seconds * _sum_square(m.sensors.servo_torque),
+    ),
+    Term(
+        "slip",
+        "m",
+        "distance that loaded feet slide, the sum of all four",
+        lambda m: jnp.sum(m.now.sums["slid"] - m.before.sums["slid"]),
+    ),
+    Term(
+        "dragging",
+        "s",
+        "time in which feet are loaded in their commanded swing, the sum of all four",
+        lambda m: jnp.sum(m.now.sums["swing_loaded"] - m.before.sums["swing_loaded"]),
+    ),
+    Term(
+        "tail",
+        "s",
+        "time in which the tail bears load",
+        lambda m: m.now.sums["tail_loaded"] - m.before.sums["tail_loaded"],
+    ),
     Term("action", "1", "the action, squared", lambda m: _sum_square(m.action)),
-    Term("action_change", "1", "the action's change since the last step, squared",
-         lambda m: _sum_square(m.action - m.last_action)),
+    Term(
+        "action_change",
+        "1",
+        "the action's change since the last step, squared",
+        lambda m: _sum_square(m.action - m.last_action),
+    ),
     Term("alive", "s", "time", lambda m: jnp.asarray(m.seconds)),
-    Term("failed", "1", "1 where the robot fell, lost its way, or the simulation diverged",
-         lambda m: jnp.asarray(m.failed, m.speed.dtype)),
-    Term("arrived", "1", "1 where the robot has walked its distance",
-         lambda m: jnp.asarray(m.arrived, m.speed.dtype)),
-)  # fmt: skip
+    Term(
+        "failed",
+        "1",
+        "1 where the robot fell, lost its way, or the simulation diverged",
+        lambda m: jnp.asarray(m.failed, m.speed.dtype),
+    ),
+    Term("arrived", "1", "1 where the robot has walked its distance", lambda m: jnp.asarray(m.arrived, m.speed.dtype)),
+)
 #: All terms, by name.
 TERMS: Final[Mapping[str, Term]] = {term.name: term for term in _TERMS}
 
@@ -202,8 +248,13 @@ class Given:
 RANDOMIZED: Final[Mapping[str, tuple[float, float]]] = {"start.phase": (0.0, 1.0), "start.yaw": (-0.05, 0.05)}
 #: Default rewards: walk forward, stay on the path, use little energy, stay upright.
 REWARDS: Final[Mapping[str | Term, float]] = {
-    "progress": 20.0, "deviation": -2.0, "tilt": -1.0, "work": -0.5, "action_change": -0.002, "failed": -2.0,
-}  # fmt: skip
+    "progress": 20.0,
+    "deviation": -2.0,
+    "tilt": -1.0,
+    "work": -0.5,
+    "action_change": -0.002,
+    "failed": -2.0,
+}
 
 
 class _Rewards(Checked):

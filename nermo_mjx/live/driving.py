@@ -96,8 +96,12 @@ class Driving:
         self.parameters = dict(quantities(self._controller.parameters))
         endless = jax.tree.map(np.full_like, self.batch.params.window, Window(begin=0.0, end=1e6, distance=1e6))
         self._params = dataclasses.replace(self.batch.params, window=endless, schedule=None)
-        self._about = {"parameters": setup.defaults() | self.values, "setup": setup.fields(), "engine": "c",
-                       "versions": versions()}  # fmt: skip
+        self._about = {
+            "parameters": setup.defaults() | self.values,
+            "setup": setup.fields(),
+            "engine": "c",
+            "versions": versions(),
+        }
         self._hash = model_hash(self.simulator.robot.model)
         self._compiled: Any = None
         self.reset()
@@ -331,9 +335,13 @@ def _read(recording: Recording) -> tuple[Setup, dict[str, float], list[tuple[int
     driven: Any = recording.metadata.get("driven")
     fields: Any = dict(recording.metadata.get("setup") or {})
     try:
-        commands = [(int(tick), Switch(**{("values" if name == "set" else name): value
-                                          for name, value in dict(written).items()}))
-                    for tick, written in driven["commands"]]  # fmt: skip
+        commands = [
+            (
+                int(tick),
+                Switch(**{("values" if name == "set" else name): value for name, value in dict(written).items()}),
+            )
+            for tick, written in driven["commands"]
+        ]
         pushes = [Push(**{**push, "force": tuple(push["force"])}) for push in driven["pushes"]]
         values = {str(name): float(value) for name, value in driven["values"].items()}
     except (TypeError, KeyError, ValueError, AttributeError) as error:

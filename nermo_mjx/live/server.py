@@ -46,10 +46,12 @@ REPLACED: Final = 4001
 
 #: Sliders of the page: parameter, title, unit, range.
 SLIDERS: Final = {
-    "frequency": ("frequency", "Hz", 0.2, 2.0), "stride": ("stride", "", 0.0, 1.2),
-    "pilot.turn_rate": ("turn", "", -1.0, 1.0), "spine.amplitude": ("spine amplitude", "rad", 0.0, 0.6),
+    "frequency": ("frequency", "Hz", 0.2, 2.0),
+    "stride": ("stride", "", 0.0, 1.2),
+    "pilot.turn_rate": ("turn", "", -1.0, 1.0),
+    "spine.amplitude": ("spine amplitude", "rad", 0.0, 0.6),
     "spine.phase": ("spine phase", "rad", -3.15, 3.15),
-}  # fmt: skip
+}
 
 Finite = Annotated[float, Field(allow_inf_nan=False, strict=True)]
 
@@ -119,9 +121,14 @@ class Drive:
         silent.setLevel(logging.CRITICAL)
         try:
             self._server = serve(
-                self._listen, "127.0.0.1", port, process_request=self._answer, max_size=LONGEST, compression=None,
+                self._listen,
+                "127.0.0.1",
+                port,
+                process_request=self._answer,
+                max_size=LONGEST,
+                compression=None,
                 logger=silent,
-            )  # fmt: skip
+            )
         except OSError as error:
             raise ParameterError(f"port is {port}: it cannot be opened ({error.strerror or error}).") from None
         self.address = f"http://127.0.0.1:{self._server.socket.getsockname()[1]}/{self._token}/"
@@ -141,8 +148,14 @@ class Drive:
             return None
         answer = connection.respond(HTTPStatus.OK, self._document())
         del answer.headers["Content-Type"]
-        answer.headers.update({"Content-Type": "text/html; charset=utf-8", "Cache-Control": "no-store",
-                               "Referrer-Policy": "no-referrer", "X-Frame-Options": "DENY"})  # fmt: skip
+        answer.headers.update(
+            {
+                "Content-Type": "text/html; charset=utf-8",
+                "Cache-Control": "no-store",
+                "Referrer-Policy": "no-referrer",
+                "X-Frame-Options": "DENY",
+            }
+        )
         return answer
 
     def _listen(self, page: Any) -> None:
@@ -174,8 +187,13 @@ class Drive:
     def report(self) -> dict[str, Any]:
         """What came of it: files, seconds driven, real-time factor, and delay of the picture (median, 95 %) [s]."""
         delays = np.quantile(self.delays, (0.5, 0.95)).tolist() if self.delays else [None, None]
-        return {"files": [str(file) for file in self.files], "seconds": self.driving.time, "factor": self.factor,
-                "delay": delays[0], "delay_95": delays[1]}  # fmt: skip
+        return {
+            "files": [str(file) for file in self.files],
+            "seconds": self.driving.time,
+            "factor": self.factor,
+            "delay": delays[0],
+            "delay_95": delays[1],
+        }
 
     def run(self, seconds: float | None = None) -> None:
         """For seconds of the clock, or until it is interrupted; then what was driven is saved."""
@@ -280,19 +298,30 @@ class Drive:
 
     def _tell(self) -> None:
         modes = {field: "+".join(sorted(names)) or "none" for field, names in self.driving.modes.items()}
-        self._send({
-            "paused": self.paused, "speed": self.speed, "gait": GAIT_NAMES.get(self._gait, self._gait),
-            "steering": self._steering, **modes, "values": {name: self.driving.value(name) for name in SLIDERS},
-            "factor": round(self.factor, 3),
-        })  # fmt: skip
+        self._send(
+            {
+                "paused": self.paused,
+                "speed": self.speed,
+                "gait": GAIT_NAMES.get(self._gait, self._gait),
+                "steering": self._steering,
+                **modes,
+                "values": {name: self.driving.value(name) for name in SLIDERS},
+                "factor": round(self.factor, 3),
+            }
+        )
 
     def _document(self) -> str:
         driving = self.driving
-        sliders = [{"name": name, "title": title, "unit": unit, "low": low, "high": high}
-                   for name, (title, unit, low, high) in SLIDERS.items() if name in driving.parameters]  # fmt: skip
+        sliders = [
+            {"name": name, "title": title, "unit": unit, "low": low, "high": high}
+            for name, (title, unit, low, high) in SLIDERS.items()
+            if name in driving.parameters
+        ]
         # Without those that would do nothing: the harmonics, unless they have amplitudes.
-        modes = {field: sorted(name for name in names if any(map(driving.value, GAINS[name])))
-                 for field, names in driving.simulator.setup.modes.items()}  # fmt: skip
+        modes = {
+            field: sorted(name for name in names if any(map(driving.value, GAINS[name])))
+            for field, names in driving.simulator.setup.modes.items()
+        }
         ours = "offset.front_left" in driving.parameters
         choices = {"gait": [GAIT_NAMES.get(key, key) for key in GAIT_PATTERNS], "steering": [*STEERING]} if ours else {}
         return self._shown.document({"sliders": sliders, "choices": choices | modes})

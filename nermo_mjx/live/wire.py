@@ -125,8 +125,10 @@ class Measured:
         if not isinstance(message, dict):
             raise ValueError("garbage")
         rest = max(0, len(self.channels.servos) - _LEG_SERVOS)
-        legs, aux = (_numbers(message.get(f"servo_pos_{part}"), 0, size)
-                     for part, size in (("leg", len(self.channels.servos) - rest), ("aux", rest)))  # fmt: skip
+        legs, aux = (
+            _numbers(message.get(f"servo_pos_{part}"), 0, size)
+            for part, size in (("leg", len(self.channels.servos) - rest), ("aux", rest))
+        )
         contact, imu = _numbers(message.get("contact_sensors"), 0, 4), _numbers(message.get("imu_sensor"), 0, 16)
         found: dict[str, np.ndarray] = {"foot_force": contact} if len(contact) else {}
         if len(imu):
@@ -206,8 +208,10 @@ def meet(measured: Measured, needed: set[str], wait: Callable[[float], None] = t
     what = f"the controller reads {', '.join(sorted(needed - measured.told))}"
     if needed and not measured.told:
         why = "".join(f"; {number} messages were {what}" for what, number in measured.counts.items() if number)
-        raise SendError(f"no message of the robot for {PATIENCE:g} s, and {what}: a robot without sensors walks with "
-                        f"the pilot open_loop{why}.")  # fmt: skip
+        raise SendError(
+            f"no message of the robot for {PATIENCE:g} s, and {what}: a robot without sensors walks with "
+            f"the pilot open_loop{why}."
+        )
     if needed - measured.told:
         raise ParameterError(
             f"robot does not tell all that is needed: {what}; its messages tell {', '.join(sorted(measured.told))}."
@@ -233,9 +237,16 @@ class RobotDriving(Driving):
     """
 
     def __init__(
-        self, setup: Setup, values: Mapping[str, float] | None = None, url: str = "ros://localhost",
-        channels: Any = "published", rate: float | None = None, watchdog: float = WATCHDOG, *, record: bool = True,
-    ) -> None:  # fmt: skip
+        self,
+        setup: Setup,
+        values: Mapping[str, float] | None = None,
+        url: str = "ros://localhost",
+        channels: Any = "published",
+        rate: float | None = None,
+        watchdog: float = WATCHDOG,
+        *,
+        record: bool = True,
+    ) -> None:
         """
         Args:
             setup, values, record: see `Driving`.
@@ -410,9 +421,14 @@ class SimulatedRobot:
     """
 
     def __init__(
-        self, setup: Setup, values: Mapping[str, float], channels: Any, delay: float = 0.0, loss: float = 0.0,
+        self,
+        setup: Setup,
+        values: Mapping[str, float],
+        channels: Any,
+        delay: float = 0.0,
+        loss: float = 0.0,
         clock: Callable[[], float] = time.monotonic,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """
         Args:
             setup, values: of the body; the gait decides the pose at the start.
@@ -513,9 +529,11 @@ def sensor_message(robot: Robot, channels: Channels, sensordata: np.ndarray, sta
     angles = np.radians(sent_angles(channels, robot.servos, np.degrees(sensors.servo_angle)[None])[0])
     imu = np.concatenate([getattr(sensors, name) for name in _IMU])
     parts = {
-        "servo_pos_leg": angles[:_LEG_SERVOS], "servo_pos_aux": angles[_LEG_SERVOS:],
-        "contact_sensors": sensors.foot_force, "imu_sensor": imu,
-    }  # fmt: skip
+        "servo_pos_leg": angles[:_LEG_SERVOS],
+        "servo_pos_aux": angles[_LEG_SERVOS:],
+        "contact_sensors": sensors.foot_force,
+        "imu_sensor": imu,
+    }
     when = {"sec": int(stamp), "nanosec": int(1e9 * (stamp % 1.0))}
     told = {name: values.round(7).tolist() for name, values in parts.items()}
     return {"header": {"stamp": when, "frame_id": "imu"}, **told}

@@ -23,9 +23,7 @@ _HOMES = {
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 
-__all__ = [
-    "ENGINES", "Engine", "Session", "Trace", "Variation", "forward", "make_engine", "resolve_engine", "step",
-]  # fmt: skip
+__all__ = ["ENGINES", "Engine", "Session", "Trace", "Variation", "forward", "make_engine", "resolve_engine", "step"]
 
 
 def __getattr__(name: str) -> Any:

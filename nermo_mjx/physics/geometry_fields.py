@@ -42,17 +42,36 @@ class GeometryFields:
         self._start = np.array([float(about[name].default) for name in self.names])  # type: ignore[arg-type]
         ends = np.array([(about[name].low, about[name].high) for name in self.names]) - self._start[:, None]
         base = _Read.of(self.model)
-        reads = [[_Read.of(robot.physical_with_geometry(_geometry(name, self._start[i] + end))) for end in ends[i]]
-                 for i, name in enumerate(self.names)]  # fmt: skip
+        reads = [
+            [_Read.of(robot.physical_with_geometry(_geometry(name, self._start[i] + end))) for end in ends[i]]
+            for i, name in enumerate(self.names)
+        ]
         self._linear = {
-            name: (base.linear[name], slopes) for name in base.linear
-            if np.abs(slopes := np.stack([(high.linear[name] - low.linear[name]) / (b - a)
-                                          for (low, high), (a, b) in zip(reads, ends, strict=True)])).max() > 1e-12
-        }  # fmt: skip
-        self._inertia = base.inertia, *(np.stack(each) for each in zip(
-            *(_parabola(a, low.inertia - base.inertia, b, high.inertia - base.inertia)
-              for (low, high), (a, b) in zip(reads, ends, strict=True)), strict=True,
-        ))  # fmt: skip
+            name: (base.linear[name], slopes)
+            for name in base.linear
+            if np.abs(
+                slopes := np.stack(
+                    [
+                        (high.linear[name] - low.linear[name]) / (b - a)
+                        for (low, high), (a, b) in zip(reads, ends, strict=True)
+                    ]
+                )
+            ).max()
+            > 1e-12
+        }
+        self._inertia = (
+            base.inertia,
+            *(
+                np.stack(each)
+                for each in zip(
+                    *(
+                        _parabola(a, low.inertia - base.inertia, b, high.inertia - base.inertia)
+                        for (low, high), (a, b) in zip(reads, ends, strict=True)
+                    ),
+                    strict=True,
+                )
+            ),
+        )
         self._turn = base.turn
         self._bodies = np.flatnonzero(np.abs(self._inertia[1]).max(axis=(0, 2, 3)) > 1e-15)
         self._legs = {limb: self.model.tendon(f"{limb}_tendon").id for limb in LIMBS}
@@ -209,9 +228,12 @@ def _principal(own: Float[Array, "3 3"], fixed: int) -> tuple[np.ndarray, Float[
     # The axes keep their order and turn by less than 45 degrees.
     angle = 0.5 * jnp.arctan2(2.0 * b * jnp.sign(a - c), jnp.abs(a - c))
     cosine, sine = jnp.cos(angle), jnp.sin(angle)
-    moments = jnp.stack([
-        cosine**2 * a + 2.0 * cosine * sine * b + sine**2 * c, sine**2 * a - 2.0 * cosine * sine * b + cosine**2 * c,
-    ])  # fmt: skip
+    moments = jnp.stack(
+        [
+            cosine**2 * a + 2.0 * cosine * sine * b + sine**2 * c,
+            sine**2 * a - 2.0 * cosine * sine * b + cosine**2 * c,
+        ]
+    )
     return np.array([first, second]), moments, angle
 
 

@@ -44,9 +44,18 @@ FIELDS: Final[dict[str, tuple[str, ...]]] = {
     "mass": ("body_mass", "body_inertia"),
     "ground": ("opt.gravity",),
     "terrain": ("geom_pos", "geom_quat", "geom_size", "geom_rbound", "hfield_data"),
-    "geometry": ("body_pos", "body_ipos", "body_iquat", "body_inertia", "site_pos", "geom_pos", "geom_size",
-                 "geom_rbound", "tendon_range"),
-}  # fmt: skip
+    "geometry": (
+        "body_pos",
+        "body_ipos",
+        "body_iquat",
+        "body_inertia",
+        "site_pos",
+        "geom_pos",
+        "geom_size",
+        "geom_rbound",
+        "tendon_range",
+    ),
+}
 #: Model fields that depend on the geometry.
 _BUILT: Final = frozenset(("body_pos", "body_ipos", "body_iquat", "site_pos", "tendon_range"))
 #: Fields that the constants below are derived from.
@@ -118,9 +127,11 @@ class Variation:
         contact, pairs = p.contact, self._pairs
         friction = jnp.asarray(model.pair_friction, float)
         for kind, value in (
-            ("sole", contact.friction), ("tail", contact.tail_friction), ("trunk", contact.trunk_friction),
+            ("sole", contact.friction),
+            ("tail", contact.tail_friction),
+            ("trunk", contact.trunk_friction),
             ("obstacle", contact.obstacle_friction),
-        ):  # fmt: skip
+        ):
             friction = friction.at[pairs[kind], :2].set(value)
         soles = np.concatenate([pairs["sole"], pairs["tail"]])
         solref = (
@@ -151,14 +162,22 @@ class Variation:
         for ids, slack in self.slacks(p):
             reach = reach.at[ids, 1].add(slack)
         return placed | {
-            "actuator_gainprm": gain, "actuator_biasprm": bias, "actuator_forcerange": force, "pair_friction": friction,
-            "pair_solref": solref, "pair_solimp": solimp, "jnt_stiffness": stiffness, "dof_damping": damping,
-            "tendon_range": reach, "body_mass": mass * scale, "body_inertia": inertia * scale[:, None],
+            "actuator_gainprm": gain,
+            "actuator_biasprm": bias,
+            "actuator_forcerange": force,
+            "pair_friction": friction,
+            "pair_solref": solref,
+            "pair_solimp": solimp,
+            "jnt_stiffness": stiffness,
+            "dof_damping": damping,
+            "tendon_range": reach,
+            "body_mass": mass * scale,
+            "body_inertia": inertia * scale[:, None],
             "opt.gravity": gravity_vector(p.ground.gravity, p.ground.slope, p.ground.direction, jnp),
             SERVO_PLAY: Play.of(p.servo).packed,
             "actuator_ctrlrange": jnp.full(model.actuator_ctrlrange.shape, UNLIMITED) * jnp.array([-1.0, 1.0]),
             **self._shaped(p.terrain, placed),
-        }  # fmt: skip
+        }
 
     def slacks(self, parameters: ModelParameters) -> list[tuple[np.ndarray, Any]]:
         """Ids of the tendons of legs and spine, and by how much they are too long [m]."""

@@ -27,5 +27,15 @@ def cloud(ax: Axes, x: ShownValues, y: ShownValues, *, size: float) -> None:
     if len(x.values) < CROWD:
         ax.scatter(x.values, y.values, s=size, color=BAND, lw=0, rasterized=len(x.values) > 2000, zorder=2)
         return
-    ax.hexbin(x.values, y.values, gridsize=_CELLS, bins="log", mincnt=1, cmap=_DENSITY, linewidths=0.2, zorder=2,
-              xscale="log" if x.log else "linear", yscale="log" if y.log else "linear")  # fmt: skip
+    ax.hexbin(
+        x.values,
+        y.values,
+        gridsize=_CELLS,
+        bins="log",
+        mincnt=1,
+        cmap=_DENSITY,
+        linewidths=0.2,
+        zorder=2,
+        xscale="log" if x.log else "linear",
+        yscale="log" if y.log else "linear",
+    )

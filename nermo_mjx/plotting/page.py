@@ -93,8 +93,12 @@ def note_lines(note: str, width: float) -> list[str]:
     broken: list[str] = []
     for line in note.splitlines():
         hangs = "\t" in line
-        broken += textwrap.wrap(line.replace("\t", "   "), int((width - 2 * _EDGE) / _CHARACTER),
-                                subsequent_indent="      " if hangs else "", replace_whitespace=False)  # fmt: skip
+        broken += textwrap.wrap(
+            line.replace("\t", "   "),
+            int((width - 2 * _EDGE) / _CHARACTER),
+            subsequent_indent="      " if hangs else "",
+            replace_whitespace=False,
+        )
     return broken
 
 
@@ -104,9 +108,15 @@ def _legend(figure: Figure, handles: Sequence[Artist], below: float) -> float:
     for rows in range(1, len(handles) + 1):
         columns = -(-len(handles) // rows)
         legend = figure.legend(
-            handles=_by_rows(handles, columns), ncols=columns, columnspacing=1.4, handlelength=1.7,
-            loc="lower left", bbox_to_anchor=(_EDGE / width, below / height), borderaxespad=0, borderpad=0.2,
-        )  # fmt: skip
+            handles=_by_rows(handles, columns),
+            ncols=columns,
+            columnspacing=1.4,
+            handlelength=1.7,
+            loc="lower left",
+            bbox_to_anchor=(_EDGE / width, below / height),
+            borderaxespad=0,
+            borderpad=0.2,
+        )
         box = legend.get_window_extent(figure.canvas.get_renderer())  # type: ignore[attr-defined]
         if box.width / figure.dpi <= width - 2 * _EDGE or columns == 1:
             return box.height / figure.dpi

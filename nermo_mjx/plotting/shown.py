@@ -18,8 +18,12 @@ _SHOWN_UNITS = {
     "rad/s": ("deg/s", 180 / math.pi),
 }
 _STATISTICS = {
-    "std": "standard deviation", "mean": "mean", "min": "minimum", "max": "maximum", "rms": "root mean square",
-}  # fmt: skip
+    "std": "standard deviation",
+    "mean": "mean",
+    "min": "minimum",
+    "max": "maximum",
+    "rms": "root mean square",
+}
 
 
 def spoken(name: str) -> str:

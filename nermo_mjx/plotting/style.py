@@ -18,9 +18,15 @@ from nermo_mjx.plotting.shown import ShownValues, spoken
 
 #: Okabe, M. and Ito, K., "Color universal design", 2008.
 OKABE_ITO: Final = {
-    "black": "#000000", "orange": "#e69f00", "sky": "#56b4e9", "green": "#009e73",
-    "yellow": "#f0e442", "blue": "#0072b2", "vermilion": "#d55e00", "purple": "#cc79a7",
-}  # fmt: skip
+    "black": "#000000",
+    "orange": "#e69f00",
+    "sky": "#56b4e9",
+    "green": "#009e73",
+    "yellow": "#f0e442",
+    "blue": "#0072b2",
+    "vermilion": "#d55e00",
+    "purple": "#cc79a7",
+}
 INK, MUTED, GRID, SHADE, MISSING = "#222222", "#555555", "#e6e6e6", "#f1f1f1", "#d9d9d9"
 #: The main line, secondary lines, and the best value.
 LINE, BAND, BEST = OKABE_ITO["blue"], "#9cc9e6", OKABE_ITO["vermilion"]
@@ -28,9 +34,11 @@ LINE, BAND, BEST = OKABE_ITO["blue"], "#9cc9e6", OKABE_ITO["vermilion"]
 SERIES: Final = tuple(OKABE_ITO[name] for name in ("blue", "orange", "green", "purple", "sky", "vermilion"))
 #: The feet: front blue, rear red; left dark, right light.
 FOOT: Final = {
-    "front_left": OKABE_ITO["blue"], "front_right": OKABE_ITO["sky"],
-    "rear_left": OKABE_ITO["vermilion"], "rear_right": OKABE_ITO["orange"],
-}  # fmt: skip
+    "front_left": OKABE_ITO["blue"],
+    "front_right": OKABE_ITO["sky"],
+    "rear_left": OKABE_ITO["vermilion"],
+    "rear_right": OKABE_ITO["orange"],
+}
 #: The tail, next to the feet.
 TAIL: Final = OKABE_ITO["purple"]
 #: Numbers from low to high, and gains and losses about 0.

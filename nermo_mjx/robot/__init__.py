@@ -7,8 +7,6 @@ from nermo_mjx.robot.parameters import GAIT_CODES, GAIT_NAMES, GAITS, LIMBS, SER
 from nermo_mjx.robot.quantity import ParameterError, Quantity
 from nermo_mjx.robot.robot import JointIndex, Robot, load_robot
 
-__all__ = [
-    "GAITS", "GAIT_CODES", "GAIT_NAMES", "LIMBS", "SERVOS", "JointIndex", "MassModel", "ModelParameters",
-    "ParameterError", "Quantity", "Robot", "RobotConfig", "Sensors", "ServoAngles", "assemble", "assemble_leg",
-    "assemble_spine", "load_robot",
-]  # fmt: skip
+__all__ = ["GAITS", "GAIT_CODES", "GAIT_NAMES", "LIMBS", "SERVOS", "JointIndex", "MassModel", "ModelParameters"]
+__all__ += ["ParameterError", "Quantity", "Robot", "RobotConfig", "Sensors", "ServoAngles", "assemble", "assemble_leg"]
+__all__ += ["assemble_spine", "load_robot"]

@@ -165,9 +165,14 @@ def _stand(name: str) -> mujoco.MjSpec:
 
 
 def _attach(
-    spec: mujoco.MjSpec, geometry: Geometry, place: Any, name: str, robot: str, plain: tuple[str, ...] = (),
+    spec: mujoco.MjSpec,
+    geometry: Geometry,
+    place: Any,
+    name: str,
+    robot: str,
+    plain: tuple[str, ...] = (),
     hinges: int = 1,
-) -> None:  # fmt: skip
+) -> None:
     """Attach the robot's part `name` with its name as prefix; the elements in `plain` keep their names."""
     frame = place if isinstance(place, mujoco.MjsFrame) else place.add_frame()
     part = load_part(name, geometry, robot)

@@ -182,9 +182,13 @@ def leg_geometry(geometry: Geometry, pair: str, xp: Any = math) -> LegGeometry:
 
     stretch = xp.sqrt(squared(links.upper, links.attachment) / squared(leg.l1, leg.l2))
     return dataclasses.replace(
-        leg, l1=links.upper, l2=links.attachment, l3=links.lower, l4=links.foot,
+        leg,
+        l1=links.upper,
+        l2=links.attachment,
+        l3=links.lower,
+        l4=links.foot,
         tendon_length=leg.tendon_length * stretch,
-    )  # fmt: skip
+    )
 
 
 def dh_table(geometry: Geometry) -> list[tuple[float, Any, float, float]]:

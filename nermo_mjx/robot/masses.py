@@ -136,9 +136,17 @@ ROBOT_MASSES: Final = {"nermo_lite": (0.1695, _REAR_MASS), "nermo_41": (0.1745, 
 
 #: Bodies counted to the front mass; every other moving body is counted to the rear.
 FRONT_PARTS: Final = (
-    "torso", "neck", "head", "front_", "spine_vertical_pulley", "spine_vertebra_1", "spine_vertebra_2", "spine_link_1",
-    "spine_link_2", "spine_link_3",
-)  # fmt: skip
+    "torso",
+    "neck",
+    "head",
+    "front_",
+    "spine_vertical_pulley",
+    "spine_vertebra_1",
+    "spine_vertebra_2",
+    "spine_link_1",
+    "spine_link_2",
+    "spine_link_3",
+)
 
 
 def mass_values(robot: str) -> dict[str, float]:

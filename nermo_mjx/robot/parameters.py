@@ -71,17 +71,41 @@ class LegGeometry:
 
 
 FRONT_LEG: Final = LegGeometry(
-    l1=0.0295, l2=0.0145, l3=0.0225, l4=0.0145, theta3=math.radians(23), pulley_radius=0.008, pulley_height=0.0128,
-    tendon_length=0.033, knee_direction=-1.0, servo_direction=1.0, guide=(-0.004, -0.002),
-    tie=(-0.0024771, 0.0076237), tie_type1=(0.0076237, -0.0024771), tie_idler=(-0.0034826, 0.0072200),
-    side=(-0.0130, 0.0), neutral_foot=(-0.005, -0.045),
-)  # fmt: skip
+    l1=0.0295,
+    l2=0.0145,
+    l3=0.0225,
+    l4=0.0145,
+    theta3=math.radians(23),
+    pulley_radius=0.008,
+    pulley_height=0.0128,
+    tendon_length=0.033,
+    knee_direction=-1.0,
+    servo_direction=1.0,
+    guide=(-0.004, -0.002),
+    tie=(-0.0024771, 0.0076237),
+    tie_type1=(0.0076237, -0.0024771),
+    tie_idler=(-0.0034826, 0.0072200),
+    side=(-0.0130, 0.0),
+    neutral_foot=(-0.005, -0.045),
+)
 REAR_LEG: Final = LegGeometry(
-    l1=0.0317, l2=0.0200, l3=0.0305, l4=0.0205, theta3=math.radians(73), pulley_radius=0.008, pulley_height=0.0128,
-    tendon_length=0.032, knee_direction=1.0, servo_direction=-1.0, guide=(0.004, -0.002),
-    tie=(0.0051526, 0.0061406), tie_type1=(-0.0074582, 0.0029379), tie_idler=(0.0069528, 0.0039893),
-    side=(0.0117820, 0.0054940), neutral_foot=(0.000, -0.050),
-)  # fmt: skip
+    l1=0.0317,
+    l2=0.0200,
+    l3=0.0305,
+    l4=0.0205,
+    theta3=math.radians(73),
+    pulley_radius=0.008,
+    pulley_height=0.0128,
+    tendon_length=0.032,
+    knee_direction=1.0,
+    servo_direction=-1.0,
+    guide=(0.004, -0.002),
+    tie=(0.0051526, 0.0061406),
+    tie_type1=(-0.0074582, 0.0029379),
+    tie_idler=(0.0069528, 0.0039893),
+    side=(0.0117820, 0.0054940),
+    neutral_foot=(0.000, -0.050),
+)
 LEGS: Final = {"front": FRONT_LEG, "rear": REAR_LEG}
 #: Radius of the idler on the hip axis, of routing `type3_idler` [m]: the hip's axle, by whose site of that radius the
 #: author's model leads its tendon (`router_hip` of his leg_rl_assets/rl_t3_asset_exp.xml); otherwise not published.
@@ -187,9 +211,25 @@ class TailGeometry:
     first_joint: tuple[float, float] = (0.0114, -0.0038)
     spacing: float = 0.0080
     drops: tuple[float, ...] = (
-        0.0027, 0.0026, 0.0024, 0.0022, 0.0021, 0.0019, 0.0018, 0.0017, 0.0015, 0.0013, 0.0012, 0.0010, 0.0009, 0.0007,
-        0.0006, 0.0005, 0.0002, 0.0002,
-    )  # fmt: skip
+        0.0027,
+        0.0026,
+        0.0024,
+        0.0022,
+        0.0021,
+        0.0019,
+        0.0018,
+        0.0017,
+        0.0015,
+        0.0013,
+        0.0012,
+        0.0010,
+        0.0009,
+        0.0007,
+        0.0006,
+        0.0005,
+        0.0002,
+        0.0002,
+    )
     tip: tuple[float, float] = (0.0053, 0.0001)
     eyelet: float = 0.0055
     taper: float = 0.0001
@@ -288,9 +328,14 @@ PRESETS: Final[Mapping[str, PhysicsPreset]] = {
 #: Servos in the order of `ctrl`: the tail's exists only with the articulated tail, the last two only on Nermo 4.1
 #: (`Robot.servos` names those of one robot).
 SERVOS: Final = (
-    *(f"{limb}_hip" for limb in LIMBS), *(f"{limb}_knee" for limb in LIMBS), "spine", "neck", "tail", "spine_vertical",
+    *(f"{limb}_hip" for limb in LIMBS),
+    *(f"{limb}_knee" for limb in LIMBS),
+    "spine",
+    "neck",
+    "tail",
+    "spine_vertical",
     "head",
-)  # fmt: skip
+)
 
 #: The servos that a robot lacks, by its number of servos.
 _LACKING: Final = {10: ("tail", "spine_vertical", "head"), 11: ("spine_vertical", "head"), 12: ("tail",)}
@@ -298,9 +343,15 @@ _LACKING: Final = {10: ("tail", "spine_vertical", "head"), 11: ("spine_vertical"
 #: Range of each servo [rad], by kind of servo. A knee's is limited to what its tendon can follow: the wrap stays
 #: between 40 and 175 degrees.
 SERVO_RANGE: Final = {
-    "hip": (-1.6, 1.6), "front_knee": (-1.25, 1.25), "rear_knee": (-0.8, 1.55), "spine": (-0.6, 0.6),
-    "neck": (-1.0, 1.0), "tail": (-1.0, 1.0), "spine_vertical": (-0.6, 0.6), "head": (-1.0, 1.0),
-}  # fmt: skip
+    "hip": (-1.6, 1.6),
+    "front_knee": (-1.25, 1.25),
+    "rear_knee": (-0.8, 1.55),
+    "spine": (-0.6, 0.6),
+    "neck": (-1.0, 1.0),
+    "tail": (-1.0, 1.0),
+    "spine_vertical": (-0.6, 0.6),
+    "head": (-1.0, 1.0),
+}
 
 
 #: The same with routing type 1, whose servo angle includes the tendon's wrap angle, and with an idler, which turns it

@@ -240,17 +240,27 @@ def _leg(spec: mujoco.MjSpec, pair: str, geometry: Geometry) -> None:
     leg = leg_geometry(geometry, pair)
     centre = np.array([0.0, leg.pulley_height])
     for site, place in (
-        ("guide", leg.guide), ("side", centre + leg.side), ("rim", leg.tie), ("rim_type1", leg.tie_type1),
+        ("guide", leg.guide),
+        ("side", centre + leg.side),
+        ("rim", leg.tie),
+        ("rim_type1", leg.tie_type1),
         ("rim_idler", leg.tie_idler),
-        ("lead", (0.0, lead_height(leg))), ("idler_side", (-2.0 * leg.knee_direction * IDLER_RADIUS, 0.0)),
-    ):  # fmt: skip
+        ("lead", (0.0, lead_height(leg))),
+        ("idler_side", (-2.0 * leg.knee_direction * IDLER_RADIUS, 0.0)),
+    ):
         spec.site(site).pos = np.array([0.0, *place])
     spec.geom("pulley").size[0], spec.geom("idler").size[0] = leg.pulley_radius, IDLER_RADIUS
     spec.geom("sole").size[0] = float(geometry.foot.radius)
     spec.body("pulley").pos = np.array([0.0, *centre])
-    down = {element: np.array([0.0, 0.0, -float(length)]) for element, length in (
-        ("knee", leg.l1), ("attachment", leg.l2), ("ankle", leg.l3), ("foot", leg.l4),
-    )}  # fmt: skip
+    down = {
+        element: np.array([0.0, 0.0, -float(length)])
+        for element, length in (
+            ("knee", leg.l1),
+            ("attachment", leg.l2),
+            ("ankle", leg.l3),
+            ("foot", leg.l4),
+        )
+    }
     spec.body("lower").pos = spec.geom("spring").pos = down["knee"]
     spec.site("attachment").pos = down["attachment"]
     spec.body("foot").pos = down["ankle"]

@@ -192,9 +192,11 @@ class Robot:
         data = jnp.zeros((self.model.nsensordata,), qpos.dtype)
         servos = self.model.jnt_qposadr[self.model.actuator_trnid[:, 0]]
         readings = {
-            "position": place + turned, "orientation": jnp.stack([w, x, y, z]), "servo_angle": qpos[servos],
+            "position": place + turned,
+            "orientation": jnp.stack([w, x, y, z]),
+            "servo_angle": qpos[servos],
             "knee_angle": qpos[np.array(self.joints.knee).ravel()],
-        }  # fmt: skip
+        }
         for name, reading in readings.items():
             data = data.at[self._compiled.sensor_slices[name]].set(reading)
         return data

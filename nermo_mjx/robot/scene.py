@@ -35,16 +35,26 @@ OBSTACLE: Final = "obstacle"
 FLOOR: Final = "floor"
 #: Allowed types of ground: every engine can collide a sphere with them, and `terrain.Terrain` knows their height.
 GROUND_TYPES: Final = (
-    mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_HFIELD,
-)  # fmt: skip
+    mujoco.mjtGeom.mjGEOM_PLANE,
+    mujoco.mjtGeom.mjGEOM_BOX,
+    mujoco.mjtGeom.mjGEOM_CAPSULE,
+    mujoco.mjtGeom.mjGEOM_HFIELD,
+)
 #: The file of `mjcf/scenes/common` into which a terrain is put.
 _GROUNDS: Final = "scenes/common/terrain"
 #: Elements that move, act or measure: only the robot may have positions, controls and sensors.
 _FOREIGN: Final = {
-    "joints": "a joint", "actuators": "an actuator", "sensors": "a sensor", "tendons": "a tendon",
-    "equalities": "an equality", "pairs": "a contact pair", "keys": "a keyframe", "flexes": "a flex",
-    "skins": "a skin", "plugins": "a plugin",
-}  # fmt: skip
+    "joints": "a joint",
+    "actuators": "an actuator",
+    "sensors": "a sensor",
+    "tendons": "a tendon",
+    "equalities": "an equality",
+    "pairs": "a contact pair",
+    "keys": "a keyframe",
+    "flexes": "a flex",
+    "skins": "a skin",
+    "plugins": "a plugin",
+}
 #: Options that would change how the robot walks, and that it does not have.
 _WITHOUT: Final = ("density", "viscosity", "wind", "disableflags", "enableflags")
 #: MuJoCo's first write of a text that it has read differs slightly: a frame's quaternion is written out.
@@ -125,8 +135,13 @@ def _dressed(spec: mujoco.MjSpec) -> mujoco.MjSpec:
             spec.worldbody.add_light(**{name: getattr(light, name) for name in kept})
         for name in ("ambient", "diffuse", "specular"):
             setattr(spec.visual.headlight, name, getattr(usual.visual.headlight, name))
-    bare = [geom for geom in spec.geoms if geom.type == mujoco.mjtGeom.mjGEOM_PLANE and not geom.material
-            and np.array_equal(geom.rgba, mujoco.MjSpec().default.geom.rgba)]  # fmt: skip
+    bare = [
+        geom
+        for geom in spec.geoms
+        if geom.type == mujoco.mjtGeom.mjGEOM_PLANE
+        and not geom.material
+        and np.array_equal(geom.rgba, mujoco.MjSpec().default.geom.rgba)
+    ]
     if bare:
         spec.add_texture(name="nermo_mat", **{name: getattr(mat, name) for name in look})
         own, wanted = spec.add_material(name="nermo_mat"), usual.materials[0]
@@ -346,8 +361,10 @@ def _find_files(spec: mujoco.MjSpec) -> None:
 
 def _check_files(spec: mujoco.MjSpec, called: str) -> None:
     """Refuse files of which MuJoCo would make more than fits: large ones, and PNG files with many pixels."""
-    named = (*(each.file for each in (*spec.meshes, *spec.hfields, *spec.textures)),
-             *(file for each in spec.textures for file in each.cubefiles))  # fmt: skip
+    named = (
+        *(each.file for each in (*spec.meshes, *spec.hfields, *spec.textures)),
+        *(file for each in spec.textures for file in each.cubefiles),
+    )
     for path in map(Path, filter(None, named)):
         with open(path, "rb") as file:
             size, head = path.stat().st_size, file.read(24)

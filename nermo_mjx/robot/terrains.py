@@ -116,9 +116,12 @@ def _ramp(shape: TerrainShape, xp: Any) -> Layout:
     cosine, sine, begin = xp.cos(shape.slope), xp.sin(shape.slope), BEGIN + shape.shift
     along, up = begin + half * cosine + thick * sine, half * sine - thick * cosine
     end = begin + 2.0 * half * cosine
-    pos = xp.stack([
-        _stacked(xp, 0.0, -along, up), _stacked(xp, 0.0, -(end + top), 2.0 * half * sine - thick),
-    ])  # fmt: skip
+    pos = xp.stack(
+        [
+            _stacked(xp, 0.0, -along, up),
+            _stacked(xp, 0.0, -(end + top), 2.0 * half * sine - thick),
+        ]
+    )
     # Rotation about x, so that the ramp rises towards -y.
     turned = _stacked(xp, xp.cos(-0.5 * shape.slope), xp.sin(-0.5 * shape.slope), 0.0, 0.0)
     quat = xp.stack([turned, xp.asarray([1.0, 0.0, 0.0, 0.0])])
@@ -170,21 +173,46 @@ def gates(shape: TerrainShape, xp: Any = np) -> Any:
 _BOX, _CAPSULE = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_CAPSULE
 #: Every terrain, by the name of its scene.
 TERRAINS: Final[Mapping[str, TerrainKind]] = {
-    "planks": TerrainKind("planks across the way", _BOX, 14, _planks,
-                          {"height": 0.01, "spacing": 0.2, "width": 0.1, "shift": 0.0}),
-    "ramp": TerrainKind("a ramp, and the platform that it leads to", _BOX, 2, _ramp,
-                        {"slope": math.radians(10.0), "shift": 0.0}),
-    "logs": TerrainKind("round logs across the way, sunk into the floor", _CAPSULE, 18, _logs,
-                        {"height": 0.01, "spacing": 0.15, "radius": 0.1, "shift": 0.0}),
-    "stairs": TerrainKind("seven steps up to a platform", _BOX, 7, _stairs,
-                          {"height": 0.01, "spacing": 0.15, "shift": 0.0}),
-    "spiral_stairs": TerrainKind("fifteen steps up, about a point to the left", _BOX, 15, _spiral,
-                                 {"height": 0.01, "spacing": 0.15, "radius": 0.5, "shift": 0.0}),
-    "rough": TerrainKind("random rough ground, a height field", mujoco.mjtGeom.mjGEOM_HFIELD, 1, _rough,
-                         {"height": 0.01, "shift": 0.0, "side": 0.0}, material="soil"),
-    "slalom": TerrainKind("gates of two poles, to the left and to the right in turn", _CAPSULE, 12, _slalom,
-                          {"spacing": 0.4, "gap": 0.2, "offset": 0.06, "shift": 0.0}, obstacle=True),
-}  # fmt: skip
+    "planks": TerrainKind(
+        "planks across the way", _BOX, 14, _planks, {"height": 0.01, "spacing": 0.2, "width": 0.1, "shift": 0.0}
+    ),
+    "ramp": TerrainKind(
+        "a ramp, and the platform that it leads to", _BOX, 2, _ramp, {"slope": math.radians(10.0), "shift": 0.0}
+    ),
+    "logs": TerrainKind(
+        "round logs across the way, sunk into the floor",
+        _CAPSULE,
+        18,
+        _logs,
+        {"height": 0.01, "spacing": 0.15, "radius": 0.1, "shift": 0.0},
+    ),
+    "stairs": TerrainKind(
+        "seven steps up to a platform", _BOX, 7, _stairs, {"height": 0.01, "spacing": 0.15, "shift": 0.0}
+    ),
+    "spiral_stairs": TerrainKind(
+        "fifteen steps up, about a point to the left",
+        _BOX,
+        15,
+        _spiral,
+        {"height": 0.01, "spacing": 0.15, "radius": 0.5, "shift": 0.0},
+    ),
+    "rough": TerrainKind(
+        "random rough ground, a height field",
+        mujoco.mjtGeom.mjGEOM_HFIELD,
+        1,
+        _rough,
+        {"height": 0.01, "shift": 0.0, "side": 0.0},
+        material="soil",
+    ),
+    "slalom": TerrainKind(
+        "gates of two poles, to the left and to the right in turn",
+        _CAPSULE,
+        12,
+        _slalom,
+        {"spacing": 0.4, "gap": 0.2, "offset": 0.06, "shift": 0.0},
+        obstacle=True,
+    ),
+}
 
 
 def terrain_values(scene: str) -> dict[str, float]:

@@ -6,7 +6,5 @@ from nermo_mjx.rollout.saving import Saving, Series
 from nermo_mjx.rollout.setup import Setup, all_metrics, all_parameters
 from nermo_mjx.rollout.simulator import History, RunResult, Simulator
 
-__all__ = [
-    "METRICS", "History", "Metric", "OwnMetric", "Run", "RunResult", "Saving", "Series", "Setup", "Simulator",
-    "all_metrics", "all_parameters", "metric",
-]  # fmt: skip
+__all__ = ["METRICS", "History", "Metric", "OwnMetric", "Run", "RunResult", "Saving", "Series", "Setup", "Simulator"]
+__all__ += ["all_metrics", "all_parameters", "metric"]

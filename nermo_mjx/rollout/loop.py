@@ -155,10 +155,21 @@ class ClosedLoop:
         if params.schedule is not None:
             within = transitions.span(params.schedule, controller.cycle_rate(params.control))
         return metrics.update(
-            params.window, state.metrics, sensors, state.time, controller.dt, controller.cycle_rate(own), path,
-            stance, self.robot.terrain.height(position[0], position[1], params.terrain), self.own, params.servo_brake,
-            params.servo, state.clamped, within,
-        )  # fmt: skip
+            params.window,
+            state.metrics,
+            sensors,
+            state.time,
+            controller.dt,
+            controller.cycle_rate(own),
+            path,
+            stance,
+            self.robot.terrain.height(position[0], position[1], params.terrain),
+            self.own,
+            params.servo_brake,
+            params.servo,
+            state.clamped,
+            within,
+        )
 
     def last_reading(self, measured: metrics.MetricState, sensordata: Float[Array, "steps n"]) -> Sensors:
         """The readings that a controller receives for a tick.
@@ -197,13 +208,19 @@ def check_controller(robot: Robot, controller: ControllerLike) -> None:
     forms = [str(jax.tree.structure(state)) for state in (first, after)]
     shapes = [[leaf.shape for leaf in jax.tree.leaves(state)] for state in (first, after)]
     if forms[0] != forms[1] or shapes[0] != shapes[1]:
-        refuse("update", f"makes a state of {forms[1]} with shapes {shapes[1]}: expected the form that init gives it, "
-                         f"{forms[0]} with shapes {shapes[0]}")  # fmt: skip
+        refuse(
+            "update",
+            f"makes a state of {forms[1]} with shapes {shapes[1]}: expected the form that init gives it, "
+            f"{forms[0]} with shapes {shapes[0]}",
+        )
     for (path, old), new in zip(jax.tree_util.tree_leaves_with_path(first), jax.tree.leaves(after), strict=True):
         if old.dtype != new.dtype and not np.can_cast(new.dtype, old.dtype, "same_kind"):
-            refuse("update", f"makes {new.dtype} of the state{jax.tree_util.keystr(path)}, which init begins as "
-                             f"{old.dtype}: each tick would lose what {old.dtype} cannot hold; begin it as "
-                             f"{new.dtype}")  # fmt: skip
+            refuse(
+                "update",
+                f"makes {new.dtype} of the state{jax.tree_util.keystr(path)}, which init begins as "
+                f"{old.dtype}: each tick would lose what {old.dtype} cannot hold; begin it as "
+                f"{new.dtype}",
+            )
     for name, angles in (("initial_servo", servo), ("update", now)):
         if not isinstance(angles, ServoAngles):
             refuse(name, f"gives {described(angles)}: expected ServoAngles with four hips and four knees")

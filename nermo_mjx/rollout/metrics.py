@@ -151,14 +151,34 @@ def init(sensors: Sensors, own: tuple[OwnMetric, ...] = (), switches: bool = Fal
         sums |= dict.fromkeys(("switching_slid", "switching_loaded"), zero)
         sums |= dict.fromkeys(("switching_time", "switching_way"), jnp.zeros(3, zero.dtype))
     return MetricState(
-        time=zero, way=zero, travelled=zero, sums=sums | {"load": jnp.append(four, zero)}, mean=three, square=three,
-        readings=readings, low=readings + jnp.inf, high=readings - jnp.inf, course=angles[2], turning=zero,
-        position=position, origin=position, end=position, heading=jnp.stack([angles[2], angles[2]]),
-        path=path_metrics.init(position), eyes=eye_metrics.init(sensors), penetration=zero,
+        time=zero,
+        way=zero,
+        travelled=zero,
+        sums=sums | {"load": jnp.append(four, zero)},
+        mean=three,
+        square=three,
+        readings=readings,
+        low=readings + jnp.inf,
+        high=readings - jnp.inf,
+        course=angles[2],
+        turning=zero,
+        position=position,
+        origin=position,
+        end=position,
+        heading=jnp.stack([angles[2], angles[2]]),
+        path=path_metrics.init(position),
+        eyes=eye_metrics.init(sensors),
+        penetration=zero,
         own=reduction.init(own, sensors) if own else None,
-        switching_roll=zero if switches else None, on_path=no, lost=no, failure_time=zero, fell=no,
-        diverged=no, begun=no, finished=no,
-    )  # fmt: skip
+        switching_roll=zero if switches else None,
+        on_path=no,
+        lost=no,
+        failure_time=zero,
+        fell=no,
+        diverged=no,
+        begun=no,
+        finished=no,
+    )
 
 
 def update(

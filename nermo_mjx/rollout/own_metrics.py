@@ -94,9 +94,14 @@ METRICS: Final[dict[str, Metric]] = {
 
 #: The headings of lists of metrics, by the first metric below each.
 HEADINGS: Final = {
-    "speed": "Walk", "roll_mean": "Attitude", "head_pitch_mean": "Head and eyes", "cross_track_peak": "Path",
-    "slip": "Feet", "servo_work": "Energy", "servo_clamped": "Checks",
-}  # fmt: skip
+    "speed": "Walk",
+    "roll_mean": "Attitude",
+    "head_pitch_mean": "Head and eyes",
+    "cross_track_peak": "Path",
+    "slip": "Feet",
+    "servo_work": "Energy",
+    "servo_clamped": "Checks",
+}
 
 
 def headed() -> dict[str, str]:

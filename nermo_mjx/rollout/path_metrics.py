@@ -139,9 +139,15 @@ def init(position: Float[Array, " 3"]) -> PathState:
     """Accumulators before the first tick; `position` gives the precision."""
     zero, two = jnp.zeros((), position.dtype), jnp.zeros((2,), position.dtype)
     return PathState(
-        walked=zero, error=zero, place=two, time=zero, cycles=zero, first=two, second=jnp.zeros((2, 2), position.dtype),
+        walked=zero,
+        error=zero,
+        place=two,
+        time=zero,
+        cycles=zero,
+        first=two,
+        second=jnp.zeros((2, 2), position.dtype),
         third=two,
-    )  # fmt: skip
+    )
 
 
 def update(

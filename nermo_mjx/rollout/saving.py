@@ -35,16 +35,20 @@ _SENSORS: Final = {
     "knee_angle": (tuple(f"{limb}_knee_angle" for limb in LIMBS), "rad", "angle of the knee, 0 stretched"),
     "foot_force": (tuple(f"{limb}_foot_force" for limb in LIMBS), "N", "normal contact force of the foot"),
     "foot_position": (
-        tuple(f"{limb}_foot_position_{axis}" for limb in LIMBS for axis in _XYZ), "m", "of the foot in the world",
+        tuple(f"{limb}_foot_position_{axis}" for limb in LIMBS for axis in _XYZ),
+        "m",
+        "of the foot in the world",
     ),
     "foot_velocity": (
-        tuple(f"{limb}_foot_velocity_{axis}" for limb in LIMBS for axis in _XYZ), "m/s", "of the foot in the world",
+        tuple(f"{limb}_foot_velocity_{axis}" for limb in LIMBS for axis in _XYZ),
+        "m/s",
+        "of the foot in the world",
     ),
     "tail_force": (("tail_force",), "N", "normal contact force of the tail"),
     "contact_distance": (("contact_distance",), "m", "distance of the deepest contact, negative where bodies overlap"),
     "attitude": (("roll", "pitch", "yaw"), "rad", "of the torso; positive leans left, noses down, turns left"),
     "speed": (("speed",), "m/s", "horizontal speed of the IMU"),
-}  # fmt: skip
+}
 #: Names of the root's free joint in positions and velocities, with units.
 _ROOT: Final = {
     "qpos": [*((f"_{axis}", "m") for axis in _XYZ), *((f"_q{axis}", "1") for axis in _WXYZ)],
@@ -129,8 +133,10 @@ def all_signals(robot: Robot) -> tuple[Signal, ...]:
             for part, each in _ROOT[kind] if free else [("", unit)]:
                 found.append(Signal(f"{kind}_{joint}{part}", each, f"{doc} of {joint}", kind, place))
                 place += 1
-    found += [Signal(f"{servo}_ctrl", "rad", "angle that the servo aims at", "ctrl", i)
-              for i, servo in enumerate(robot.servos)]  # fmt: skip
+    found += [
+        Signal(f"{servo}_ctrl", "rad", "angle that the servo aims at", "ctrl", i)
+        for i, servo in enumerate(robot.servos)
+    ]
     for group, (names, unit, doc) in _SENSORS.items():
         if group.startswith("servo_"):
             names = tuple(f"{servo}_{group}" for servo in robot.servos)

@@ -99,12 +99,43 @@ def bounded_by_step(known: Mapping[str, Quantity], timestep: float) -> dict[str,
 
 
 #: Columns of tables, and keys beside parameters in files: reserved names for metrics and parameters.
-TAKEN: Final = frozenset((
-    "row", "variant", "repeat", "seed", "body", "status", "code", "batch", "cell", "time", "objective", "iteration",
-    "start", "ok", "discarded", "simulated_seconds", "wall_seconds", "trajectory_error", "line", "centre", "width",
-    "side", "repeats", "quality", *RobotConfig.__dataclass_fields__, "gait", "spine", "steering", "pilot", "profile",
-    "trajectory", "head", "tail_motion",
-))  # fmt: skip
+TAKEN: Final = frozenset(
+    (
+        "row",
+        "variant",
+        "repeat",
+        "seed",
+        "body",
+        "status",
+        "code",
+        "batch",
+        "cell",
+        "time",
+        "objective",
+        "iteration",
+        "start",
+        "ok",
+        "discarded",
+        "simulated_seconds",
+        "wall_seconds",
+        "trajectory_error",
+        "line",
+        "centre",
+        "width",
+        "side",
+        "repeats",
+        "quality",
+        *RobotConfig.__dataclass_fields__,
+        "gait",
+        "spine",
+        "steering",
+        "pilot",
+        "profile",
+        "trajectory",
+        "head",
+        "tail_motion",
+    )
+)
 #: First parts of columns that are named after a parameter: `gradient.stride`.
 PREFIXES: Final = ("gradient", "gradient_error", "first_order")
 
@@ -134,11 +165,14 @@ def check_names(controller: ControllerLike, metrics: Sequence[OwnMetric]) -> Non
     names = [name for name, _ in quantities(controller.parameters)]
     for name in names:
         whose = (
-            "one of the robot or its start" if name in taken
-            else "a metric that every run has" if name in METRICS
-            else "a column that tables have" if name in TAKEN or name.partition(".")[0] in PREFIXES
+            "one of the robot or its start"
+            if name in taken
+            else "a metric that every run has"
+            if name in METRICS
+            else "a column that tables have"
+            if name in TAKEN or name.partition(".")[0] in PREFIXES
             else ""
-        )  # fmt: skip
+        )
         if whose:
             raise ParameterError(f"controller has a parameter {name!r}, which is {whose}: give it another name.")
     for own in metrics:
@@ -162,8 +196,17 @@ def check_terrain(scene: str, values: Mapping[str, Any]) -> None:
 
 #: Choices that only the published controller has.
 PUBLISHED: Final = (
-    "gait", "spine", "steering", "profile", "pilot", "waypoints", "command", "trajectory", "head", "tail_motion",
-)  # fmt: skip
+    "gait",
+    "spine",
+    "steering",
+    "profile",
+    "pilot",
+    "waypoints",
+    "command",
+    "trajectory",
+    "head",
+    "tail_motion",
+)
 
 #: Choices that only set defaults of parameters.
 PRESETTINGS: Final = ("gait", "steering", "profile")
@@ -332,10 +375,15 @@ class Setup:
             return own
         spine, head, tail = self.modes.values()
         return published_controller(
-            tuple(set(spine) - {"balance"}), self.pilot, waypoints=self.waypoints, command=self.command,
-            trajectory=self.trajectory, head="+".join(head) or "none", tail_motion="+".join(tail) or "none",
+            tuple(set(spine) - {"balance"}),
+            self.pilot,
+            waypoints=self.waypoints,
+            command=self.command,
+            trajectory=self.trajectory,
+            head="+".join(head) or "none",
+            tail_motion="+".join(tail) or "none",
             routing=self.routing,
-        )  # fmt: skip
+        )
 
     def _applies(self, name: str) -> bool:
         """Whether a choice applies to the controller."""
@@ -373,8 +421,11 @@ class Setup:
     def _quantities(self) -> dict[str, Quantity]:
         """See `all_parameters`."""
         known, defaults = dict(quantities(self._world)), self.defaults()
-        own = {name: dataclasses.replace(known[name], default=value) for name, value in defaults.items()
-               if repr(known[name].default) != repr(value)}  # fmt: skip
+        own = {
+            name: dataclasses.replace(known[name], default=value)
+            for name, value in defaults.items()
+            if repr(known[name].default) != repr(value)
+        }
         known |= own
         for number in range(len(self.schedule) + 1, MOST + 1):
             for name in ("at", "blend"):

@@ -111,8 +111,10 @@ class RunResult:
         `units` of custom metrics, which are stored nowhere else."""
         measured = {name: float(column[world]) for name, column in self.metrics.items()}
         flags = {name: bool(measured[name]) for name in ("fell", "diverged")}
-        run = {name: None if value is None else float(np.broadcast_to(value, len(self.status))[world])
-               for name, value in dataclasses.asdict(self.length).items()}  # fmt: skip
+        run = {
+            name: None if value is None else float(np.broadcast_to(value, len(self.status))[world])
+            for name, value in dataclasses.asdict(self.length).items()
+        }
         return {
             "metrics": {**measured, **flags, "status": str(self.status[world])},
             "parameters": {name: float(column[world]) for name, column in self.parameters.items()},

@@ -21,13 +21,20 @@ M = TypeVar("M", bound="Fields")
 _DIALECT: Final = "http://json-schema.org/draft-07/schema#"
 #: Expectations for pydantic's errors about types and ranges.
 _TYPES: Final = {
-    "float_type": "a number", "bool_type": "true or false", "string_type": "a name", "dict_type": "a mapping",
-    "list_type": "a list", "tuple_type": "a list", "none_required": "nothing",
-}  # fmt: skip
+    "float_type": "a number",
+    "bool_type": "true or false",
+    "string_type": "a name",
+    "dict_type": "a mapping",
+    "list_type": "a list",
+    "tuple_type": "a list",
+    "none_required": "nothing",
+}
 _RANGES: Final = {
-    "greater_than": "a finite number above 0", "finite_number": "a finite number",
-    "greater_than_equal": "a number of at least {ge:g}", "less_than_equal": "a number of at most {le:g}",
-}  # fmt: skip
+    "greater_than": "a finite number above 0",
+    "finite_number": "a finite number",
+    "greater_than_equal": "a number of at least {ge:g}",
+    "less_than_equal": "a number of at most {le:g}",
+}
 
 
 class Refused(ValueError):

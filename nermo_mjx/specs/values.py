@@ -168,8 +168,11 @@ def number_of(name: str) -> JsonSchema:
     unit = "" if about.unit == "1" else f" {about.unit}"
     description = f"{about.doc}; default {about.default:g}{unit}, allowed {about.allowed()}"
     bounds = (("Minimum", about.low, about.open_low), ("Maximum", about.high, about.open_high))
-    limits = {f"exclusive{end}" if is_open else end.lower(): float(bound)
-              for end, bound, is_open in bounds if math.isfinite(bound)}  # fmt: skip
+    limits = {
+        f"exclusive{end}" if is_open else end.lower(): float(bound)
+        for end, bound, is_open in bounds
+        if math.isfinite(bound)
+    }
     return {"type": "number", **limits, "description": description}
 
 

@@ -168,9 +168,11 @@ class Waypoints(Fields):
     example: ClassVar = "points: [[x, y], ...] in metres"
     points: Annotated[list[list[float]], BeforeValidator(_rows)] = Field(
         description="(x, y) of each [m]; a smooth curve goes through them",
-        json_schema_extra={"minItems": 3, "items": {"type": "array", "items": {"type": "number"}, "minItems": 2,
-                                                    "maxItems": 2}},
-    )  # fmt: skip
+        json_schema_extra={
+            "minItems": 3,
+            "items": {"type": "array", "items": {"type": "number"}, "minItems": 2, "maxItems": 2},
+        },
+    )
 
 
 class OpenLoop(Fields):
@@ -333,8 +335,11 @@ def check_sources(
         if lacks[0] is not None and all(lacks):
             choice, wanted = lacks[0]
             chosen = " or ".join(dict.fromkeys(getattr(setup, choice) for setup in setups or [walk.setup]))
-            doc.fail((section, name), f"has no effect: it is read only with {choice}: {wanted}, and {choice} is "
-                                      f"{chosen}.", name)  # fmt: skip
+            doc.fail(
+                (section, name),
+                f"has no effect: it is read only with {choice}: {wanted}, and {choice} is {chosen}.",
+                name,
+            )
 
     for name in filter(is_terrain, walk.fixed):
         check_effect("set", name)

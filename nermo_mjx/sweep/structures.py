@@ -97,9 +97,20 @@ def also_parameters(schema: dict[str, Any]) -> None:
 
 #: Fields of a walk that may vary; in this order they stand in a message.
 STRUCTURES: Final = (
-    "gait", "spine", "steering", "pilot", "profile", "trajectory", "head", "tail_motion", "routing", "scene", "tail",
-    "physics", "robot",
-)  # fmt: skip
+    "gait",
+    "spine",
+    "steering",
+    "pilot",
+    "profile",
+    "trajectory",
+    "head",
+    "tail_motion",
+    "routing",
+    "scene",
+    "tail",
+    "physics",
+    "robot",
+)
 _FIELDS: Final[dict[str, Any]] = {
     name: (Annotated[Any, Listed(name)], optional(f"{_ABOUT[name].description}: these, each as a setup of its own"))
     for name in STRUCTURES
@@ -343,8 +354,10 @@ def _read_csv(path: Path) -> RowTable:
     for name in header:
         for mark in ";\t|":
             if mark in name:
-                raise SpecError(f"{path}:{lines[0]}: columns are separated by {mark!r}: allowed is ',' between "
-                                "columns, and '.' in numbers.")  # fmt: skip
+                raise SpecError(
+                    f"{path}:{lines[0]}: columns are separated by {mark!r}: allowed is ',' between "
+                    "columns, and '.' in numbers."
+                )
         if not name or header.count(name) > 1:
             wrong = f"column {name!r} stands twice" if name else "a column has no name"
             raise SpecError(f"{path}:{lines[0]}: {wrong}.")

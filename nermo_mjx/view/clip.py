@@ -172,10 +172,14 @@ def shapes_of(model: mujoco.MjModel, packer: Packer) -> dict[str, Any]:
         if kind not in KINDS:
             continue
         geom: dict[str, Any] = {
-            "kind": kind, "body": int(model.geom_bodyid[i]), "size": _rounded(model.geom_size[i]),
-            "pos": _rounded(model.geom_pos[i]), "quat": _rounded(model.geom_quat[i]),
-            "rgba": _rounded(_colour(model, i)), "collides": bool(model.geom_group[i] >= HIDDEN_GROUP),
-        }  # fmt: skip
+            "kind": kind,
+            "body": int(model.geom_bodyid[i]),
+            "size": _rounded(model.geom_size[i]),
+            "pos": _rounded(model.geom_pos[i]),
+            "quat": _rounded(model.geom_quat[i]),
+            "rgba": _rounded(_colour(model, i)),
+            "collides": bool(model.geom_group[i] >= HIDDEN_GROUP),
+        }
         if kind == "mesh":
             geom["mesh"] = meshes.setdefault(int(model.geom_dataid[i]), len(meshes))
         geoms.append(geom)
@@ -192,9 +196,11 @@ def _eyes(model: mujoco.MjModel) -> dict[str, Any] | None:
     if camera < 0:
         return None
     return {
-        "body": int(model.cam_bodyid[camera]), "pos": _rounded(model.cam_pos[camera]),
-        "quat": _rounded(model.cam_quat[camera]), "fovy": float(model.cam_fovy[camera]),
-    }  # fmt: skip
+        "body": int(model.cam_bodyid[camera]),
+        "pos": _rounded(model.cam_pos[camera]),
+        "quat": _rounded(model.cam_quat[camera]),
+        "fovy": float(model.cam_fovy[camera]),
+    }
 
 
 def _mesh(model: mujoco.MjModel, mesh: int, packer: Packer) -> dict[str, Any]:
@@ -318,22 +324,28 @@ def clip_of(recording: Recording, name: str, models: Models, packer: Packer, det
         "quaternion": packer.steps(frames.quaternion, detail.turn),
         "tendons": [_tendon(tendon, frames, origin, packer, detail) for tendon in motion.tendons],
         "contacts": [
-            {"limb": contact.limb, "point": packer.steps(contact.point - origin, detail.length),
-             "force": packer.steps(contact.force, detail.force)}
+            {
+                "limb": contact.limb,
+                "point": packer.steps(contact.point - origin, detail.length),
+                "force": packer.steps(contact.force, detail.force),
+            }
             for contact in motion.contacts
         ],
         "footprints": _footprints(recording, motion),
         "plots": [_plot(plot, packer, detail) for plot in plots_of(recording, motion)],
         "model": models.index(recording, robot),
-    }  # fmt: skip
+    }
 
 
 def _tendon(tendon: Tendon, frames: Frames, origin: np.ndarray, packer: Packer, detail: Detail) -> dict[str, Any]:
     within, path = frames.fixed(tendon.path - origin[:, None])
     return {
-        "name": tendon.name, "radius": tendon.radius, "frames": within, "path": packer.steps(path, detail.length),
+        "name": tendon.name,
+        "radius": tendon.radius,
+        "frames": within,
+        "path": packer.steps(path, detail.length),
         "tension": packer.steps(tendon.tension, detail.force),
-    }  # fmt: skip
+    }
 
 
 def _plot(plot: Plot, packer: Packer, detail: Detail) -> dict[str, Any]:

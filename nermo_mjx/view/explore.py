@@ -189,8 +189,18 @@ def _column(name: str, about: Mapping[str, str], sides: Mapping[str, str], value
 
 #: Choices that are options of `nermo-mjx walk`, with the values that it takes.
 _OPTIONS: Final = (
-    "robot", "scene", "tail", "physics", "gait", "spine", "steering", "profile", "trajectory", "head", "tail_motion",
-)  # fmt: skip
+    "robot",
+    "scene",
+    "tail",
+    "physics",
+    "gait",
+    "spine",
+    "steering",
+    "profile",
+    "trajectory",
+    "head",
+    "tail_motion",
+)
 #: Choices without an option: `walk` supports only their defaults.
 _NO_OPTIONS: Final = {"routing": Setup.routing, "cone": Setup.cone, "hinges": Setup.hinges}
 #: Pilots that `walk` supports, and the parameters that their options set.
@@ -426,10 +436,16 @@ def _field(column: Column, grid: bool, packer: Packer) -> dict[str, Any]:
     gain = column.unit == "%" and column.name.endswith("_gain")
     cyclic = column.unit == "rad" and column.name.rpartition(".")[2] == "phase"
     about: dict[str, Any] = {
-        "name": column.name, "role": column.role, "about": column.description, "unit": unit.unit,
-        "factor": float(unit.values[0]), "better": column.better, "log": column.log, "group": headed().get(column.name),
+        "name": column.name,
+        "role": column.role,
+        "about": column.description,
+        "unit": unit.unit,
+        "factor": float(unit.values[0]),
+        "better": column.better,
+        "log": column.log,
+        "group": headed().get(column.name),
         "colours": "gain" if gain else "cyclic" if cyclic else "",
-    }  # fmt: skip
+    }
     known = column.distinct
     about["stepped"] = len(known) <= (MOST_CELLS if column.is_text or (grid and column.role == "varied") else _FEW)
     if column.is_text:

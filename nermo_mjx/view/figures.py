@@ -172,8 +172,15 @@ def orientation(walk: Walk) -> Figure | None:
         ax.set_ylabel(f"{name} [deg]")
         ax.margins(y=0.08)
         horizontal_grid(ax)
-        ax.annotate(f"{values.mean():.1f} ± {values.std():.1f}".replace("-", "−"), (1, 1.01), xycoords="axes fraction",
-                    ha="right", va="bottom", fontsize=8, color=MUTED)  # fmt: skip
+        ax.annotate(
+            f"{values.mean():.1f} ± {values.std():.1f}".replace("-", "−"),
+            (1, 1.01),
+            xycoords="axes fraction",
+            ha="right",
+            va="bottom",
+            fontsize=8,
+            color=MUTED,
+        )
         if walk.cycle is not None and time[-1] < _MOST_CYCLES * walk.cycle:
             for cycle in np.arange(walk.cycle, time[-1], walk.cycle):
                 ax.axvline(cycle, color=GRID, lw=0.8, zorder=0)

@@ -325,8 +325,10 @@ def _body(recording: Recording, time: np.ndarray, sensors: dict[str, np.ndarray]
         forward = velocity[:, 0] * np.sin(yaw) - velocity[:, 1] * np.cos(yaw)
         parameters = recording.metadata.get("parameters") or {}
         period = float(parameters.get("tracking.clock_ratio") or 1.0) / float(parameters.get("frequency") or 1.0)
-        lines = (Curve("over a cycle", "first", _over_cycle(forward, time, period)),
-                 Curve("at once", "first", forward, faint=True))  # fmt: skip
+        lines = (
+            Curve("over a cycle", "first", _over_cycle(forward, time, period)),
+            Curve("at once", "first", forward, faint=True),
+        )
         plots.append(Plot("speed", "Forward speed", "mm/s", lines))
     way = (Curve("forward", "first", -place[:, 1]), Curve("to the left", "second", place[:, 0]))
     return [*plots, Plot("place", "Position of the torso", "mm", way)]
@@ -397,9 +399,13 @@ _DEGREES: Final = math.degrees(1.0)
 _SHOWN: Final = {"rad": ("°", _DEGREES), "rad/s": ("°/s", _DEGREES), "m": ("mm", 1e3), "m/s": ("mm/s", 1e3)}
 #: Metrics in the page's head, and their labels.
 _HEADLINE: Final = {
-    "speed": "speed", "roll_std": "roll σ", "pitch_std": "pitch σ", "slip": "slip",
-    "cost_of_transport": "cost of transport", "electrical_cost_of_transport": "electrical cost",
-}  # fmt: skip
+    "speed": "speed",
+    "roll_std": "roll σ",
+    "pitch_std": "pitch σ",
+    "slip": "slip",
+    "cost_of_transport": "cost of transport",
+    "electrical_cost_of_transport": "electrical cost",
+}
 
 
 def title_of(recording: Recording) -> str:
@@ -435,8 +441,14 @@ def headline_of(recording: Recording) -> list[list[str]]:
 def details_of(recording: Recording) -> list[dict[str, Any]]:
     """Tables `{"title", "rows": [[name, value with unit], ...]}` of all metadata of the recording."""
     tables = []
-    for key, title in (("labels", "Case"), ("metrics", "Metrics"), ("parameters", "Parameters"), ("setup", "Setup"),
-                       ("run", "Run"), ("versions", "Versions")):  # fmt: skip
+    for key, title in (
+        ("labels", "Case"),
+        ("metrics", "Metrics"),
+        ("parameters", "Parameters"),
+        ("setup", "Setup"),
+        ("run", "Run"),
+        ("versions", "Versions"),
+    ):
         units = _units(recording) if key in ("metrics", "parameters") else {}
         rows = [[name, _shown(value, units.get(name, ""))] for name, value in _part(recording, key).items()]
         rows = [row for row in rows if row[1] not in ("–", "")]

@@ -26,9 +26,12 @@ from nermo_mjx.view.page import Page, show, text
 _HEADINGS: Final = ("", "", "success [%]", "speed [mm/s]", "distance [m]", "cost, mechanical", "cost, electrical")
 #: Of a walk in the evaluation's summary: factor and digits.
 _NUMBERS: Final = {
-    "success": (100.0, 0), "speed": (1e3, 1), "distance": (1.0, 2), "cost_of_transport": (1.0, 2),
+    "success": (100.0, 0),
+    "speed": (1e3, 1),
+    "distance": (1.0, 2),
+    "cost_of_transport": (1.0, 2),
     "electrical_cost_of_transport": (1.0, 1),
-}  # fmt: skip
+}
 
 
 def trained(path: Path, *, engine: str = "c") -> Page:

@@ -111,9 +111,14 @@ def _writer(path: Path, fps: int, width: int, height: int, count: int) -> Iterat
             yield writer.append_data
         return
     encoder = require_encoder().write_frames(
-        str(path), (width, height), fps=fps, pix_fmt_out="yuv420p", macro_block_size=2, ffmpeg_log_level="error",
+        str(path),
+        (width, height),
+        fps=fps,
+        pix_fmt_out="yuv420p",
+        macro_block_size=2,
+        ffmpeg_log_level="error",
         **_CODECS[path.suffix],
-    )  # fmt: skip
+    )
     with warnings.catch_warnings():
         # JAX warns of every fork; the child becomes ffmpeg at once.
         warnings.simplefilter("ignore", RuntimeWarning)

@@ -23,11 +23,16 @@ from nermo_mjx import ParameterError, Run, Setup, Simulator
 Gait = dict[str, float]
 #: Parameter -> where the search begins, and its bounds.
 STANCE = {
-    "frequency": (1.0, 0.4, 2.0), "stride": (0.6, 0.3, 0.9), "duty": (0.5, 0.3, 0.75),
-    "stance.swing_amplitude": (0.018, 0.005, 0.03), "stance.stance_amplitude": (0.005, 0.0, 0.02),
-    "stance.front_z": (-0.047, -0.053, -0.035), "stance.rear_z": (-0.046, -0.06, -0.035),
-    "stance.front_y": (-0.005, -0.025, 0.025), "stance.rear_y": (-0.003, -0.025, 0.025),
-}  # fmt: skip
+    "frequency": (1.0, 0.4, 2.0),
+    "stride": (0.6, 0.3, 0.9),
+    "duty": (0.5, 0.3, 0.75),
+    "stance.swing_amplitude": (0.018, 0.005, 0.03),
+    "stance.stance_amplitude": (0.005, 0.0, 0.02),
+    "stance.front_z": (-0.047, -0.053, -0.035),
+    "stance.rear_z": (-0.046, -0.06, -0.035),
+    "stance.front_y": (-0.005, -0.025, 0.025),
+    "stance.rear_y": (-0.003, -0.025, 0.025),
+}
 SPINE = {"spine.amplitude": (0.1, 0.0, 0.5), "spine.phase": (0.0, -3.14, 3.14)} | {
     f"spine.harmonics.{name}": (0.0, -0.3, 0.3) for name in ("cos1", "sin1", "cos3", "sin3")
 }
@@ -87,27 +92,61 @@ SEVEN = (*FIVE, SLALOM, Place("ramp"), Place("rough", HIGH))
 DAMPED = {"damping.knee": 0.02531, "damping.ankle": 0.02531, "damping.spine": 0.09242}
 #: Masses within 10 % of the model's, servos and spine within 20 %: the ranges of the training files.
 BODIES = {
-    "mass.front": (0.1525, 0.1865), "mass.rear": (0.0905, 0.1106), "servo.kp": (15.3, 22.9),
-    "servo.kv": (0.0125, 0.0187), "stiffness.spine": (0.96, 1.44), "damping.spine": (0.074, 0.111),
-}  # fmt: skip
+    "mass.front": (0.1525, 0.1865),
+    "mass.rear": (0.0905, 0.1106),
+    "servo.kp": (15.3, 22.9),
+    "servo.kv": (0.0125, 0.0187),
+    "stiffness.spine": (0.96, 1.44),
+    "damping.spine": (0.074, 0.111),
+}
 FOUR = (0.008, 0.010, 0.011, 0.012)
 #: Most walks where most fails.
 ALL = (
     *(dataclasses.replace(SPIRAL, heights=FOUR) for _ in range(3)),
     *(dataclasses.replace(SLALOM, heights=(None,) * times) for times in (4, 2)),
-    Place("rough", FOUR), Place("planks", (0.009, 0.012)), Place("stairs", HIGH), Place("logs", (0.011,)),
+    Place("rough", FOUR),
+    Place("planks", (0.009, 0.012)),
+    Place("stairs", HIGH),
+    Place("logs", (0.011,)),
     Place("ramp"),
-)  # fmt: skip
+)
 STAGES = (
-    Stage((Place("planks", (0.004, 0.006, 0.008, 0.010, 0.011, 0.012)),), generations=30, population=20, sigma=0.12,
-          seed=1, far=1.2, fall=0.15, test=(5, 24)),
+    Stage(
+        (Place("planks", (0.004, 0.006, 0.008, 0.010, 0.011, 0.012)),),
+        generations=30,
+        population=20,
+        sigma=0.12,
+        seed=1,
+        far=1.2,
+        fall=0.15,
+        test=(5, 24),
+    ),
     Stage(FIVE, generations=24, population=16, sigma=0.06, seed=2, far=0.9, fall=0.3, test=(10, 16)),
     Stage(SEVEN, generations=40, population=20, sigma=0.08, seed=3, far=0.8, fall=0.4, test=(10, 16), steers=True),
-    Stage((*SEVEN, Place("rough", HIGH), SPIRAL), generations=20, population=24, sigma=0.03, seed=4, far=0.55, fall=0.6,
-          test=(10, 24), steers=True),
-    Stage(ALL, generations=24, population=24, sigma=0.03, seed=5, far=0.55, fall=0.6, test=(4, 48), steers=True,
-          bodies=BODIES),
-)  # fmt: skip
+    Stage(
+        (*SEVEN, Place("rough", HIGH), SPIRAL),
+        generations=20,
+        population=24,
+        sigma=0.03,
+        seed=4,
+        far=0.55,
+        fall=0.6,
+        test=(10, 24),
+        steers=True,
+    ),
+    Stage(
+        ALL,
+        generations=24,
+        population=24,
+        sigma=0.03,
+        seed=5,
+        far=0.55,
+        fall=0.6,
+        test=(4, 48),
+        steers=True,
+        bodies=BODIES,
+    ),
+)
 
 
 class Ground:
@@ -119,10 +158,12 @@ class Ground:
         self.random = np.random.default_rng(stage.seed)
         self.steers, self.bodies = stage.steers, stage.bodies
         self.simulators = {
-            place: Simulator(Setup(scene=place.scene, gait="trt", trajectory="free", spine=mode, physics="fast",
-                                   **place.pilot), engine="c")
+            place: Simulator(
+                Setup(scene=place.scene, gait="trt", trajectory="free", spine=mode, physics="fast", **place.pilot),
+                engine="c",
+            )
             for place in stage.places
-        }  # fmt: skip
+        }
 
     def inside(self, gait: Gait) -> bool:
         """Whether the legs reach the feet's paths."""
@@ -135,8 +176,11 @@ class Ground:
     def walk(self, place: Place, gaits: list[Gait], heights: tuple[Any, ...], seconds: float) -> Any:
         """Distance [m], distance from the path over what is allowed, and whether it lasted, of each gait and height."""
         n, draw = len(heights), self.random.uniform
-        starts = {"start.phase": draw(0.0, 1.0, n), "start.yaw": draw(-0.1, 0.1, n),
-                  "contact.friction": draw(0.8, 1.6, n)}  # fmt: skip
+        starts = {
+            "start.phase": draw(0.0, 1.0, n),
+            "start.yaw": draw(-0.1, 0.1, n),
+            "contact.friction": draw(0.8, 1.6, n),
+        }
         starts |= {name: draw(*ends, n) for name, ends in self.bodies.items()}
         if None not in heights:
             starts["terrain.height"] = np.array(heights)

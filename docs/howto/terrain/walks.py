@@ -20,10 +20,14 @@ SPINES = ("free", "stiff", "passive")
 HIGH = {"terrain.height": 0.01}
 #: Pilot and values of each scene.
 PLACES = {
-    "planks": ({}, HIGH), "ramp": ({}, {}), "logs": ({}, HIGH), "stairs": ({}, HIGH),
-    "spiral_stairs": ({"pilot": "arc"}, HIGH | {"pilot.radius": 0.5}), "rough": ({}, HIGH),
+    "planks": ({}, HIGH),
+    "ramp": ({}, {}),
+    "logs": ({}, HIGH),
+    "stairs": ({}, HIGH),
+    "spiral_stairs": ({"pilot": "arc"}, HIGH | {"pilot.radius": 0.5}),
+    "rough": ({}, HIGH),
     "slalom": ({"pilot": "waypoints", "waypoints": POLES}, {}),
-}  # fmt: skip
+}
 BEGIN, END, EVERY = 1.0, 5.0, 4  # [s], samples: 25 of 100 in a second
 
 

@@ -69,9 +69,15 @@ def grooved_pulley(radius: float, half_width: float, tendon: float = TENDON) -> 
     """A pulley about the x axis; a tendon of radius `tendon` lies in its groove, its middle at `radius` [mm]."""
     rim, floor, w = radius + MM * PULLEY_RIM, radius - tendon - 0.1, half_width
     profile = [
-        (-w, rim), (-0.55, floor), (0.55, floor), (w - 0.1, rim), (w, radius - 1.0), (w - 0.4, radius - 1.4),
-        (w - 0.4, 2.4), (w + 0.4, 2.0),
-    ]  # fmt: skip
+        (-w, rim),
+        (-0.55, floor),
+        (0.55, floor),
+        (w - 0.1, rim),
+        (w, radius - 1.0),
+        (w - 0.4, radius - 1.4),
+        (w - 0.4, 2.4),
+        (w + 0.4, 2.0),
+    ]
     return turned_part(profile, 20)
 
 
@@ -271,14 +277,22 @@ def _process(after: np.ndarray) -> Shape:
 TORSO_NECK: Final = tuple(MM * value for value in BODY.neck)
 #: The back beam: y, middle z, half-width, half-height [mm].
 BEAM: Final = (
-    (-2.0, -0.6, 5.2, 3.0), (-9.0, -1.8, 4.4, 2.4), (-24.0, -4.4, 3.8, 2.0), (-44.0, -7.4, 4.0, 2.0),
-    (-62.0, -10.2, 5.2, 2.2), (-74.0, -12.0, 6.0, 2.2),
-)  # fmt: skip
+    (-2.0, -0.6, 5.2, 3.0),
+    (-9.0, -1.8, 4.4, 2.4),
+    (-24.0, -4.4, 3.8, 2.0),
+    (-44.0, -7.4, 4.0, 2.0),
+    (-62.0, -10.2, 5.2, 2.2),
+    (-74.0, -12.0, 6.0, 2.2),
+)
 #: The breastbone, likewise.
 BREASTBONE: Final = (
-    (-11.0, -44.5, 1.6, 1.1), (-17.0, -46.3, 2.6, 1.1), (-34.0, -49.8, 3.2, 1.1), (-50.0, -49.6, 3.6, 1.1),
-    (-60.0, -44.0, 4.0, 1.1), (-63.0, -38.0, 4.0, 1.1),
-)  # fmt: skip
+    (-11.0, -44.5, 1.6, 1.1),
+    (-17.0, -46.3, 2.6, 1.1),
+    (-34.0, -49.8, 3.2, 1.1),
+    (-50.0, -49.6, 3.6, 1.1),
+    (-60.0, -44.0, 4.0, 1.1),
+    (-63.0, -38.0, 4.0, 1.1),
+)
 #: Ribs: y at the back beam, half-width, lowest z, and how far its breastbone end lies in front of its back end [mm].
 RIBS: Final = (
     (-13.0, 19.5, -45.5, 3.0),
