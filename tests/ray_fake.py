@@ -100,16 +100,15 @@ def nodes(out):
 
 def real(out):
     """Experiments, and their bodies one by one; an identification whose batches two nodes share."""
-    from nermo_mjx.experiments import ensemble
+    from nermo_mjx.experiments import run
     from nermo_mjx.experiments.identification import run_identification
-    from nermo_mjx.experiments.run import run_experiments
 
-    ensemble.AT_ONCE = 1
+    run.AT_ONCE = 1
     done, names = [], ["balance", "body"]
     with cluster_of(1) as (cluster, _), ray_workers.RayWorkers(cluster.address) as workers:
         watch = Watch(lambda now: done.append(now.what))
         how = {"engine": "c", "quick": True, "bodies": 3, "workers": workers, "watch": watch}
-        result = run_experiments(names, f"{out}/experiments", **how)
+        result = run.run_experiments(names, f"{out}/experiments", **how)
         identified = run_identification(f"{out}/identification", workers=workers, **IDENTIFY)
     named = [each.name for each in result.results]
     print(json.dumps({"names": named, "done": sorted(set(done)), "identified": identified}))

@@ -92,7 +92,7 @@ def test_the_picture_in_the_readme_is_what_its_command_gives() -> None:
     assert quick.keep is not None
     assert quick.keep.best == 3
     assert {"spine.amplitude", "spine.phase"} <= {axis.name for axis in quick.axes}
-    assert 0.0 in next(axis for axis in quick.axes if axis.name == "spine.amplitude").values()
+    assert 0.0 in next(axis for axis in quick.axes if axis.name == "spine.amplitude").listed()
 
 
 def test_a_grids_values_are_steps_and_a_samples_are_not(swept: Path, tmp_path: Path) -> None:

@@ -237,7 +237,7 @@ class Tail:
 
 
 #: Its angle is that of the tail's servo, positive bends the tip to the left [rad].
-TailLike = AppendageLike[Scalars]
+TailLike = AppendageLike[Scalar]
 
 
 def tail_held(tail: Tail, pace: Pace) -> Scalars:
