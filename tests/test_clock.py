@@ -65,3 +65,17 @@ def test_any_phase_offset_and_duty_give_a_state_in_range(phase, offset, duty):
 def test_a_phase_just_below_zero_wraps_to_less_than_one():
     """-1e-9 modulo 1 rounds to 1.0 in float32, which is not a phase."""
     assert trajectory.wrap(jnp.float32(-1e-9)) < 1.0
+
+
+def test_the_trot_moves_its_diagonal_pairs_together_and_keeps_two_feet_on_the_ground():
+    """FL with RR, FR with RL."""
+    stance = np.asarray(trajectory.limb_states(gait_of("trt"), jnp.asarray(PHASES)).stance)
+    np.testing.assert_array_equal(stance[:, [0, 1]], stance[:, [3, 2]])
+    assert (stance.sum(axis=1) == 2).all()
+
+
+def test_the_lateral_walk_never_stands_on_fewer_than_two_feet():
+    """Four legs with a duty of 0.68 stand on 2.72 feet on average."""
+    stance = np.asarray(trajectory.limb_states(gait_of("lat"), jnp.asarray(PHASES)).stance)
+    assert stance.sum(axis=1).min() >= 2
+    assert stance.sum(axis=1).mean() == pytest.approx(4 * 0.68, abs=2e-3)

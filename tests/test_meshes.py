@@ -10,6 +10,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+from mujoco import mjx
 
 from nermo_mjx.robot import LIMBS, assemble, assemble_leg, assemble_spine, load_robot
 from nermo_mjx.robot.geometry import Geometry
@@ -222,3 +223,19 @@ def test_the_light_from_above_leaves_white_plastic_below_white():
     seen = light * model.mat("torso_plastic").rgba[:3]
     assert seen.min() > 0.8
     assert seen.max() < 1.0
+
+
+@pytest.mark.parametrize("tail", ["rigid", "articulated"])
+def test_one_file_holds_the_meshes(tail, tmp_path, monkeypatch):
+    """The written MJCF refers to no file, stays below 1 MB, and loads anywhere, in MuJoCo and in MJX."""
+    robot = load_robot(tail=tail, scene="maze")
+    text = robot.to_xml()
+    assert "file=" not in text
+    assert "meshdir" not in text
+    assert len(text) < 1_000_000
+    monkeypatch.chdir(tmp_path)
+    again = mujoco.MjModel.from_xml_string(text)
+    for count in ("nmesh", "nmeshvert", "nmeshface"):
+        assert getattr(again, count) == getattr(robot.model, count)
+    np.testing.assert_allclose(again.geom_pos, robot.model.geom_pos, atol=1e-6)
+    assert mjx.put_model(again).nmesh == again.nmesh

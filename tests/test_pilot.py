@@ -87,3 +87,21 @@ def test_the_error_grows_to_the_left_of_the_tangent(path):
     slope = jax.jit(jax.grad(lambda point: path(params, point).error))(place)
     ahead = path(params, place).tangent
     np.testing.assert_allclose(slope[:2], [-ahead[1], ahead[0]], atol=1e-5)
+
+
+@pytest.mark.parametrize("direction", [-1.0, 1.0])
+def test_a_point_on_the_arc_has_no_error(direction):
+    angle = np.linspace(0, np.pi / 2, 7)
+    place = np.stack([direction * 0.5 * (1 - np.cos(angle)), -0.5 * np.sin(angle), 0 * angle], axis=-1)
+    point = arc(pilot_of(radius=0.5, direction=direction), jnp.asarray(place))
+    np.testing.assert_allclose(point.error, 0.0, atol=1e-7)
+
+
+@pytest.mark.parametrize(("path", "direction"), [(straight, 1.0), (arc, 1.0), (arc, -1.0)])
+def test_the_tangent_points_along_the_path(path, direction):
+    """At the origin every path heads -y; a quarter of a circle on, it heads to the side it bends to."""
+    params = Pilot(radius=0.5, direction=direction)
+    np.testing.assert_allclose(path(params, jnp.zeros(3)).tangent, [0.0, -1.0], atol=1e-6)
+    if path is arc:
+        quarter = jnp.array([0.5 * direction, -0.5, 0.05])
+        np.testing.assert_allclose(path(params, quarter).tangent, [direction, 0.0], atol=1e-6)

@@ -132,3 +132,30 @@ def test_what_cannot_be_played_is_said(recording: Recording, tmp_path: Path, mon
     if "DISPLAY" not in os.environ and "WAYLAND_DISPLAY" not in os.environ and sys.platform == "linux":
         with pytest.raises(RecordingError, match="needs a display"):
             play(recording)
+
+
+def test_the_robots_mjcf_by_itself_has_the_same_physics(tmp_path: Path) -> None:
+    """`model --xml`, copied to an empty folder: MuJoCo without this package steps it to the same state."""
+    file = tmp_path / "robot.xml"
+    command = [sys.executable, "-m", "nermo_mjx", "model", "--tail", "articulated", "--xml", str(file), "--quiet"]
+    subprocess.run(command, check=True)
+    script = (
+        "import sys, mujoco, numpy as np\n"
+        "m = mujoco.MjModel.from_xml_path('robot.xml'); d = mujoco.MjData(m)\n"
+        "d.ctrl[:] = 0.1\n"
+        "for _ in range(30): mujoco.mj_step(m, d)\n"
+        "assert 'nermo_mjx' not in sys.modules\n"
+        "np.savez('state.npz', qpos=d.qpos, mass=m.body_mass, friction=m.pair_friction)\n"
+    )
+    subprocess.run([sys.executable, "-I", "-c", script], cwd=tmp_path, check=True)
+    model = load_robot(tail="articulated").model
+    data = mujoco.MjData(model)
+    data.ctrl[:] = 0.1
+    for _ in range(30):
+        mujoco.mj_step(model, data)
+    with np.load(tmp_path / "state.npz") as state:
+        np.testing.assert_allclose(state["mass"], model.body_mass, rtol=1e-5)
+        np.testing.assert_allclose(state["friction"], model.pair_friction, rtol=1e-5)
+        # XML holds six digits of each number, which a moment of contact makes a little more of.
+        np.testing.assert_allclose(state["qpos"], data.qpos, atol=5e-4)
+        assert np.abs(data.qpos - model.qpos0).max() > 0.05

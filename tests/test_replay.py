@@ -13,6 +13,8 @@ from typing import Any
 
 import command
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 from sweep_fake import FakeSimulator, part_of, speed
 
@@ -349,3 +351,18 @@ def test_a_row_can_be_watched(short: Path, tmp_path: Path) -> None:
     assert result.exit_code == 0, result.stderr
     assert result.stdout.endswith(f"wrote {video}\n")
     assert os.path.getsize(video) > 1000
+
+
+def test_one_last_digit_is_a_difference(short: Path, tmp_path: Path) -> None:
+    """A table in which one number is another by its last bit is not equal any more."""
+    out = tmp_path / "changed"
+    shutil.copytree(short, out)
+    (path,) = (out / "results").iterdir()
+    table = pq.read_table(path)
+    at, values = table.column_names.index("roll_std"), table.column("roll_std").to_numpy()
+    changed = table.set_column(at, table.schema.field("roll_std"), pa.array(np.nextafter(values, 1.0)))
+    pq.write_table(changed.replace_schema_metadata(table.schema.metadata), path)
+    difference = json_of(out, "--row", "0")["comparison"]
+    assert (difference["equal"], difference["metric"]) == (False, "roll_std")
+    assert difference["replayed"] == row_of(short, 0)["roll_std"]
+    assert 0.0 < difference["relative_difference"] < 1e-15

@@ -233,3 +233,36 @@ def test_whichever_way_a_box_comes_its_contact_is_reported_before_it_is_seen_ins
                     met += 1
                     assert gap(shown, place) > -UNNOTICED
     assert met > 400
+
+
+EXTREMITIES = {
+    "nose": ("head", (0.0, -1.0)),
+    "left shoulder": ("front_left_upper", (1.0, 0.0)),
+    "right shoulder": ("front_right_upper", (-1.0, 0.0)),
+    "left hip": ("rear_left_upper", (1.0, 0.0)),
+    "right hip": ("rear_right_upper", (-1.0, 0.0)),
+    "left knee": ("rear_left_lower", (1.0, 0.0)),
+    **{limb.replace("_", " ") + " foot": (f"{limb}_foot", (0.0, -1.0)) for limb in LIMBS},
+}
+
+
+@pytest.mark.parametrize("part", EXTREMITIES)
+def test_a_part_of_the_body_that_enters_a_box_is_noticed(part):
+    """The part's farthest visible point is put 3 mm inside a box's face, as if the robot had come from outside."""
+    robot = scene("maze")
+    body, way = EXTREMITIES[part]
+    model, data = robot.model, standing(robot.model)
+    shown = np.flatnonzero((model.geom_bodyid == model.body(body).id) & (model.geom_group == 2)).tolist()
+    box = robot.obstacles[LONELY]
+    # The distance to the part of this box, moved before it, tells how far the part reaches.
+    side = np.array([*way, 0.0])
+    lateral = np.mean([data.geom_xpos[g] for g in shown], axis=0) * (1.0 - np.abs(side))
+    moved = copy.copy(model)
+    moved.geom_pos[box] = [*(lateral + 0.35 * side)[:2], 0.05]
+    mujoco.mj_kinematics(moved, data)
+    gap = min(mujoco.mj_geomDistance(moved, data, box, g, 1.0, None) for g in shown)
+    shift = model.geom_pos[box] - moved.geom_pos[box] + (gap + 0.003) * side
+    data = standing(model, *shift[:2])
+    assert min(mujoco.mj_geomDistance(model, data, box, g, 1.0, None) for g in shown) == pytest.approx(-0.003, abs=5e-4)
+    assert touched(robot, data)
+    assert all(contact.dist < 0 for contact in data.contact if box in contact.geom)

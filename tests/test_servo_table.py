@@ -218,3 +218,9 @@ def test_a_recorded_walk_gives_what_was_commanded(tmp_path: Path) -> None:
     assert "--gait has no effect with --recording" in refused.output
     with pytest.raises(ParameterError, match="has one row then"):
         recorded_table(recording, setup.load(), rate=1.0)
+
+
+def test_a_cycle_and_three_cycles_are_the_same_gait() -> None:
+    one = servo_table(Setup(gait="lat"), {"frequency": 0.5}, rate=50.0)
+    three = servo_table(Setup(gait="lat"), {"frequency": 0.5}, rate=50.0, cycles=3)
+    np.testing.assert_allclose(np.tile(one.angles, (3, 1)), three.angles, atol=1e-4)
