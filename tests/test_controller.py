@@ -667,3 +667,9 @@ def test_the_gait_factor_follows_the_duty_factor():
     batch = Simulator(Setup(), engine="c").parameters({"duty": np.array([0.5, 0.8])})
     np.testing.assert_allclose(batch.control.gait.gait_factor, [2.0, 1.25])
     assert control_parameters("lat").gait.gait_factor == pytest.approx(1 / 0.68, rel=5e-3)
+
+
+@pytest.mark.parametrize("gait", ["trt", "trt1", "lat"])
+@pytest.mark.parametrize("profile", ["exact", "as_published"])
+def test_the_published_gaits_are_within_the_workspace(gait, profile):
+    control_parameters(gait, steering="mix", profile=profile)

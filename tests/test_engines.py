@@ -16,6 +16,7 @@ import pytest
 from conftest import WALKS
 
 from nermo_mjx.physics import resolve_engine
+from nermo_mjx.physics.c_engine import CEngine
 from nermo_mjx.rollout import Run
 
 
@@ -229,3 +230,14 @@ def test_worlds_do_not_disturb_each_other(simulator):
     together = sim.run(WALKS, run, record=True).trace
     alone = sim.run({name: values[4:5] for name, values in WALKS.items()}, run, record=True).trace
     np.testing.assert_allclose(alone.qpos[0, :40], together.qpos[4, :40], atol=1e-5)
+
+
+def test_c_engine_does_not_depend_on_the_number_of_threads(simulator):
+    """One thread and two give the same trajectory, bit for bit."""
+    sim = simulator(spine="stride_extension")
+    batch = sim.prepare(WALKS)
+    one, two = (
+        CEngine(sim.robot, sim.loop, threads=threads).open(batch.params, batch.qpos, batch.fields).record(50)
+        for threads in (1, 2)
+    )
+    np.testing.assert_array_equal(one.qpos, two.qpos)

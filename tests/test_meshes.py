@@ -239,3 +239,25 @@ def test_one_file_holds_the_meshes(tail, tmp_path, monkeypatch):
         assert getattr(again, count) == getattr(robot.model, count)
     np.testing.assert_allclose(again.geom_pos, robot.model.geom_pos, atol=1e-6)
     assert mjx.put_model(again).nmesh == again.nmesh
+
+
+@pytest.mark.parametrize("tail", ["rigid", "articulated"])
+def test_the_motion_is_the_same_without_any_mesh(tail):
+    """A robot stripped of all meshes before it is compiled moves to the bit like the whole one, and like `physical`."""
+    robot = load_robot(tail=tail)
+    bare = robot.spec.copy()
+    for geom in [geom for geom in bare.geoms if geom.type == mujoco.mjtGeom.mjGEOM_MESH]:
+        bare.delete(geom)
+    for mesh in list(bare.meshes):
+        bare.delete(mesh)
+    ends = []
+    for model in (robot.model, bare.compile(), robot.physical):
+        data, noise = mujoco.MjData(model), np.random.default_rng(3)
+        for _ in range(300):
+            data.ctrl[:] = noise.uniform(-0.4, 0.4, model.nu)
+            mujoco.mj_step(model, data)
+        ends.append(np.concatenate([data.qpos, data.qvel, data.sensordata]))
+    assert robot.model.nmesh > 30
+    assert robot.physical.nmesh == 0
+    np.testing.assert_array_equal(ends[1], ends[0])
+    np.testing.assert_array_equal(ends[2], ends[0])

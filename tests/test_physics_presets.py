@@ -182,3 +182,26 @@ def test_contacts_are_no_stiffer_than_the_step_allows():
     names = {physics: all_parameters(Setup(physics=physics))["contact.time_constant"] for physics in PRESETS}
     assert names["reference"].low == 0.004
     assert names["fast"].low == pytest.approx(0.02 / 3)
+
+
+def test_the_rest_of_the_model_is_the_same():
+    """Nothing but the time step and the pairs differs: masses, springs, tendons, servos and sensors are equal."""
+    ours, reference = (load_robot(physics=physics).model for physics in ("fast", "reference"))
+    for field in (
+        "body_mass",
+        "body_inertia",
+        "jnt_stiffness",
+        "dof_damping",
+        "dof_armature",
+        "tendon_range",
+        "wrap_type",
+        "actuator_gainprm",
+        "actuator_forcerange",
+        "sensor_type",
+        "qpos0",
+        "geom_type",
+        "site_pos",
+    ):
+        np.testing.assert_array_equal(getattr(ours, field), getattr(reference, field), err_msg=field)
+    for option in ("integrator", "solver", "cone", "impratio", "tolerance", "iterations", "disableflags"):
+        assert getattr(ours.opt, option) == getattr(reference.opt, option), option

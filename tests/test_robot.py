@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import copy
 import functools
 import itertools
 from pathlib import Path
@@ -636,3 +637,33 @@ def test_nothing_that_is_only_drawn_is_left():
     assert not [
         i for i in range(model.nsite) if model.site(i).name.startswith("tail_") and model.site(i).name != "tail_touch"
     ]
+
+
+def test_degrees_of_freedom():
+    """28 with the rigid tail; its 19 joints and its pulley make them 48."""
+    assert load_robot().model.nv == 28
+    assert load_robot(tail="articulated").model.nv == 48
+
+
+def test_visual_geoms_are_without_effect():
+    """Without the geoms of group 2, but for the pulleys that tendons wrap around, 200 steps are the same to the bit."""
+    robot, bare = load_robot(), assemble()
+    for geom in list(bare.geoms):
+        if geom.group == 2 and not geom.name.endswith("pulley"):
+            bare.delete(geom)
+    model = bare.compile()
+    # Floor, soles, tail's tip, three spheres of the trunk, five pulleys; the tail's pulley is fixed, but still a geom.
+    assert model.ngeom == 15 < robot.model.ngeom
+    np.testing.assert_array_equal(model.body_mass, robot.model.body_mass)
+    ctrl = targets(robot.n_servos, 200)
+    np.testing.assert_array_equal(simulate(model, ctrl), simulate(robot.model, ctrl))
+
+
+def test_the_search_for_islands_is_without_effect():
+    """One robot is one island: with MuJoCo's search for others switched on, 300 steps are the same to the bit."""
+    robot = load_robot()
+    searching = copy.copy(robot.model)
+    searching.opt.disableflags &= ~mujoco.mjtDisableBit.mjDSBL_ISLAND.value
+    assert searching.opt.disableflags != robot.model.opt.disableflags
+    ctrl = targets(robot.n_servos, 300)
+    np.testing.assert_array_equal(simulate(searching, ctrl), simulate(robot.model, ctrl))

@@ -209,3 +209,25 @@ def test_wrong_bounds_are_said_before_anything_is_written(tmp_path):
     with pytest.raises(SpecError, match=r"search: field 'spine.amplitude' is the list .*: a search moves between"):
         run_search(SPEED | {"vary": {"spine.amplitude": [0.1, 0.2]}}, tmp_path / "out")
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("spec", [SPEED, FRONT, ATLAS], ids=["cma", "nsga2", "cma_me"])
+def test_the_same_search_gives_the_same_numbers(spec, tmp_path):
+    """Also where NumPy's global generator stands elsewhere; another seed gives others."""
+    run_search(spec, tmp_path / "a", simulator=FakeSimulator())
+    np.random.seed(5)  # noqa: NPY002
+    run_search(spec, tmp_path / "b", simulator=FakeSimulator())
+    assert numbers(tmp_path / "a") == numbers(tmp_path / "b")
+    run_search(spec | {"seed": 1}, tmp_path / "c", simulator=FakeSimulator())
+    assert numbers(tmp_path / "a")[0] != numbers(tmp_path / "c")[0]
+
+
+@pytest.mark.parametrize("spec", [SPEED, FRONT, ATLAS], ids=["cma", "nsga2", "cma_me"])
+def test_a_search_that_is_stopped_goes_on_with_the_same_numbers(spec, tmp_path):
+    """Stopped in its sixth batch; nothing that is stored is simulated again."""
+    run_search(spec, tmp_path / "whole", simulator=(whole := FakeSimulator()))
+    with pytest.raises(Interrupted, match="nermo-mjx search"):
+        run_search(spec, tmp_path / "out", simulator=FakeSimulator(stop_at=5))
+    run_search(spec, tmp_path / "out", simulator=(rest := FakeSimulator()))
+    assert rest.batches == whole.batches[5:]
+    assert numbers(tmp_path / "out") == numbers(tmp_path / "whole")

@@ -12,7 +12,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from conftest import shared_simulator
-from sweep_fake import SPEC, FakeSimulator
+from sweep_fake import SPEC, FakeSimulator, part_of
 
 from nermo_mjx import Recording, Run, Setup, load_robot
 from nermo_mjx.rollout import Saving, Series
@@ -314,3 +314,21 @@ def test_series_open_in_the_lines_of_the_page(tmp_path: Path, package: str) -> N
         exec("\n".join(line for line in lines if line.startswith(("one = ", "both = "))), scope)
         assert len(scope["one"]) == samples[1]
         assert (scope["both"]["speed_x"] == scope["both"]["speed_y"].astype(np.float32)).all()
+
+
+@pytest.mark.parametrize("damage", ["missing", "flipped"])
+def test_runs_without_their_series_are_made_again(tmp_path: Path, damage: str) -> None:
+    run_sweep(SAVED, tmp_path, chunk=5, simulator=Saver())
+    before, part = samples(tmp_path), part_of(tmp_path, 12)
+    file = tmp_path / "series" / pq.read_metadata(part).metadata[b"series"].decode()
+    if damage == "missing":
+        file.unlink()
+    else:
+        file.write_bytes(file.read_bytes().replace(b"gyro_x", b"gyro_y", 1))
+    damaged, told = file.read_bytes() if file.exists() else b"", []
+    result = run_sweep(SAVED, tmp_path, simulator=Saver(), watch=Watch(warn=told.append))
+    assert result.chunks_run == 1
+    assert len(told) == 1
+    assert f"{part} has no time series, or damaged ones; it is kept in results.aside" in told[0]
+    assert samples(tmp_path).equals(before)
+    assert [path.read_bytes() for path in tmp_path.glob("series.aside/*")] == [damaged] * (damage == "flipped")

@@ -12,6 +12,7 @@ from nermo_mjx.control import trajectory
 from nermo_mjx.control.parameters import Stance, Tracking
 
 position = jax.jit(trajectory.position, static_argnames="form")
+weights = jax.jit(trajectory.weights, static_argnames="form")
 
 KNOTS = np.array([0.0, 0.5, 1.0])
 PROGRESS = np.linspace(0.0, 1.0, 101)
@@ -85,3 +86,9 @@ def test_the_lag_does_not_depend_on_the_control_rate(rate):
     closed = float(trajectory.share_closed(published, 1.0 / rate))
     left_after_a_second = (1.0 - closed) ** rate
     assert left_after_a_second == pytest.approx((1.0 - 0.11) ** (100.0 / 0.4), rel=1e-3)
+
+
+@pytest.mark.parametrize("form", trajectory.FORMS)
+def test_the_weights_of_the_control_points_sum_to_one(form):
+    """So a path moves with its points, and a foot whose points coincide stands still."""
+    np.testing.assert_allclose(weights(PROGRESS, form).sum(axis=-2), 1.0, atol=1e-6)

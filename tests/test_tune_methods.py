@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import pickle
 import types
@@ -20,7 +21,7 @@ from nermo_mjx.optimize.methods import initial_state
 from nermo_mjx.optimize.optimizers import LineSearch
 from nermo_mjx.optimize.problems import SimulatedProblem, WalkProblem
 from nermo_mjx.optimize.run import costs_of, tuner_of
-from nermo_mjx.runs import codes_of
+from nermo_mjx.runs import Interrupted, codes_of
 
 PLAIN = {key: value for key, value in SPEC.items() if key not in ("optimizer", "starts")}
 CMA = PLAIN | {"method": {"cma": {"population": 8}}, "iterations": 12}
@@ -273,3 +274,17 @@ def test_walks_without_gradients_are_those_of_the_engine_c(monkeypatch):
     problem.evaluate(np.zeros((1, 2)), True)
     problem.evaluate(np.zeros((1, 2)), False)
     assert asked == [(True, "mjx"), (False, "c")]
+
+
+@pytest.mark.compiles
+@pytest.mark.parametrize("spec", [CMA, DIFFERENCES], ids=["cma", "differences"])
+def test_a_stopped_tuning_ends_with_the_same_numbers(spec, tmp_path: Path) -> None:
+    tuning = Tuning.from_dict(spec)
+    whole = run_tuning(spec, tmp_path / "a", problem=FakeProblem(tuning))
+    with pytest.raises(Interrupted):
+        run_tuning(spec, tmp_path / "b", problem=FakeProblem(tuning, stop_at=4))
+    rest = run_tuning(spec, tmp_path / "b", problem=(fake := FakeProblem(tuning)))
+    assert len(fake.batches) == tuning.iterations + 1 - 4
+    drop = ["wall_seconds", "code"]
+    assert rest.history.drop_columns(drop).equals(whole.history.drop_columns(drop))
+    assert json.loads((tmp_path / "b/best.json").read_text()) == json.loads((tmp_path / "a/best.json").read_text())

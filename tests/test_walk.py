@@ -114,3 +114,16 @@ def test_servos_turn_no_faster_than_their_speed(simulator):
     assert fastest[0] == pytest.approx(1.0, rel=1e-3)
     assert fastest[1] < 15.0
     assert result.metrics["speed"][0] < 0.9 * result.metrics["speed"][1]
+
+
+def test_the_published_lag_shortens_the_stride(simulator):
+    """Closing 11 % of the foot error a tick, at one clock, walks slower than exact tracking."""
+    result = simulator(gait="trt").run({"frequency": 0.8, "tracking.foot_gain": np.array([1.0, 0.11])}, LONG)
+    assert result.metrics["speed"][1] < 0.97 * result.metrics["speed"][0]
+
+
+def test_as_published_profile_walks(simulator):
+    """The published lag and clock ratio together walk upright, and slower than theory: 0.096 m/s on a clock of 0.4."""
+    result = simulator(gait="trt", profile="as_published").run({"frequency": 0.8}, LONG)
+    assert result.status[0] == "ok"
+    assert 0.05 < result.metrics["speed"][0] < 0.096 / 0.4
