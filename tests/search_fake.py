@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import os
+import sys
+import time
 import types
+from pathlib import Path
 
 import numpy as np
 
@@ -40,11 +44,12 @@ class FakeSimulator:
     Attributes:
         batches: number of worlds of each call.
         stop_at: raises `KeyboardInterrupt` in this call (counted from 0); fail_at: raises `error` in this call.
+        delay: seconds that each call takes; log: a file that gets a line a call.
     """
 
-    def __init__(self, stop_at=None, fail_at=None, error=None, engine="fake"):
+    def __init__(self, stop_at=None, fail_at=None, error=None, delay=0.0, log=None, engine="fake"):
         self.batches, self.stop_at, self.fail_at, self.error = [], stop_at, fail_at, error
-        self.engine = engine
+        self.delay, self.log, self.engine = delay, log, engine
 
     def run(self, values, run, *, progress=None, notify=None):
         if len(self.batches) == self.stop_at:
@@ -53,6 +58,10 @@ class FakeSimulator:
             raise self.error
         n = len(values["frequency"])
         self.batches.append(n)
+        if self.log:
+            with open(self.log, "a") as file:
+                file.write(f"{n}\n")
+        time.sleep(self.delay)
         frequency = values["frequency"]
         speed, roll, cost = walk(frequency, values.get("spine.amplitude", 0.0), values.get("spine.phase", 0.0))
         fell = frequency > FALLS
@@ -60,3 +69,15 @@ class FakeSimulator:
         metrics = {"speed": speed, "roll_std": roll, "cost_of_transport": cost, "fell": fell.astype(float)}
         status = np.where(fell, "fell", "ok")
         return types.SimpleNamespace(metrics=metrics, status=status, engine=self.engine, steps=100)
+
+
+if __name__ == "__main__":  # search_fake.py OUT LOG
+    from nermo_mjx.optimize import run_search
+    from nermo_mjx.runs import Interrupted
+
+    Path(sys.argv[2]).write_text("")
+    try:
+        run_search(SPEED, sys.argv[1], simulator=FakeSimulator(delay=0.1, log=sys.argv[2]))
+    except Interrupted as stopped:
+        print(stopped, flush=True)
+        os._exit(3)

@@ -2,6 +2,11 @@
 
 import importlib.util
 import json
+import os
+import signal
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -231,3 +236,27 @@ def test_a_search_that_is_stopped_goes_on_with_the_same_numbers(spec, tmp_path):
     run_search(spec, tmp_path / "out", simulator=(rest := FakeSimulator()))
     assert rest.batches == whole.batches[5:]
     assert numbers(tmp_path / "out") == numbers(tmp_path / "whole")
+
+
+@pytest.mark.process
+def test_a_kill_at_any_moment_loses_a_batch_at_most(tmp_path):
+    """SIGKILL at two moments of one search; the last process ends with the numbers of a search without kills."""
+    out, log = tmp_path / "out", tmp_path / "log"
+    run_search(SPEED, tmp_path / "whole", simulator=FakeSimulator())
+    fake, simulated = Path(__file__).with_name("search_fake.py"), 0
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+    for kills in (1, 2):
+        process = subprocess.Popen([sys.executable, str(fake), str(out), str(log)], env=environment)
+        begun = time.monotonic()
+        while time.monotonic() < begun + 120 and not (log.exists() and len(log.read_text().split()) > 2):
+            time.sleep(0.01)
+        time.sleep(0.05 * kills)
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+        simulated += sum(map(int, log.read_text().split()))
+        log.unlink()
+        stored = read_table(out).num_rows
+        assert simulated - stored <= 12 * kills
+    run_search(SPEED, out, simulator=(rest := FakeSimulator()))
+    assert sum(rest.batches) == 120 - stored
+    assert numbers(out) == numbers(tmp_path / "whole")

@@ -1,7 +1,12 @@
 """Running a tuning: convergence, bounds, worlds that fall, the files, and going on after every kind of stop."""
 
 import json
+import os
 import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -431,3 +436,27 @@ def test_start_and_best_are_walked_again_from_unseen_starts(tmp_path):
     for point, given in (("start", result.start), ("best", result.best)):
         assert found[point]["metrics"]["speed"] == pytest.approx(given["metrics"]["speed"], rel=1e-5)
         assert found[point]["objective"] == pytest.approx(given["objective"], rel=1e-5)
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
+def test_a_killed_process_is_gone_on_with(tmp_path, reference, number):
+    """Killed by a signal in its fourth evaluation, the tuning loses no more than that one."""
+    out, log = tmp_path / "out", tmp_path / "log"
+    script = Path(__file__).with_name("tune_fake.py")
+    environment = os.environ | {"PYTHONPATH": str(script.parents[1])}
+    process = subprocess.Popen([sys.executable, script, out, log], stdout=subprocess.PIPE, text=True, env=environment)
+    waited = time.monotonic()
+    while (log.read_text().count("\n") if log.exists() else 0) < 4:
+        assert process.poll() is None, "the tuning ended too early"
+        assert time.monotonic() - waited < 120
+        time.sleep(0.005)
+    process.send_signal(number)
+    printed, _ = process.communicate(timeout=60)
+    if number == signal.SIGTERM:
+        assert process.returncode == 3
+        assert f"nermo-mjx tune {out}/tuning.yaml --out {out}" in printed
+    result, _ = tune(out)
+    assert result.iterations_run == 4
+    assert same(result, reference)
+    sessions = json.loads((out / "run.json").read_text())["sessions"]
+    assert [session["begun_at"] for session in sessions] == [0, 7 - result.iterations_run]

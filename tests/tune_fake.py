@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import os
 import pickle
+import sys
 import time
 import types
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from sweep_fake import HELD
 
-from nermo_mjx.optimize import Evaluation
+from nermo_mjx.optimize import Evaluation, Tuning
 from nermo_mjx.robot import load_robot
 
 SPEC = {
@@ -50,15 +53,22 @@ class FakeProblem:
         batches: (number of worlds, with gradient) of each call; compiled: how often the program was traced.
         falls: tells from points (n, p) which worlds fall; their numbers are NaN.
         stop_at: raises `KeyboardInterrupt` in this call (counted from 0).
+        hold_at: this call waits for the signal that ends the process, however slow the machine is.
         delay: seconds that each call takes; log: a file that gets a line a call, the process and the number of worlds.
     """
 
     simulated_seconds, gradient_cost = 5.0, 3.0
 
-    def __init__(self, tuning, falls=nobody, stop_at=None, delay=0.0, log=None):
+    def __init__(self, tuning, falls=nobody, stop_at=None, delay=0.0, log=None, hold_at=None):
         self._made_of = tuning, falls, stop_at, delay, log
-        self.names, self.objective = tuning.names, tuning.objective
-        self.stop_at, self.delay, self.log = stop_at, delay, log
+        self.hold_at = hold_at
+        self.names, self.objective, self.stop_at, self.delay, self.log = (
+            tuning.names,
+            tuning.objective,
+            stop_at,
+            delay,
+            log,
+        )
         self.batches, self.compiled = [], 0
 
         def metrics(point):
@@ -88,7 +98,7 @@ class FakeProblem:
         if self.log:
             with open(self.log, "a") as file:
                 file.write(f"{os.getpid()} {len(points)}\n")
-        time.sleep(self.delay)
+        time.sleep(HELD if len(self.batches) - 1 == self.hold_at else self.delay)
         return self._program(points, gradient)
 
 
@@ -133,6 +143,18 @@ def _glide(pace, seconds):
     qpos[:, :, 1] -= pace[:, None] * time
     still = (np.zeros((len(pace), len(time), size)) for size in (model.nv, model.nu))
     return types.SimpleNamespace(time=time, qpos=qpos, qvel=next(still), ctrl=next(still), sensors={})
+
+
+if __name__ == "__main__":  # a process to be killed: tune_fake.py OUT LOG
+    from nermo_mjx.optimize import run_tuning
+    from nermo_mjx.runs import Interrupted
+
+    Path(sys.argv[2]).write_text("")
+    try:
+        run_tuning(SPEC, sys.argv[1], problem=FakeProblem(Tuning.from_dict(SPEC), log=sys.argv[2], hold_at=3))
+    except Interrupted as stopped:
+        print(stopped, flush=True)
+        os._exit(3)
 
 
 class Three:
