@@ -1,4 +1,4 @@
-"""A headless Chromium for tests: pages, keys, clicks and pictures over its debugging pipe, without a driver program."""
+"""A headless Chromium for tests: pages, keys, clicks and pictures over its debugging socket, without a driver."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ import io
 import itertools
 import json
 import os
-import select
 import shutil
 import subprocess
 import tempfile
@@ -20,6 +19,7 @@ from typing import Any
 import numpy as np
 import pytest
 from PIL import Image
+from websockets.sync.client import ClientConnection, connect
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
 #: No sandbox, because tests run as root in containers; no look-ups, because there may be no network; WebGL in software.
@@ -34,7 +34,7 @@ FLAGS = (
     "--disable-dev-shm-usage",
     "--mute-audio",
     "--hide-scrollbars",
-    "--remote-debugging-pipe",
+    "--remote-debugging-port=0",
 )
 SOFTWARE = ("--use-angle=swiftshader", "--enable-unsafe-swiftshader")
 WITHOUT_WEBGL = ("--disable-gpu", "--disable-3d-apis")
@@ -44,14 +44,12 @@ PATIENCE = 60.0
 READY = "document.documentElement?.dataset.ready === 'yes'"
 
 
-def find(names: Sequence[str] = NAMES, variable: str = "CHROMIUM") -> str | None:
-    """Path of a browser, by default a Chromium or Chrome: what the variable says, or the first of these names."""
-    return os.environ.get(variable) or next((path for name in names if (path := shutil.which(name))), None)
-
-
 def require(names: Sequence[str] = NAMES, variable: str = "CHROMIUM") -> str:
-    """The same; without one the test is skipped, with the remedy. In CI, which installs it, that is a failure."""
-    path = find(names, variable)
+    """Path of a browser, by default a Chromium or Chrome: what the variable says, or the first of these names.
+
+    Without one the test is skipped, with the remedy. In CI, which installs it, that is a failure.
+    """
+    path = os.environ.get(variable) or next((path for name in names if (path := shutil.which(name))), None)
     if path is None:
         remedy = f"no {names[0]}: `apt-get install {names[0]}`, or set {variable} to the path of one"
         (pytest.fail if os.environ.get("CI") else pytest.skip)(remedy)
@@ -59,10 +57,19 @@ def require(names: Sequence[str] = NAMES, variable: str = "CHROMIUM") -> str:
 
 
 @contextlib.contextmanager
-def ended(process: subprocess.Popen[bytes]) -> Iterator[None]:
-    """A process that ends with the context."""
+def started(path: str, *flags: str, profile: str, tells: str) -> Iterator[list[str]]:
+    """A browser that ends with the context: the words of the file of its profile in which it says where it listens."""
+    quiet = {"stdin": subprocess.DEVNULL, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    process = subprocess.Popen([path, *flags], **quiet)
     try:
-        yield
+        deadline, words = time.monotonic() + PATIENCE, list[str]()
+        while not words:
+            assert process.poll() is None, f"{path} has ended (exit code {process.poll()})"
+            assert time.monotonic() < deadline, f"{path} does not listen after {PATIENCE:g} s"
+            time.sleep(0.05)
+            with contextlib.suppress(OSError):
+                words = Path(profile, tells).read_text().split()
+        yield words
     finally:
         process.terminate()
         with contextlib.suppress(subprocess.TimeoutExpired):
@@ -86,7 +93,7 @@ class Page:
     def nameless(self) -> list[str]:
         """Controls that a screen reader has no name for."""
         return self.evaluate("""[...document.querySelectorAll(
-            "button, select, input, [role=dialog], canvas:not([aria-hidden])")].filter((each) =>
+            "button, summary, select, input, dialog, canvas:not([aria-hidden])")].filter((each) =>
             !(each.getAttribute("aria-label") || each.getAttribute("aria-labelledby") || each.textContent.trim()
                 || each.closest("label"))).map((each) => each.outerHTML)""")
 
@@ -121,19 +128,17 @@ class Page:
 class Browser:
     """One process of Chromium."""
 
-    def __init__(self, process: subprocess.Popen[bytes], to: int, back: int) -> None:
-        self._process, self._to, self._back = process, to, back
-        self._numbers, self._rest = itertools.count(1), b""
+    def __init__(self, socket: ClientConnection) -> None:
+        self._socket, self._numbers = socket, itertools.count(1)
         self._events: list[dict[str, Any]] = []
 
     def call(self, method: str, session: str | None = None, **params: Any) -> dict[str, Any]:
         """The result of one command of the DevTools protocol."""
         number = next(self._numbers)
         message = {"id": number, "method": method, "params": params} | ({"sessionId": session} if session else {})
-        os.write(self._to, json.dumps(message).encode() + b"\0")
-        deadline = time.monotonic() + PATIENCE
+        self._socket.send(json.dumps(message))
         while True:
-            answer = self._receive(deadline, method)
+            answer = json.loads(self._socket.recv(timeout=PATIENCE))
             if answer.get("id") == number:
                 assert "error" not in answer, f"{method}: {answer['error']}"
                 return answer["result"]
@@ -142,42 +147,27 @@ class Browser:
     @contextlib.contextmanager
     def tab(self) -> Iterator[Tab]:
         """A new page, closed with the context."""
-        page = Tab(self)
+        target = self.call("Target.createTarget", url="about:blank")["targetId"]
         try:
-            yield page
+            yield Tab(self, self.call("Target.attachToTarget", targetId=target, flatten=True)["sessionId"])
         finally:
-            page.close()
+            self.call("Target.closeTarget", targetId=target)
 
     def events(self, session: str) -> list[dict[str, Any]]:
         """What a page has reported so far."""
         return [event for event in self._events if event.get("sessionId") == session]
 
-    def _receive(self, deadline: float, what: str) -> dict[str, Any]:
-        while b"\0" not in self._rest:
-            ready, _, _ = select.select([self._back], [], [], max(deadline - time.monotonic(), 0))
-            assert ready, f"no answer to {what} in {PATIENCE:g} s"
-            piece = os.read(self._back, 1 << 20)
-            assert piece, f"Chromium has ended (exit code {self._process.poll()})"
-            self._rest += piece
-        message, _, self._rest = self._rest.partition(b"\0")
-        return json.loads(message)
-
 
 class Tab(Page):
     """A page in it."""
 
-    def __init__(self, browser: Browser) -> None:
-        self._browser = browser
-        self._target = browser.call("Target.createTarget", url="about:blank")["targetId"]
-        self._session = browser.call("Target.attachToTarget", targetId=self._target, flatten=True)["sessionId"]
+    def __init__(self, browser: Browser, session: str) -> None:
+        self._browser, self._session = browser, session
         for domain in ("Page", "Runtime", "Log", "Network"):
             self._call(f"{domain}.enable")
 
     def _call(self, method: str, **params: Any) -> dict[str, Any]:
         return self._browser.call(method, self._session, **params)
-
-    def close(self) -> None:
-        self._browser.call("Target.closeTarget", targetId=self._target)
 
     def open(
         self, path: Path | str, width: int = 1280, height: int = 720, dark: bool = False, scale: float = 1.0
@@ -239,25 +229,12 @@ class Tab(Page):
 @contextlib.contextmanager
 def browser(path: str, webgl: bool = True) -> Iterator[Browser]:
     """A running Chromium, ended with the context."""
-    to_read, to_write = os.pipe()
-    back_read, back_write = os.pipe()
-    # Chromium reads from 3 and writes to 4; a shell puts them there, as Python has threads that no fork may copy.
-    connect = f'exec "$0" "$@" 3</dev/fd/{to_read} 4>/dev/fd/{back_write}'
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
         flags = (*FLAGS, *(SOFTWARE if webgl else WITHOUT_WEBGL), f"--user-data-dir={profile}")
-        process = subprocess.Popen(
-            ["sh", "-c", connect, path, *flags],
-            pass_fds=(to_read, back_write),
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-        )
-        os.close(to_read)
-        os.close(back_write)
-        with ended(process):
-            yield Browser(process, to_write, back_read)
-        os.close(to_write)
-        os.close(back_read)
+        with started(path, *flags, profile=profile, tells="DevToolsActivePort") as (port, way):
+            address = f"ws://127.0.0.1:{port}{way}"
+            with connect(address, max_size=None, compression=None, ping_interval=None) as socket:
+                yield Browser(socket)
 
 
 @contextlib.contextmanager

@@ -7,14 +7,12 @@ import contextlib
 import itertools
 import json
 import socket
-import subprocess
 import tempfile
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from chromium import PATIENCE, Page, ended, require
+from chromium import PATIENCE, Page, require, started
 
 NAMES = ("firefox-esr", "firefox")
 #: A port of its own choice, no look-ups, no first-run pages; the theme is set by each page.
@@ -56,35 +54,28 @@ class Tab(Page):
     """The page of a running Firefox."""
 
     def __init__(self, connection: socket.socket) -> None:
-        self._connection, self._rest, self._numbers = connection, b"", itertools.count(1)
-        self._receive(time.monotonic() + PATIENCE)
+        self._connection, self._answers, self._numbers = connection, connection.makefile("rb"), itertools.count(1)
+        self._receive()
         self._call("WebDriver:NewSession", capabilities={"alwaysMatch": {"timeouts": {"script": 1000 * int(PATIENCE)}}})
 
     def _call(self, command: str, **params: Any) -> Any:
         number = next(self._numbers)
         message = json.dumps([0, number, command, params]).encode()
         self._connection.sendall(b"%d:%s" % (len(message), message))
-        deadline = time.monotonic() + PATIENCE
         while True:
-            kind, answered, error, result = self._receive(deadline)
+            kind, answered, error, result = self._receive()
             if kind == 1 and answered == number:
                 assert error is None, f"{command}: {error}"
                 return result.get("value") if isinstance(result, dict) and result.keys() == {"value"} else result
 
-    def _receive(self, deadline: float) -> Any:
-        def more() -> None:
-            self._connection.settimeout(max(deadline - time.monotonic(), 0.01))
-            piece = self._connection.recv(1 << 20)
+    def _receive(self) -> Any:
+        """The next message: its length, a colon, and JSON."""
+        length = b""
+        while not length.endswith(b":"):
+            piece = self._answers.read(1)
             assert piece, "Firefox has ended"
-            self._rest += piece
-
-        while b":" not in self._rest:
-            more()
-        length, _, self._rest = self._rest.partition(b":")
-        while len(self._rest) < int(length):
-            more()
-        message, self._rest = self._rest[: int(length)], self._rest[int(length) :]
-        return json.loads(message)
+            length += piece
+        return json.loads(self._answers.read(int(length[:-1])))
 
     def _in_browser(self, script: str) -> Any:
         self._call("Marionette:SetContext", value="chrome")
@@ -152,24 +143,9 @@ def page() -> Iterator[Tab]:
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
         lines = [f"user_pref({json.dumps(name)}, {json.dumps(value)});\n" for name, value in PREFS.items()]
         (Path(profile) / "user.js").write_text("".join(lines))
-        process = subprocess.Popen(
-            [path, "--headless", "--no-remote", "--marionette", "--remote-allow-system-access", "--profile", profile],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-        )
-        with ended(process):
-            where = ("127.0.0.1", _port(Path(profile), process))
-            with socket.create_connection(where, PATIENCE) as connection:
-                yield Tab(connection)
-
-
-def _port(profile: Path, process: subprocess.Popen[bytes]) -> int:
-    """Where Firefox listens; it writes that into its profile."""
-    deadline = time.monotonic() + PATIENCE
-    while True:
-        assert process.poll() is None, f"Firefox has ended (exit code {process.poll()})"
-        assert time.monotonic() < deadline, f"Firefox does not listen after {PATIENCE:g} s"
-        with contextlib.suppress(OSError, ValueError):
-            return int((profile / "MarionetteActivePort").read_text())
-        time.sleep(0.05)
+        flags = ("--headless", "--no-remote", "--marionette", "--remote-allow-system-access", "--profile", profile)
+        with (
+            started(path, *flags, profile=profile, tells="MarionetteActivePort") as (port,),
+            socket.create_connection(("127.0.0.1", int(port)), PATIENCE) as connection,
+        ):
+            yield Tab(connection)

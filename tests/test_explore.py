@@ -23,8 +23,9 @@ from nermo_mjx.cli.walk import plan
 from nermo_mjx.cli.walk import walk_command as walk
 from nermo_mjx.runs import DirectoryError
 from nermo_mjx.sweep import Sweep, run_sweep
-from nermo_mjx.view.clip import COMPACT, FULL, Frames, Models, Packer, clip_of
+from nermo_mjx.view.clip import COMPACT, FULL, Frames, Models, clip_of
 from nermo_mjx.view.explore import commands_of, explore, runs_of, start_of, with_gain
+from nermo_mjx.view.page import Packer
 from nermo_mjx.view.recorded import motion_of
 
 

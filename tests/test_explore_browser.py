@@ -250,7 +250,7 @@ def test_keys_walk_choose_and_let_go(tab: Any, page: Path, rows: dict[str, Any])
     tab.key("?", shift=True)
     assert "walk from run to run" in tab.evaluate("document.getElementById('help').innerText")
     tab.key("Escape")
-    assert tab.evaluate("document.getElementById('help').hidden")
+    assert not tab.evaluate("document.getElementById('help').open")
 
 
 # --- filters
@@ -362,8 +362,8 @@ def test_a_recording_plays_in_3d_and_closes(tab: Any, page: Path) -> None:
     assert tab.evaluate(SELECTED) == RECORDED[1]
     tab.wait("document.activeElement.tagName === 'IFRAME'")
     tab.key("Escape")
-    tab.wait("document.getElementById('theatre').hidden")
-    assert tab.evaluate("document.querySelector('#theatre iframe')") is None
+    tab.wait("!document.getElementById('theatre').open && !document.querySelector('#theatre iframe')")
+    assert tab.evaluate("document.activeElement.id") == "marks"
     assert tab.evaluate(SELECTED) == RECORDED[1], "the run is still chosen"
 
 
@@ -382,7 +382,7 @@ def test_everything_fits_its_window(tab: Any, page: Path, width: int, height: in
     opened(tab, page, width, height)
     width, height = tab.evaluate("[innerWidth, innerHeight]")  # Firefox has no window as narrow as a phone
     assert tab.evaluate("document.documentElement.scrollWidth") <= width
-    assert tab.outside(["marks", "x", "save", "help-toggle"], width, height, 20) == []
+    assert tab.outside(["marks", "x", "save", "help"], width, height, 20) == []
     plane = tab.evaluate("document.getElementById('marks').getBoundingClientRect().toJSON()")
     assert plane["width"] * plane["height"] > 0.3 * width * height
     reached = "(() => { document.querySelector('[data-field=\"spine.phase\"] input').scrollIntoView(); return 1; })()"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import imageio.v2 as imageio
@@ -15,9 +15,9 @@ import pytest
 from PIL import Image, ImageSequence
 
 from nermo_mjx.robot.quantity import ParameterError
-from nermo_mjx.view import Recording, RecordingError, VideoError, offscreen, overlays, render
+from nermo_mjx.view import Recording, RecordingError, VideoError, offscreen, render, video
 from nermo_mjx.view.camera import INSIDE, OUTSIDE, draw_support, is_inside, smooth_path, support_polygon
-from nermo_mjx.view.video import Pane, frame_samples, render_side_by_side, require_encoder, write_video
+from nermo_mjx.view.video import Pane, frame_samples, render_side_by_side, write_video
 
 pytestmark = pytest.mark.draws
 
@@ -92,14 +92,14 @@ def test_a_webp_shows_what_a_gif_shows(model: mujoco.MjModel, tmp_path: Path) ->
             assert second.info["duration"] == 100
 
 
-@pytest.mark.parametrize("fps", [13, 17, 30, 50])
-def test_a_gif_lasts_as_long_as_its_frames_should(tmp_path: Path, fps: int) -> None:
-    """To half of the hundredth of a second that the format counts in, whatever the rate."""
-    frames = (np.full((8, 8, 3), 4 * i, np.uint8) for i in range(60))
-    path = write_video(tmp_path / "v.gif", frames, 60, fps=fps, width=8, height=8)
+@pytest.mark.parametrize(("fps", "count"), [(13, 60), (17, 60), (30, 60), (50, 60), (20, 1)])
+def test_a_gif_lasts_as_long_as_its_frames_should(tmp_path: Path, fps: int, count: int) -> None:
+    """To half of the hundredth of a second that the format counts in, whatever the rate; also a single frame."""
+    frames = (np.full((8, 8, 3), 4 * i, np.uint8) for i in range(count))
+    path = write_video(tmp_path / "v.gif", frames, count, fps=fps, width=8, height=8)
     with Image.open(path) as gif:
         lasts = sum(frame.info["duration"] for frame in ImageSequence.Iterator(gif))
-    assert lasts == pytest.approx(60_000 / fps, abs=5.0)
+    assert lasts == pytest.approx(1000 * count / fps, abs=5.0)
 
 
 @pytest.mark.usefixtures("drawing")
@@ -202,14 +202,14 @@ def test_the_footfall_passes_below_the_picture_in_step_with_the_time(model: mujo
     recording = trotting(model)
     path = render(recording, model, tmp_path / "w.mp4", fps=4, width=320, height=96, overlays=("gait", "support"))
     frames = [np.asarray(frame).astype(int) for frame in imageio.get_reader(path)]
-    assert frames[0].shape[0] == 96 + overlays.Strip(recording, overlays.gait_panels(recording), 320).height
-    room = 320 - overlays.MARGIN
+    assert frames[0].shape[0] == 96 + video.Strip(recording, video.gait_panels(recording), 320).height
+    room = 320 - video.MARGIN
     for i, seconds in ((1, 0.25), (8, 2.0), (11, 2.75), (16, 4.0)):
-        strip = frames[i][96 + 11, overlays.MARGIN :]  # the row of the front left foot
+        strip = frames[i][96 + 11, video.MARGIN :]  # the row of the front left foot
         blue = strip[:, 2] - strip[:, 0] > 100
-        first = np.clip(seconds - overlays.PAST, 0.0, 4.0 - overlays.PAST - overlays.AHEAD)
+        first = np.clip(seconds - video.PAST, 0.0, 4.0 - video.PAST - video.AHEAD)
         for share in (0.1, 0.3, 0.5, 0.65):
-            then = first + share * (overlays.PAST + overlays.AHEAD)
+            then = first + share * (video.PAST + video.AHEAD)
             if then < seconds and 0.04 < then % 0.5 < 0.46:
                 assert blue[round(share * room)] == (then % 1.0 < 0.5), (seconds, then)
 
@@ -257,29 +257,31 @@ def test_the_scene_shows_polygon_and_centre_of_mass(
     np.testing.assert_allclose(scene.geoms[parts - 1].pos, centre, atol=1e-6)
 
 
-def test_a_machine_without_gl_gets_the_remedy(
-    model: mujoco.MjModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def without_gl(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("MUJOCO_GL", "DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setattr(offscreen, "_headless_backend", lambda: None)
-    with pytest.raises(VideoError, match="apt-get install libosmesa6"):
+
+
+@pytest.mark.parametrize(
+    ("lacks", "remedy"),
+    [
+        (without_gl, "apt-get install libosmesa6"),
+        (lambda patch: patch.setitem(sys.modules, "imageio_ffmpeg", None), r"pip install imageio-ffmpeg"),
+        (
+            lambda patch: patch.setenv("IMAGEIO_FFMPEG_EXE", "/nowhere/ffmpeg"),
+            r"IMAGEIO_FFMPEG_EXE is '/nowhere/ffmpeg', .* or write a \.gif",
+        ),
+    ],
+    ids=["GL", "ffmpeg", "its program"],
+)
+def test_a_machine_that_lacks_something_gets_the_remedy(
+    model: mujoco.MjModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, lacks: Callable, remedy: str
+) -> None:
+    lacks(monkeypatch)
+    with pytest.raises(VideoError, match=remedy):
         render(walk(model), model, tmp_path / "walk.mp4", width=64, height=48)
     assert not list(tmp_path.iterdir())
-
-
-def test_a_machine_without_ffmpeg_gets_the_remedy(
-    model: mujoco.MjModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
-    with pytest.raises(VideoError, match=r"pip install imageio-ffmpeg"):
-        render(walk(model), model, tmp_path / "walk.mp4", width=64, height=48)
-
-
-def test_an_ffmpeg_that_is_not_there_is_refused_by_its_variable(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", "/nowhere/ffmpeg")
-    with pytest.raises(VideoError, match=r"IMAGEIO_FFMPEG_EXE is '/nowhere/ffmpeg', .* or write a \.gif"):
-        require_encoder()
 
 
 @pytest.mark.parametrize("suffix", [".mp4", ".gif"])

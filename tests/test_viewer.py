@@ -19,8 +19,8 @@ from nermo_mjx import Recording, load_robot, show
 from nermo_mjx.plotting.style import FOOT
 from nermo_mjx.robot import LIMBS
 from nermo_mjx.view import RecordingError, robot_of
-from nermo_mjx.view.clip import MISSING, Packer, shapes_of
-from nermo_mjx.view.page import Page
+from nermo_mjx.view.clip import shapes_of
+from nermo_mjx.view.page import MISSING, Packer, Page
 from nermo_mjx.view.recorded import (
     Motion,
     details_of,

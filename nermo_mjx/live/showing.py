@@ -9,8 +9,8 @@ import numpy as np
 
 from nermo_mjx.live.driving import Driving
 from nermo_mjx.robot import LIMBS
-from nermo_mjx.view.clip import Packer, clips_of
-from nermo_mjx.view.page import document
+from nermo_mjx.view.clip import clips_of
+from nermo_mjx.view.page import Packer, document
 from nermo_mjx.view.recorded import ARC, Motion, motion_of, plots_of, recorded_model
 
 #: Arrows for contacts: two for each limb, and others.

@@ -108,7 +108,8 @@ def _legend(figure: Figure, handles: Sequence[Artist], below: float) -> float:
     for rows in range(1, len(handles) + 1):
         columns = -(-len(handles) // rows)
         legend = figure.legend(
-            handles=_by_rows(handles, columns),
+            # Matplotlib fills a legend column by column; in this order, it reads row by row.
+            handles=[handle for first in range(columns) for handle in handles[first::columns]],
             ncols=columns,
             columnspacing=1.4,
             handlelength=1.7,
@@ -122,8 +123,3 @@ def _legend(figure: Figure, handles: Sequence[Artist], below: float) -> float:
             return box.height / figure.dpi
         legend.remove()
     raise AssertionError("one column is always taken")
-
-
-def _by_rows(handles: Sequence[Artist], columns: int) -> list[Artist]:
-    """Matplotlib fills a legend column by column; in this order, it reads row by row."""
-    return [handle for first in range(columns) for handle in handles[first::columns]]

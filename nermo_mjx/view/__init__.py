@@ -1,11 +1,13 @@
 """Visualisation of runs: recordings, videos, and a page for the browser."""
 
+import os
+from pathlib import Path
+
 from nermo_mjx.recording import Recording, RecordingError, model_hash, recording_of
-from nermo_mjx.view.overlays import OVERLAYS
-from nermo_mjx.view.page import Page, show
+from nermo_mjx.view.page import Page
 from nermo_mjx.view.playing import play, write_keyframes
 from nermo_mjx.view.recorded import robot_of, shown_model
-from nermo_mjx.view.video import CAMERAS, VideoError, check_video, render
+from nermo_mjx.view.video import CAMERAS, OVERLAYS, VideoError, check_video, render
 
 __all__ = [
     "CAMERAS",
@@ -24,3 +26,49 @@ __all__ = [
     "shown_model",
     "write_keyframes",
 ]
+
+
+def show(
+    recording: Recording | str | os.PathLike[str],
+    other: Recording | str | os.PathLike[str] | None = None,
+    *,
+    height: int | None = None,
+) -> Page:
+    """The page of a recording: an interactive view of the robot with a time slider, tendons, forces and plots.
+
+    For the directory of a sweep or a search, it is the page of all its runs, see `explore`; for that of a training its
+    curves, its evaluation, and a walk of its policy.
+
+    In a notebook, a cell that ends in `show(recording)` shows it; `show(recording).save("walk.html")` writes one
+    self-contained file.
+
+    Args:
+        recording: the run, the NPZ file that holds it, or a directory.
+        other: a second recording to compare with, synchronised in time.
+        height: in a notebook [pixels]; by default 480, and 680 for a directory.
+
+    Raises:
+        RecordingError: the recording does not exist, or was made with another version of the model.
+        ParameterError: its setup names something that this version does not have.
+        DirectoryError: a directory holds no runs that can be shown, or is given with another recording.
+    """
+    if not isinstance(recording, Recording) and Path(recording).is_dir():
+        from nermo_mjx.runs import DirectoryError, kind_of
+
+        if other is not None:
+            raise DirectoryError(f"{recording} is a directory: it is shown alone, and compared row by row in its page.")
+        if kind_of(Path(recording)) == "training":
+            from nermo_mjx.view.trained import trained
+
+            return trained(Path(recording))
+        from nermo_mjx.view.explore import explore
+
+        return explore(recording, height=height or 680)
+    from nermo_mjx.view.clip import page_of
+
+    given = [recording] if other is None else [recording, other]
+    names = ["AB"[i] if isinstance(each, Recording) else Path(each).stem for i, each in enumerate(given)]
+    if len(set(names)) < len(names):  # files of one name tell runs apart by their folders
+        names = ["/".join(Path(str(each)).resolve().with_suffix("").parts[-2:]) for each in given]
+    loaded = [each if isinstance(each, Recording) else Recording.load(each) for each in given]
+    return page_of(loaded, names, height or 480)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import Final
 
 import mujoco
 import numpy as np
@@ -26,8 +26,6 @@ CAMERAS: Final = {
 STEREO: Final = "stereo"
 #: Standard deviation of the filter that removes the shaking of the steps from the camera's path [s].
 SMOOTHING: Final = 0.25
-#: Radius of the body over half the height of a square picture; a wide one shows the long, level body larger.
-FILLING: Final = 1.0
 
 
 def root_body(model: mujoco.MjModel) -> int:
@@ -71,13 +69,16 @@ def body_radius(model: mujoco.MjModel, data: mujoco.MjData, root: int) -> tuple[
 
 
 def following_camera(name: str, radius: float, fovy: float, aspect: float) -> mujoco.MjvCamera:
-    """The free camera of a named view, as far away as a body of this radius needs; fovy in degrees."""
+    """The free camera of a named view, as far away as a body of this radius needs; fovy in degrees.
+
+    In a square picture the body's sphere fills the height; a wide one shows the long, level body larger.
+    """
     camera = mujoco.MjvCamera()
     mujoco.mjv_defaultCamera(camera)
     camera.type = mujoco.mjtCamera.mjCAMERA_FREE
     camera.azimuth, camera.elevation = CAMERAS[name]
     narrow = np.tan(np.deg2rad(fovy) / 2) * (np.sqrt(aspect) if aspect > 1 else aspect)
-    camera.distance = radius / (FILLING * narrow)
+    camera.distance = radius / narrow
     return camera
 
 
@@ -142,12 +143,26 @@ def draw_support(
     """Add the support polygon of feet and tail in a sample, and the centre of mass with its plumb line, to a scene.
 
     Args:
-        scene: of the frame, updated already.
+        scene: of the frame, updated already; what it has no room for is left out.
         recording: with sensors `foot_position` and `foot_force`.
         sample: of the recording.
         com: centre of mass in the world [m].
         tail: tip of the tail [m], included if the recording has its force.
     """
+
+    def add(colour: tuple[float, ...], radius: float, begin: np.ndarray, end: np.ndarray | None = None) -> None:
+        """A ball, or a bar from one point to another."""
+        if scene.ngeom >= scene.maxgeom:
+            return
+        geom = scene.geoms[scene.ngeom]
+        scene.ngeom += 1
+        kind = mujoco.mjtGeom.mjGEOM_SPHERE if end is None else mujoco.mjtGeom.mjGEOM_CAPSULE
+        rgba = np.asarray(colour, np.float32)
+        mujoco.mjv_initGeom(geom, kind, np.full(3, radius), begin, np.eye(3).ravel(), rgba)
+        geom.emission = 0.5
+        if end is not None:
+            mujoco.mjv_connector(geom, kind, radius, begin, end)
+
     points = np.asarray(recording.sensors["foot_position"][sample]).reshape(4, 3)
     force = np.asarray(recording.sensors["foot_force"][sample])
     if tail is not None and "tail_force" in recording.sensors:
@@ -155,33 +170,13 @@ def draw_support(
         force = np.append(force, recording.sensors["tail_force"][sample])
     corners = support_polygon(points[:, :2], force > STANDING)
     colour = INSIDE if is_inside(corners, com[:2]) else OUTSIDE
-    below = np.array([com[0], com[1], _ABOVE])
-    for i in range(len(corners) if len(corners) > 2 else len(corners) - 1):
-        begin, end = (np.append(corners[j % len(corners)], _ABOVE) for j in (i, i + 1))
-        _connect(scene, begin, end, _EDGE)
+    corners = np.column_stack([corners, np.full(len(corners), _ABOVE)])
+    following = np.roll(corners, -1, axis=0) if len(corners) > 2 else corners[1:]
+    for begin, end in zip(corners, following, strict=False):
+        add(_EDGE, _LINE, begin, end)
     for corner in corners:
-        _ball(scene, np.append(corner, _ABOVE), 0.6 * _POINT, _EDGE)
-    _connect(scene, below, com, colour)
-    _ball(scene, below, _POINT, colour)
-    _ball(scene, com, _POINT, colour)
-
-
-def _ball(scene: mujoco.MjvScene, centre: np.ndarray, radius: float, colour: tuple[float, ...]) -> None:
-    if (geom := _new(scene, mujoco.mjtGeom.mjGEOM_SPHERE, colour)) is not None:
-        geom.size[:], geom.pos[:] = radius, centre
-
-
-def _connect(scene: mujoco.MjvScene, begin: np.ndarray, end: np.ndarray, colour: tuple[float, ...]) -> None:
-    if (geom := _new(scene, mujoco.mjtGeom.mjGEOM_CAPSULE, colour)) is not None:
-        mujoco.mjv_connector(geom, mujoco.mjtGeom.mjGEOM_CAPSULE, _LINE, begin, end)
-
-
-def _new(scene: mujoco.MjvScene, kind: mujoco.mjtGeom, colour: tuple[float, ...]) -> Any:
-    """The next geom of the scene, or None if the scene is full."""
-    if scene.ngeom >= scene.maxgeom:
-        return None
-    scene.ngeom += 1
-    geom = scene.geoms[scene.ngeom - 1]
-    mujoco.mjv_initGeom(geom, kind, np.zeros(3), np.zeros(3), np.eye(3).ravel(), np.asarray(colour, np.float32))
-    geom.emission = 0.5
-    return geom
+        add(_EDGE, 0.6 * _POINT, corner)
+    below = np.array([com[0], com[1], _ABOVE])
+    add(colour, _LINE, below, com)
+    add(colour, _POINT, below)
+    add(colour, _POINT, com)

@@ -1,11 +1,8 @@
-"""A recording as data for the page: shapes and motion of the robot, its plots, in compact form."""
+"""A recording as data for the page: shapes and motion of the robot, its plots, in compact form; and its page."""
 
 from __future__ import annotations
 
-import base64
 import dataclasses
-import gzip
-import json
 from typing import Any, Final
 
 import mujoco
@@ -15,93 +12,24 @@ from scipy.spatial.transform import Rotation
 
 from nermo_mjx.recording import Recording
 from nermo_mjx.robot import Robot, RobotConfig
+from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.quantity import values_of
 from nermo_mjx.view.camera import body_radius, put_pose, root_body, smooth_path
+from nermo_mjx.view.page import Packer, Page, document
 from nermo_mjx.view.recorded import (
     Motion,
-    Plot,
-    Tendon,
     details_of,
     finite_samples,
     headline_of,
     motion_of,
+    own_geometry,
     plots_of,
-    recorded_geometry,
     recorded_model,
     robot_of,
     shown_model,
     stretches,
     title_of,
 )
-
-MISSING: Final = -32768
-_LARGEST: Final = 32767
-
-
-class Packer:
-    """Collects arrays; each gets an entry in the header, and together they become one text.
-
-    Args:
-        part: name of the text, for pages that have several.
-    """
-
-    def __init__(self, part: str = "data") -> None:
-        self.part = part
-        self._parts: list[bytes] = []
-        self._size = 0
-
-    def plain(self, values: np.ndarray, kind: str = "float32") -> dict[str, Any]:
-        """Entry of an unchanged array, as `float32`, `uint32` or `uint16`."""
-        array = np.ascontiguousarray(values, dtype=np.dtype(kind).newbyteorder("<"))
-        return self._add(array.tobytes(), kind, array.shape)
-
-    def steps(self, values: np.ndarray, resolution: float = 0.0) -> dict[str, Any]:
-        """Entry of an array (T, ...) that changes little from row to row.
-
-        Each value is off by at most 1/131068 of the array's range, or half the resolution if that is more: coarser
-        values take less space. NaN is kept, infinities become NaN.
-        """
-        array = np.where(np.isfinite(values), values, np.nan).astype(float)
-        low, high = (np.nanmin(array), np.nanmax(array)) if np.isfinite(array).any() else (0.0, 0.0)
-        zero, scale = (low + high) / 2, max((high - low) / (2 * _LARGEST), resolution) or 1.0
-        steps = np.where(np.isnan(array), MISSING, np.rint((array - zero) / scale)).astype(np.int16)
-        columns = np.ascontiguousarray(steps.reshape(len(steps), -1).T)
-        with np.errstate(over="ignore"):
-            columns[:, 1:] = np.diff(columns, axis=1)  # wraps around, which the reader reverses
-        words = columns.astype("<i2").reshape(-1).view(np.uint8).reshape(-1, 2)
-        content = words[:, 1].tobytes() + words[:, 0].tobytes()
-        return self._add(content, "steps", array.shape) | {"scale": scale, "zero": zero}
-
-    def floats(self, values: np.ndarray, exact: bool = False) -> dict[str, Any]:
-        """Entry of an array (n,) of any range, with a relative error below 1e-5; `exact` keeps all of 32-bit floats."""
-        planes = 4 if exact else 3
-        with np.errstate(over="ignore"):
-            bits = np.asarray(values, np.float32).view(np.uint32)
-        if not exact:
-            bits = bits + np.uint32(0x80)  # drop the lowest byte, with rounding
-        content = b"".join((bits >> np.uint32(24 - 8 * k)).astype(np.uint8).tobytes() for k in range(planes))
-        return self._add(content, f"planes{planes}", np.shape(values))
-
-    def json(self, value: Any) -> dict[str, Any]:
-        """Entry of a JSON value."""
-        content = json.dumps(value, ensure_ascii=False, separators=(",", ":"), allow_nan=False).encode()
-        return self._add(content, "json", (len(content),))
-
-    @property
-    def content(self) -> bytes:
-        """All arrays."""
-        return b"".join(self._parts)
-
-    def text(self) -> str:
-        """All arrays, gzipped, in base 64."""
-        return base64.b64encode(gzip.compress(self.content, 9, mtime=0)).decode("ascii")
-
-    def _add(self, content: bytes, kind: str, shape: tuple[int, ...]) -> dict[str, Any]:
-        padding = bytes(-self._size % 4)
-        entry = {"part": self.part, "kind": kind, "at": self._size + len(padding), "shape": list(shape)}
-        self._parts += [padding, content]
-        self._size += len(padding) + len(content)
-        return entry
 
 
 class Frames:
@@ -165,7 +93,7 @@ def shapes_of(model: mujoco.MjModel, packer: Packer) -> dict[str, Any]:
         `kind`, `body`, `size`, `pos`, `quat` in its body [m], `rgba`, `collides`, and for a mesh
         its index; `meshes`: entries of vertices and faces.
     """
-    meshes: dict[int, int] = {}
+    indices: dict[int, int] = {}
     geoms = []
     for i in range(model.ngeom):
         kind = mujoco.mjtGeom(model.geom_type[i]).name.removeprefix("mjGEOM_").lower()
@@ -181,35 +109,20 @@ def shapes_of(model: mujoco.MjModel, packer: Packer) -> dict[str, Any]:
             "collides": bool(model.geom_group[i] >= HIDDEN_GROUP),
         }
         if kind == "mesh":
-            geom["mesh"] = meshes.setdefault(int(model.geom_dataid[i]), len(meshes))
+            geom["mesh"] = indices.setdefault(int(model.geom_dataid[i]), len(indices))
         geoms.append(geom)
-    return {
-        "bodies": [model.body(i).name for i in range(model.nbody)],
-        "eyes": _eyes(model),
-        "geoms": geoms,
-        "meshes": [_mesh(model, mesh, packer) for mesh in meshes],
-    }
-
-
-def _eyes(model: mujoco.MjModel) -> dict[str, Any] | None:
-    camera = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_CAMERA, "eyes")
-    if camera < 0:
-        return None
-    return {
-        "body": int(model.cam_bodyid[camera]),
-        "pos": _rounded(model.cam_pos[camera]),
-        "quat": _rounded(model.cam_quat[camera]),
-        "fovy": float(model.cam_fovy[camera]),
-    }
-
-
-def _mesh(model: mujoco.MjModel, mesh: int, packer: Packer) -> dict[str, Any]:
-    vertices = slice(model.mesh_vertadr[mesh], model.mesh_vertadr[mesh] + model.mesh_vertnum[mesh])
-    faces = slice(model.mesh_faceadr[mesh], model.mesh_faceadr[mesh] + model.mesh_facenum[mesh])
-    return {
-        "vertices": packer.steps(model.mesh_vert[vertices]),
-        "faces": packer.plain(model.mesh_face[faces], "uint32"),
-    }
+    meshes = []
+    for mesh in indices:
+        vertices, faces = model.mesh_vertadr[mesh], model.mesh_faceadr[mesh]
+        entry = packer.steps(model.mesh_vert[vertices : vertices + model.mesh_vertnum[mesh]])
+        triangles = model.mesh_face[faces : faces + model.mesh_facenum[mesh]]
+        meshes.append({"vertices": entry, "faces": packer.plain(triangles, "uint32")})
+    eyes, camera = None, mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_CAMERA, "eyes")
+    if camera >= 0:
+        pose = {"pos": _rounded(model.cam_pos[camera]), "quat": _rounded(model.cam_quat[camera])}
+        eyes = {"body": int(model.cam_bodyid[camera]), **pose, "fovy": float(model.cam_fovy[camera])}
+    names = [model.body(i).name for i in range(model.nbody)]
+    return {"bodies": names, "eyes": eyes, "geoms": geoms, "meshes": meshes}
 
 
 def _colour(model: mujoco.MjModel, geom: int) -> np.ndarray:
@@ -270,30 +183,35 @@ class Models:
 
     def index(self, recording: Recording, robot: Robot) -> int:
         """Index of the header of a recording's robot, which is added if it is new."""
-        key = robot.config, tuple(float(value) for _, value in values_of(recorded_geometry(recording)))
+        key = robot.config, tuple(float(value) for _, value in values_of(own_geometry(recording) or Geometry()))
         if key not in self._known:
             self._known[key] = len(self.headers)
             self.headers.append(shapes_of(shown_model(recording, robot), self._packer))
         return self._known[key]
 
 
-def clips_of(recordings: list[Recording], names: list[str], packer: Packer) -> dict[str, Any]:
-    """The header's part on recordings: `models`, each once, and `clips`.
+def page_of(recordings: list[Recording], names: list[str], height: int) -> Page:
+    """The page of one recording, or of several in comparison; `height` is that in a notebook [pixels].
 
     Raises:
         RecordingError, ParameterError: one of them cannot be shown.
     """
+    packer = Packer()
+    header = clips_of(recordings, names, packer)
+    samples = max(clip["time"]["shape"][0] for clip in header["clips"])
+    title = " and ".join(dict.fromkeys(clip["title"] for clip in header["clips"]))
+    return Page(document("viewer", f"Nermo: {title}", header, [packer]), height, samples)
+
+
+def clips_of(recordings: list[Recording], names: list[str], packer: Packer) -> dict[str, Any]:
+    """The header's part on recordings: `models`, each once, and `clips`; errors as above."""
     models = Models(packer)
     clips = [clip_of(each, name, models, packer) for each, name in zip(recordings, names, strict=True)]
     return {"models": models.headers, "clips": clips}
 
 
 def clip_of(recording: Recording, name: str, models: Models, packer: Packer, detail: Detail = FULL) -> dict[str, Any]:
-    """The header of one recording.
-
-    Raises:
-        RecordingError, ParameterError: it cannot be shown.
-    """
+    """The header of one recording; errors as above."""
     robot = robot_of(recording)
     model = recorded_model(recording, robot)
     motion = motion_of(recording, model, detail.samples(recording))
@@ -306,7 +224,7 @@ def clip_of(recording: Recording, name: str, models: Models, packer: Packer, det
     put_pose(model, data, recording.qpos[0])
     centre, radius = body_radius(model, data, root)
     interval = float(np.median(np.diff(motion.time))) if len(motion.time) > 1 else 0.01
-    return {
+    header = {
         "name": name,
         "title": title_of(recording),
         "headline": headline_of(recording),
@@ -322,39 +240,25 @@ def clip_of(recording: Recording, name: str, models: Models, packer: Packer, det
         "still": {"position": motion.position[0].tolist(), "quaternion": motion.quaternion[0].tolist()},
         "position": packer.steps(frames.position, detail.length),
         "quaternion": packer.steps(frames.quaternion, detail.turn),
-        "tendons": [_tendon(tendon, frames, origin, packer, detail) for tendon in motion.tendons],
-        "contacts": [
-            {
-                "limb": contact.limb,
-                "point": packer.steps(contact.point - origin, detail.length),
-                "force": packer.steps(contact.force, detail.force),
-            }
-            for contact in motion.contacts
-        ],
-        "footprints": _footprints(recording, motion),
-        "plots": [_plot(plot, packer, detail) for plot in plots_of(recording, motion)],
-        "model": models.index(recording, robot),
     }
-
-
-def _tendon(tendon: Tendon, frames: Frames, origin: np.ndarray, packer: Packer, detail: Detail) -> dict[str, Any]:
-    within, path = frames.fixed(tendon.path - origin[:, None])
-    return {
-        "name": tendon.name,
-        "radius": tendon.radius,
-        "frames": within,
-        "path": packer.steps(path, detail.length),
-        "tension": packer.steps(tendon.tension, detail.force),
-    }
-
-
-def _plot(plot: Plot, packer: Packer, detail: Detail) -> dict[str, Any]:
-    lines = []
-    for line in plot.lines:
-        known = line.values[np.isfinite(line.values)]
-        values = packer.steps(line.values, detail.curve * float(np.ptp(known)) if len(known) else 0.0)
-        lines.append({"name": line.name, "colour": line.colour, "faint": line.faint, "values": values})
-    return {"key": plot.key, "title": plot.title, "unit": plot.unit, "bars": plot.bars, "lines": lines}
+    header |= {"tendons": [], "contacts": [], "footprints": _footprints(recording, motion), "plots": []}
+    for tendon in motion.tendons:
+        within, path = frames.fixed(tendon.path - origin[:, None])
+        about = {"name": tendon.name, "radius": tendon.radius, "frames": within}
+        values = {"path": packer.steps(path, detail.length), "tension": packer.steps(tendon.tension, detail.force)}
+        header["tendons"].append(about | values)
+    for contact in motion.contacts:
+        point, force = packer.steps(contact.point - origin, detail.length), packer.steps(contact.force, detail.force)
+        header["contacts"].append({"limb": contact.limb, "point": point, "force": force})
+    for plot in plots_of(recording, motion):
+        lines = []
+        for line in plot.lines:
+            known = line.values[np.isfinite(line.values)]
+            values = packer.steps(line.values, detail.curve * float(np.ptp(known)) if len(known) else 0.0)
+            lines.append({"name": line.name, "colour": line.colour, "faint": line.faint, "values": values})
+        about = {"key": plot.key, "title": plot.title, "unit": plot.unit, "bars": plot.bars}
+        header["plots"].append(about | {"lines": lines})
+    return header | {"model": models.index(recording, robot)}
 
 
 def _footprints(recording: Recording, motion: Motion) -> list[list[float]]:

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
 import numpy as np
-import pyarrow as pa
 from pydantic import BaseModel, Field
 
 from nermo_mjx.files import json_of
@@ -28,8 +27,8 @@ from nermo_mjx.specs.reading import SpecError, read_file
 from nermo_mjx.sweep.figures import thinned
 from nermo_mjx.sweep.spec import OBJECTIVES, sides_in
 from nermo_mjx.sweep.table import LEADING, Results, SweepRecord, meta
-from nermo_mjx.view.clip import COMPACT, Models, Packer, clip_of
-from nermo_mjx.view.page import Page, document, template
+from nermo_mjx.view.clip import COMPACT, Models, clip_of
+from nermo_mjx.view.page import Packer, Page, document, template
 
 #: Roles of the columns that are shown, in this order; seeds and codes are not informative.
 ROLES: Final = ("varied", "randomized", "metric", "status", "index")
@@ -117,7 +116,19 @@ def runs_of(path: Path, kept: Collection[int] = (), most: int = MOST_ROWS) -> Ru
     Raises:
         DirectoryError: it has no runs yet, or they cannot be read.
     """
-    schema, column = _table(path)
+    column: Callable[[str], np.ndarray]
+    if (file := path / "atlas.parquet").exists():
+        table = parquet_table(file)
+        if table is None or not len(table):
+            reason = "cannot be read: run the same search again" if table is None else "has no filled cell yet"
+            raise DirectoryError(f"{file} {reason}.")
+        schema, column = table.schema, lambda name: np.asarray(table.column(name).to_numpy())
+    else:
+        files = sorted((path / "results").glob("*.parquet"))
+        if not files:
+            raise DirectoryError(f"{path} holds no results yet: nermo-mjx status {path} says how to resume.")
+        results = Results(files)
+        schema, column = results.schema, results.column
     about = schema.metadata or {}
     fields = {field.name: meta(field) for field in schema}
     shown = [name for role in ROLES for name, each in fields.items() if each.get("role") == role and name != "seed"]
@@ -159,23 +170,6 @@ class _Atlas(BaseModel, extra="allow"):
     measures: Annotated[list[_Aim], Field(min_length=1, max_length=2)]
 
 
-def _table(path: Path) -> tuple[pa.Schema, Callable[[str], np.ndarray]]:
-    """The schema of a directory's table, and what reads a column of it."""
-    atlas = path / "atlas.parquet"
-    if atlas.exists():
-        table = parquet_table(atlas)
-        if table is None:
-            raise DirectoryError(f"{atlas} cannot be read: run the same search again.")
-        if not len(table):
-            raise DirectoryError(f"{atlas} has no filled cell yet.")
-        return table.schema, lambda name: np.asarray(table.column(name).to_numpy())
-    files = sorted((path / "results").glob("*.parquet"))
-    if not files:
-        raise DirectoryError(f"{path} holds no results yet: nermo-mjx status {path} says how to resume.")
-    results = Results(files)
-    return results.schema, results.column
-
-
 def _column(name: str, about: Mapping[str, str], sides: Mapping[str, str], values: np.ndarray) -> Column:
     role = about["role"]
     better = _SIDES[sides[name]] if role == "metric" and name in sides else ""
@@ -189,17 +183,8 @@ def _column(name: str, about: Mapping[str, str], sides: Mapping[str, str], value
 
 #: Choices that are options of `nermo-mjx walk`, with the values that it takes.
 _OPTIONS: Final = (
-    "robot",
-    "scene",
-    "tail",
-    "physics",
-    "gait",
-    "spine",
-    "steering",
-    "profile",
-    "trajectory",
-    "head",
-    "tail_motion",
+    *("robot", "scene", "tail", "physics", "gait", "spine", "steering"),
+    *("profile", "trajectory", "head", "tail_motion"),
 )
 #: Choices without an option: `walk` supports only their defaults.
 _NO_OPTIONS: Final = {"routing": Setup.routing, "cone": Setup.cone, "hinges": Setup.hinges}
@@ -316,8 +301,18 @@ def explore(
     if len(chosen) < len(there):
         notes.append(f"{len(chosen)} of {len(there)} recordings, evenly from the best to the worst.")
     runs = with_gain(path, runs)
-    table, models = Packer("table"), Packer("models")
-    clips, headers, parts = _clips({row: there[row] for row in chosen}, models, notes)
+    table, shapes = Packer("table"), Packer("models")
+    models, clips, parts = Models(shapes), dict[str, Any](), list[Packer]()
+    for row in chosen:
+        packer = Packer(f"row-{row}")
+        try:
+            clip = clip_of(Recording.load(there[row]), f"row {row}", models, packer, COMPACT)
+        except (RecordingError, ParameterError) as error:
+            notes.append(f"recordings/{there[row].name} is left out: {error}")
+            continue
+        model, clip["model"] = clip["model"], 0
+        clips[str(row)] = {"part": packer.part, "model": model, "clip": packer.json(clip)}
+        parts.append(packer)
     if notify is not None:
         for note in notes:
             notify(note)
@@ -334,12 +329,12 @@ def explore(
         "atlas": runs.atlas,
         "palette": _palette(),
         "commands": commands_of(path, runs),
-        "models": headers,
+        "models": models.headers,
         "recordings": clips,
         "viewer": template("viewer") if clips else "",
     }
     title = f"Nermo: {name}, {'an' if runs.kind == 'atlas' else 'a'} {runs.kind}"
-    html = document("explore", title, header, [table, models, *parts], ("", "explore"))
+    html = document("explore", title, header, [table, shapes, *parts], ("", "explore"))
     return Page(html, height, rows=len(runs.rows), recordings=len(clips))
 
 
@@ -368,9 +363,8 @@ def with_gain(path: Path, runs: Runs) -> Runs:
     left_out = {by.name, "spine.phase"} if by.name == "spine.amplitude" else {by.name}
     keys = [runs.columns[name].values for name in sorted(names - left_out)]
     known = [key for key in keys if key.dtype == object or np.isfinite(key[of_base]).all()]
-    alike = np.zeros(len(of_base), int)
-    for key in known:
-        alike = np.unique([alike, np.unique(key.astype(str), return_inverse=True)[1]], axis=1, return_inverse=True)[1]
+    texts = np.array([np.zeros(len(of_base)).astype(str), *(key.astype(str) for key in known)])
+    alike = np.unique(texts, axis=1, return_inverse=True)[1]
     count = np.bincount(alike[of_base & well], minlength=alike.max() + 1)
     total = np.bincount(alike[of_base & well], leading.values[of_base & well], alike.max() + 1)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -390,44 +384,29 @@ def start_of(runs: Runs) -> dict[str, Any]:
     A gain is the colour, over the parameters that it is compared for.
     """
     repeat = runs.columns.get("repeat")
-    runs_of_cell = "mean" if repeat is not None and len(repeat.distinct) > 1 else "best"
-    varied, metrics, gain = runs.of("varied"), runs.of("metric"), f"{runs.leading}_gain"
-    gridded = [each for each in varied if len(each.distinct) <= MOST_CELLS]
-    if gain in runs.columns and runs.grid and len(gridded) > 1:
+    of = "mean" if repeat is not None and len(repeat.distinct) > 1 else "best"
+    varied, metrics, gain, colour = runs.of("varied"), runs.of("metric"), f"{runs.leading}_gain", runs.leading
+    gridded = [each for each in varied if runs.grid and len(each.distinct) <= MOST_CELLS]
+    cells = len(gridded) > 1
+    if gain in runs.columns and cells:
         wanted = sorted(gridded, key=lambda each: each.name not in runs.gain_over)[:2]
         x, y = (each.name for each in sorted(wanted, key=lambda each: each.is_text))
-        return {"x": x, "y": y, "colour": gain, "cells": True, "of": "mean"}
-    if runs.atlas is not None:
+        colour, of = gain, "mean"
+    elif runs.atlas is not None:
         measures = [each["metric"] for each in runs.atlas["measures"]]
         x, y = [*measures, runs.leading][:2]
-        return {"x": x, "y": y, "colour": runs.leading, "cells": len(measures) > 1, "of": runs_of_cell}
-    if runs.grid and len(gridded) > 1:
+        cells = len(measures) > 1
+    elif cells:
         # A number across, and structures above each other.
         steps, names = ([each.name for each in gridded if each.is_text == is_text] for is_text in (False, True))
         x, y = (steps[:1] + names[:1] + steps[1:] + names[1:])[:2]
-        return {"x": x, "y": y, "colour": runs.leading, "cells": True, "of": runs_of_cell}
-    directed = {each.name for each in metrics if each.better and each.name != runs.leading}
-    colour = next((name for name in (*OBJECTIVES, *runs.columns) if name in directed), runs.leading)
-    numbers = [each for each in [*varied, *runs.of("randomized")] if not each.is_text]
-    others = [each.name for each in [*numbers, *varied, *metrics] if each.name != runs.leading]
-    return {"x": [*others, runs.leading][0], "y": runs.leading, "colour": colour, "cells": False, "of": runs_of_cell}
-
-
-def _clips(files: dict[int, Path], shapes: Packer, notes: list[str]) -> tuple[dict[str, Any], list[Any], list[Packer]]:
-    """For each row its data part and the recording's header; the models' headers; the parts."""
-    models = Models(shapes)
-    clips, parts = {}, []
-    for row, file in files.items():
-        packer = Packer(f"row-{row}")
-        try:
-            clip = clip_of(Recording.load(file), f"row {row}", models, packer, COMPACT)
-        except (RecordingError, ParameterError) as error:
-            notes.append(f"recordings/{file.name} is left out: {error}")
-            continue
-        model, clip["model"] = clip["model"], 0
-        clips[str(row)] = {"part": packer.part, "model": model, "clip": packer.json(clip)}
-        parts.append(packer)
-    return clips, models.headers, parts
+    else:
+        directed = {each.name for each in metrics if each.better and each.name != runs.leading}
+        colour = next((name for name in (*OBJECTIVES, *runs.columns) if name in directed), runs.leading)
+        numbers = [each for each in [*varied, *runs.of("randomized")] if not each.is_text]
+        others = [each.name for each in [*numbers, *varied, *metrics] if each.name != runs.leading]
+        x, y = [*others, runs.leading][0], runs.leading
+    return {"x": x, "y": y, "colour": colour, "cells": cells, "of": of}
 
 
 def _field(column: Column, grid: bool, packer: Packer) -> dict[str, Any]:

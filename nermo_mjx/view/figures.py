@@ -29,7 +29,7 @@ from nermo_mjx.view.recorded import (
     GAIT_TITLES,
     STANDING,
     attitude_of,
-    recorded_geometry,
+    own_geometry,
     recorded_model,
     robot_of,
     spans,
@@ -246,7 +246,7 @@ def leg_paths(walk: Walk, robot: Robot) -> Figure | None:
         return None
     part, what = walk.shown
     measured = in_leg_frame(recorded_model(walk.recording, robot), walk.recording.qpos[part])
-    geometry = recorded_geometry(walk.recording)
+    geometry = own_geometry(walk.recording) or Geometry()
     commanded = commanded_feet(walk.recording.ctrl[part], robot.config.routing, geometry)
     page = Page(f"Foot paths in the leg's frame{walk.title}", (7.4, 4.9), 2, 2, sharex=True, sharey="row")
     for i, (ax, limb) in enumerate(zip(page.axes.ravel(), LIMBS, strict=True)):

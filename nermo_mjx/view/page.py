@@ -1,9 +1,10 @@
-"""A page for the browser: a recording, two in comparison, or a directory of runs, in one self-contained file."""
+"""A page for the browser in one self-contained file: its document, and the arrays that are packed into it."""
 
 from __future__ import annotations
 
 import base64
 import dataclasses
+import gzip
 import html
 import json
 import os
@@ -13,12 +14,82 @@ from importlib import resources
 from pathlib import Path
 from typing import Any, Final
 
-from nermo_mjx.recording import Recording, write_whole
-from nermo_mjx.view.clip import Packer
+import numpy as np
+
+from nermo_mjx.recording import write_whole
 
 _WEB: Final = resources.files("nermo_mjx.view") / "web"
 _LIBRARIES: Final = {"three": "vendor/three/three.min.js", "meshoptimizer": "vendor/meshoptimizer/simplifier.min.js"}
-_PLACE: Final = re.compile(r"<!--(\w+)-->")
+
+
+#: The step that stands for NaN, and the largest one.
+MISSING, _LARGEST = -32768, 32767
+
+
+class Packer:
+    """Collects arrays; each gets an entry in the header, and together they become one text.
+
+    Args:
+        part: name of the text, for pages that have several.
+    """
+
+    def __init__(self, part: str = "data") -> None:
+        self.part = part
+        self._parts: list[bytes] = []
+        self._size = 0
+
+    def plain(self, values: np.ndarray, kind: str = "float32") -> dict[str, Any]:
+        """Entry of an unchanged array, as `float32`, `uint32` or `uint16`."""
+        array = np.ascontiguousarray(values, dtype=np.dtype(kind).newbyteorder("<"))
+        return self._add(array.tobytes(), kind, array.shape)
+
+    def steps(self, values: np.ndarray, resolution: float = 0.0) -> dict[str, Any]:
+        """Entry of an array (T, ...) that changes little from row to row.
+
+        Each value is off by at most 1/131068 of the array's range, or half the resolution if that is more: coarser
+        values take less space. NaN is kept, infinities become NaN.
+        """
+        array = np.where(np.isfinite(values), values, np.nan).astype(float)
+        low, high = (np.nanmin(array), np.nanmax(array)) if np.isfinite(array).any() else (0.0, 0.0)
+        zero, scale = (low + high) / 2, max((high - low) / (2 * _LARGEST), resolution) or 1.0
+        steps = np.where(np.isnan(array), MISSING, np.rint((array - zero) / scale)).astype(np.int16)
+        columns = np.ascontiguousarray(steps.reshape(len(steps), -1).T)
+        with np.errstate(over="ignore"):
+            columns[:, 1:] = np.diff(columns, axis=1)  # wraps around, which the reader reverses
+        words = columns.astype("<i2").reshape(-1).view(np.uint8).reshape(-1, 2)
+        content = words[:, 1].tobytes() + words[:, 0].tobytes()
+        return self._add(content, "steps", array.shape) | {"scale": scale, "zero": zero}
+
+    def floats(self, values: np.ndarray, exact: bool = False) -> dict[str, Any]:
+        """Entry of an array (n,) of any range, with a relative error below 1e-5; `exact` keeps all of 32-bit floats."""
+        planes = 4 if exact else 3
+        with np.errstate(over="ignore"):
+            bits = np.asarray(values, np.float32).view(np.uint32)
+        if not exact:
+            bits = bits + np.uint32(0x80)  # drop the lowest byte, with rounding
+        content = b"".join((bits >> np.uint32(24 - 8 * k)).astype(np.uint8).tobytes() for k in range(planes))
+        return self._add(content, f"planes{planes}", np.shape(values))
+
+    def json(self, value: Any) -> dict[str, Any]:
+        """Entry of a JSON value."""
+        content = json.dumps(value, ensure_ascii=False, separators=(",", ":"), allow_nan=False).encode()
+        return self._add(content, "json", (len(content),))
+
+    @property
+    def content(self) -> bytes:
+        """All arrays."""
+        return b"".join(self._parts)
+
+    def text(self) -> str:
+        """All arrays, gzipped, in base 64."""
+        return base64.b64encode(gzip.compress(self.content, 9, mtime=0)).decode("ascii")
+
+    def _add(self, content: bytes, kind: str, shape: tuple[int, ...]) -> dict[str, Any]:
+        padding = bytes(-self._size % 4)
+        entry = {"part": self.part, "kind": kind, "at": self._size + len(padding), "shape": list(shape)}
+        self._parts += [padding, content]
+        self._size += len(padding) + len(content)
+        return entry
 
 
 @dataclasses.dataclass(frozen=True)
@@ -65,7 +136,7 @@ def template(kind: str) -> str:
 
 
 def _filled(document: str, content: Mapping[str, str]) -> str:
-    return _PLACE.sub(lambda place: content.get(place[1], place[0]), document)
+    return re.sub(r"<!--(\w+)-->", lambda place: content.get(place[1], place[0]), document)
 
 
 def document(
@@ -82,11 +153,18 @@ def document(
     """
     styles = [name for each in folders if (_WEB / (name := f"{each}/style.css".lstrip("/"))).is_file()]
     data = [f'<script type="text/plain" data-part="{part.part}">{part.text()}</script>' for part in parts]
+    # An import map: the libraries, and each of our modules as `viewer/[FOLDER/]NAME.js`, as data URLs.
+    sources = {name: text(path) for name, path in _LIBRARIES.items()}
+    for folder in folders:
+        for each in sorted(each.name for each in (_WEB / folder).iterdir() if each.name.endswith(".js")):
+            name = f"viewer/{folder}/{each}".replace("//", "/")
+            sources[name] = f"{text(name.removeprefix('viewer/'))}\n//# sourceURL={name}\n"
+    encoded = {name: base64.b64encode(source.encode()).decode("ascii") for name, source in sources.items()}
+    modules = {name: f"data:text/javascript;base64,{content}" for name, content in encoded.items()}
     content = {
         "title": html.escape(title),
         "style": "\n".join(map(text, styles)),
-        "own_style": text("explore.css") if kind == "explore" else "",
-        "imports": as_json({"imports": _modules(folders)}),
+        "imports": as_json({"imports": modules}),
         "header": as_json(header),
         "data": "\n".join(data),
     }
@@ -101,63 +179,3 @@ def text(name: str) -> str:
 def as_json(value: Any) -> str:
     """JSON that may stand in a script element."""
     return json.dumps(value, ensure_ascii=False, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
-
-
-def _modules(folders: Sequence[str]) -> dict[str, str]:
-    """An import map: the libraries, and each of our modules as `viewer/[FOLDER/]NAME.js`, as data URLs."""
-    sources = {name: text(path) for name, path in _LIBRARIES.items()}
-    for folder in folders:
-        for each in sorted(each.name for each in (_WEB / folder).iterdir() if each.name.endswith(".js")):
-            name = f"{folder}/{each}".lstrip("/")
-            sources[f"viewer/{name}"] = f"{text(name)}\n//# sourceURL=viewer/{name}\n"
-    encoded = {name: base64.b64encode(source.encode()).decode("ascii") for name, source in sources.items()}
-    return {name: f"data:text/javascript;base64,{content}" for name, content in encoded.items()}
-
-
-def show(
-    recording: Recording | str | os.PathLike[str],
-    other: Recording | str | os.PathLike[str] | None = None,
-    *,
-    height: int | None = None,
-) -> Page:
-    """The page of a recording: an interactive view of the robot with a time slider, tendons, forces and plots.
-
-    For the directory of a sweep or a search, it is the page of all its runs, see `explore`; for that of a training its
-    curves, its evaluation, and a walk of its policy.
-
-    In a notebook, a cell that ends in `show(recording)` shows it; `show(recording).save("walk.html")` writes one
-    self-contained file.
-
-    Args:
-        recording: the run, the NPZ file that holds it, or a directory.
-        other: a second recording to compare with, synchronised in time.
-        height: in a notebook [pixels]; by default 480, and 680 for a directory.
-
-    Raises:
-        RecordingError: the recording does not exist, or was made with another version of the model.
-        ParameterError: its setup names something that this version does not have.
-        DirectoryError: a directory holds no runs that can be shown, or is given with another recording.
-    """
-    if not isinstance(recording, Recording) and Path(recording).is_dir():
-        from nermo_mjx.runs import DirectoryError, kind_of
-        from nermo_mjx.view.explore import explore
-
-        if other is not None:
-            raise DirectoryError(f"{recording} is a directory: it is shown alone, and compared row by row in its page.")
-        if kind_of(Path(recording)) == "training":
-            from nermo_mjx.view.trained import trained
-
-            return trained(Path(recording))
-        return explore(recording, height=height or 680)
-    given = [recording] if other is None else [recording, other]
-    loaded = [each if isinstance(each, Recording) else Recording.load(each) for each in given]
-    names = ["AB"[i] if isinstance(each, Recording) else Path(each).stem for i, each in enumerate(given)]
-    if len(set(names)) < len(names):  # files of one name tell runs apart by their folders
-        names = ["/".join(Path(str(each)).resolve().with_suffix("").parts[-2:]) for each in given]
-    from nermo_mjx.view.clip import clips_of  # needs the robot, and thus JAX
-
-    packer = Packer()
-    header = clips_of(loaded, names, packer)
-    samples = max(clip["time"]["shape"][0] for clip in header["clips"])
-    title = " and ".join(dict.fromkeys(clip["title"] for clip in header["clips"]))
-    return Page(document("viewer", f"Nermo: {title}", header, [packer]), height or 480, samples)

@@ -16,7 +16,7 @@ import numpy as np
 from nermo_mjx.recording import Recording, RecordingError
 from nermo_mjx.robot import ParameterError, Robot
 from nermo_mjx.view.camera import body_radius, following_camera, move_sun_above, put_sun_overhead, root_body
-from nermo_mjx.view.recorded import has_own_geometry, recorded_geometry, robot_of
+from nermo_mjx.view.recorded import own_geometry, robot_of
 
 #: Frame rate of the viewer [Hz].
 _REFRESH: Final = 60.0
@@ -57,8 +57,14 @@ def play(
     data = mujoco.MjData(model)
     set_sample(data, recording, 0)
     mujoco.mj_forward(model, data)
+    if viewer is None and not _has_display():
+        raise RecordingError(
+            "MuJoCo's viewer needs a display, and there is none: write the recording with --xml FILE.xml "
+            "(write_keyframes), and open it where there is one."
+        )
+    viewer = viewer or importlib.import_module("mujoco.viewer")
     try:
-        window = (viewer or _viewer()).launch_passive(model, data, show_left_ui=False, show_right_ui=False)
+        window = viewer.launch_passive(model, data, show_left_ui=False, show_right_ui=False)
     except (RuntimeError, mujoco.FatalError) as error:
         raise RecordingError(f"MuJoCo's viewer cannot open a window here ({error}).") from None
     with window:
@@ -68,42 +74,29 @@ def play(
         view = following_camera("three_quarter", radius, float(model.vis.global_.fovy), aspect=1.5)
         camera.type, camera.trackbodyid = mujoco.mjtCamera.mjCAMERA_TRACKING, root
         camera.distance, camera.azimuth, camera.elevation = view.distance, view.azimuth, view.elevation
-        follow(window, recording, model, data, speed, loop)
+        began, first = time.perf_counter(), float(recording.time[0])
+        while window.is_running():
+            passed = speed * (time.perf_counter() - began)
+            if passed > recording.duration:
+                if not loop:
+                    return
+                began, passed = time.perf_counter(), 0.0
+            sample = int(np.searchsorted(recording.time, first + passed + 1e-9, side="right")) - 1
+            with window.lock():
+                set_sample(data, recording, max(sample, 0))
+                mujoco.mj_forward(model, data)
+                move_sun_above(model, data, data.xpos[root])
+            window.sync()
+            time.sleep(1.0 / _REFRESH)
 
 
-def _viewer() -> Any:
-    """`mujoco.viewer`, if there is a display: without one, opening it would terminate the process."""
+def _has_display() -> bool:
+    """Without one, opening `mujoco.viewer` would terminate the process."""
     import glfw
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        if not glfw.init():
-            raise RecordingError(
-                "MuJoCo's viewer needs a display, and there is none: write the recording with --xml FILE.xml "
-                "(write_keyframes), and open it where there is one."
-            )
-    return importlib.import_module("mujoco.viewer")
-
-
-def follow(
-    window: Any, recording: Recording, model: mujoco.MjModel, data: mujoco.MjData, speed: float, loop: bool
-) -> None:
-    """Show the current sample in an open viewer until it is closed, or until the end."""
-    root = root_body(model)
-    began, first = time.perf_counter(), float(recording.time[0])
-    while window.is_running():
-        passed = speed * (time.perf_counter() - began)
-        if passed > recording.duration:
-            if not loop:
-                return
-            began, passed = time.perf_counter(), 0.0
-        sample = int(np.searchsorted(recording.time, first + passed + 1e-9, side="right")) - 1
-        with window.lock():
-            set_sample(data, recording, max(sample, 0))
-            mujoco.mj_forward(model, data)
-            move_sun_above(model, data, data.xpos[root])
-        window.sync()
-        time.sleep(1.0 / _REFRESH)
+        return bool(glfw.init())
 
 
 def write_keyframes(
@@ -133,8 +126,8 @@ def write_keyframes(
         raise ParameterError(f"rate is {rate:g} Hz: that would be {count:,} keyframes, of {MOST_KEYS:,}.")
     wanted = recording.time[0] + np.arange(count) / rate
     samples = np.unique(np.abs(recording.time - wanted[:, None]).argmin(axis=1))
-    own = robot.spec_with_geometry(recorded_geometry(recording)) if has_own_geometry(recording) else None
-    spec = own or mujoco.MjSpec.from_string(robot.to_xml())
+    own = own_geometry(recording)
+    spec = mujoco.MjSpec.from_string(robot.to_xml()) if own is None else robot.spec_with_geometry(own)
     for sample in samples:
         key = spec.add_key(name=f"t{recording.time[sample]:.3f}", time=float(recording.time[sample]))
         key.qpos, key.qvel, key.ctrl = recording.qpos[sample], recording.qvel[sample], recording.ctrl[sample]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence
 from typing import Any, Final
 
 import mujoco
@@ -33,22 +32,20 @@ def robot_of(recording: Recording) -> Robot:
     return robot
 
 
-def recorded_geometry(recording: Recording) -> Geometry:
-    """The recorded robot's geometry; the published one if the recording has none."""
-    given, known = recording.metadata.get("parameters") or {}, {name for name, _ in quantities(Geometry)}
+def own_geometry(recording: Recording) -> Geometry | None:
+    """The recorded robot's geometry if it differs from the published one."""
+    given, published = recording.metadata.get("parameters") or {}, dict(values_of(Geometry()))
     own = {name.removeprefix("geometry."): value for name, value in given.items() if value is not None}
-    return replace_quantities(Geometry(), {name: np.asarray(own[name], float) for name in known & own.keys()})
-
-
-def has_own_geometry(recording: Recording) -> bool:
-    """Whether the recorded robot's geometry differs from the published one."""
-    one, other = (dict(values_of(geometry)) for geometry in (recorded_geometry(recording), Geometry()))
-    return any(float(one[name]) != float(other[name]) for name in one)
+    changed = {name: np.asarray(own[name], float) for name in published.keys() & own.keys()}
+    if all(float(value) == float(published[name]) for name, value in changed.items()):
+        return None
+    return replace_quantities(Geometry(), changed)
 
 
 def shown_model(recording: Recording, robot: Robot) -> mujoco.MjModel:
     """The robot's whole model for rendering, with the geometry of the recorded robot."""
-    return robot.with_geometry(recorded_geometry(recording)) if has_own_geometry(recording) else robot.model
+    own = own_geometry(recording)
+    return robot.model if own is None else robot.with_geometry(own)
 
 
 def recorded_model(recording: Recording, robot: Robot) -> mujoco.MjModel:
@@ -154,12 +151,21 @@ def motion_of(
         for key, point, force in _contacts(model, data):
             places, forces = found.setdefault(key, (np.full((len(samples), 3), np.nan), np.zeros((len(samples), 3))))
             places[i], forces[i] = point, force
-    tendons = tuple(
-        Tendon(model.tendon(k).name, float(model.tendon_width[k]), _of_one_length(path), tension[:, k])
-        for k, path in enumerate(paths)
-    )
-    contacts = tuple(_contact(model, key, *found[key]) for key in sorted(found))
-    return Motion(recording.time[samples].astype(float), position, quaternion, tendons, contacts)
+    tendons = []
+    for k, path in enumerate(paths):
+        longest = max(map(len, path))
+        points = np.stack([np.pad(each, ((0, longest - len(each)), (0, 0)), mode="edge") for each in path])
+        tendons.append(Tendon(model.tendon(k).name, float(model.tendon_width[k]), points, tension[:, k]))
+    contacts = []
+    for key in sorted(found):
+        places, forces = found[key]
+        # The point of the previous contact, and before the first contact the first one's.
+        there = np.flatnonzero(np.isfinite(places[:, 0]))
+        nearest = there[np.maximum(np.searchsorted(there, np.arange(len(places)), side="right") - 1, 0)]
+        bodies = [model.body(model.geom_bodyid[geom]).name for geom in key[:2]]
+        limb = next((i for i, limb in enumerate(LIMBS) if any(body.startswith(limb) for body in bodies)), -1)
+        contacts.append(Contact(limb, places[nearest], forces))
+    return Motion(recording.time[samples].astype(float), position, quaternion, tuple(tendons), tuple(contacts))
 
 
 def finite_samples(recording: Recording, most: int | None = None) -> np.ndarray:
@@ -187,12 +193,6 @@ def _path(data: mujoco.MjData, tendon: int) -> Float[np.ndarray, "K 3"]:
             parts.append(_arc(begin, end, data.geom_xpos[geom], data.geom_xmat[geom, 2::3]))
         parts.append(end[None])
     return np.concatenate(parts)
-
-
-def _of_one_length(paths: list[np.ndarray]) -> Float[np.ndarray, "T K 3"]:
-    """The polygons of one tendon, the last point repeated where they are shorter than the longest."""
-    longest = max(map(len, paths))
-    return np.stack([np.pad(path, ((0, longest - len(path)), (0, 0)), mode="edge") for path in paths])
 
 
 def _arc(begin: np.ndarray, end: np.ndarray, centre: np.ndarray, axis: np.ndarray) -> Float[np.ndarray, "ARC 3"]:
@@ -229,15 +229,6 @@ def _contacts(model: mujoco.MjModel, data: mujoco.MjData) -> list[tuple[tuple[in
     return result
 
 
-def _contact(model: mujoco.MjModel, key: tuple[int, int, int], points: np.ndarray, force: np.ndarray) -> Contact:
-    # The point of the previous contact, and before the first contact the first one's.
-    there = np.flatnonzero(np.isfinite(points[:, 0]))
-    nearest = there[np.maximum(np.searchsorted(there, np.arange(len(points)), side="right") - 1, 0)]
-    bodies = [model.body(model.geom_bodyid[geom]).name for geom in key[:2]]
-    limb = next((i for i, limb in enumerate(LIMBS) if any(body.startswith(limb) for body in bodies)), -1)
-    return Contact(limb, points[nearest], force)
-
-
 #: A foot is in stance above this load [N]; the robot weighs 2.65 N. The metrics' smooth threshold is centred on it.
 STANDING: Final = 0.02
 
@@ -254,7 +245,8 @@ def spans(flags: Bool[np.ndarray, " T"], time: Float[np.ndarray, " T"]) -> list[
     return [(float(begins[a]), float(begins[b] - begins[a])) for a, b in stretches(flags)]
 
 
-_LIMB_TITLES: Final = tuple(limb.replace("_", " ") for limb in LIMBS)
+#: Colours of curves that are no limb's.
+_ORDINALS: Final = ("first", "second", "third")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -287,51 +279,69 @@ class Plot:
 
 def plots_of(recording: Recording, motion: Motion) -> list[Plot]:
     """The plots of a run at the motion's samples; those whose sensors the recording lacks are left out."""
-    samples = np.searchsorted(recording.time, motion.time)
+    samples, time = np.searchsorted(recording.time, motion.time), motion.time
     sensors = {name: np.asarray(values)[samples] for name, values in recording.sensors.items()}
     plots = []
     if "foot_force" in sensors:
-        force = sensors["foot_force"]
-        stance, forces = _per_limb((force > STANDING).astype(float)), _per_limb(force)
+        loads = [
+            (limb.replace("_", " "), limb, force) for limb, force in zip(LIMBS, sensors["foot_force"].T, strict=True)
+        ]
         if "tail_force" in sensors:
-            tail = sensors["tail_force"]
-            stance += (Curve("tail", "tail", (tail > STANDING).astype(float)),)
-            forces += (Curve("tail", "tail", tail),)
+            loads.append(("tail", "tail", sensors["tail_force"]))
+        stance = tuple(Curve(name, colour, (force > STANDING).astype(float)) for name, colour, force in loads)
         plots.append(Plot("stance", "Feet and tail on the ground", "", stance, bars=True))
-        plots.append(Plot("force", "Force on feet and tail", "N", forces))
+        plots.append(Plot("force", "Force on feet and tail", "N", tuple(Curve(*load) for load in loads)))
     if {"position", "orientation"} <= sensors.keys():
-        plots += _body(recording, motion.time, sensors)
-    plots += _tensions(motion)
+        angles, place = attitude_of(sensors["orientation"]), 1e3 * sensors["position"]
+        names = zip(("roll", "pitch", "yaw"), _ORDINALS, angles.T, strict=True)
+        plots.append(Plot("attitude", "Attitude of the torso", "°", tuple(Curve(*each) for each in names)))
+        if "linear_velocity" in sensors:
+            yaw, velocity = np.deg2rad(angles[:, 2]), 1e3 * sensors["linear_velocity"]
+            forward = velocity[:, 0] * np.sin(yaw) - velocity[:, 1] * np.cos(yaw)
+            parameters = recording.metadata.get("parameters") or {}
+            period = float(parameters.get("tracking.clock_ratio") or 1.0) / float(parameters.get("frequency") or 1.0)
+            mean = Curve("over a cycle", "first", _over_cycle(forward, time, period))
+            plots.append(Plot("speed", "Forward speed", "mm/s", (mean, Curve("at once", "first", forward, faint=True))))
+        way = (Curve("forward", "first", -place[:, 1]), Curve("to the left", "second", place[:, 0]))
+        plots.append(Plot("place", "Position of the torso", "mm", way))
+    tensions: dict[str, list[Curve]] = {"leg": []}
+    for tendon in motion.tendons:
+        limb = next((limb for limb in LIMBS if tendon.name.startswith(limb)), "")
+        part, _, rest = ("leg", "", limb) if limb else tendon.name.partition("_")
+        curves = tensions.setdefault(part, [])
+        if limb or len(curves) < len(_ORDINALS):
+            curves.append(Curve(rest.replace("_", " "), limb or _ORDINALS[len(curves)], tendon.tension))
+    for part, curves in tensions.items():
+        key = "knee_tension" if part == "leg" else f"{part}_tension"
+        plots += [Plot(key, f"Tension, {part} tendons", "N", tuple(curves))] if curves else []
     if "servo_angle" in sensors:
         plots += _servos(np.rad2deg(sensors["servo_angle"]), np.rad2deg(recording.ctrl[samples]))
     return plots
 
 
-def _per_limb(values: np.ndarray) -> tuple[Curve, ...]:
-    return tuple(Curve(title, limb, column) for title, limb, column in zip(_LIMB_TITLES, LIMBS, values.T, strict=True))
-
-
-def _body(recording: Recording, time: np.ndarray, sensors: dict[str, np.ndarray]) -> list[Plot]:
-    angles = attitude_of(sensors["orientation"])
-    orientation = tuple(
-        Curve(name, colour, angles[:, i])
-        for i, (name, colour) in enumerate((("roll", "first"), ("pitch", "second"), ("yaw", "third")))
-    )
-    place = 1e3 * sensors["position"]
-    plots = [Plot("attitude", "Attitude of the torso", "°", orientation)]
-    if "linear_velocity" in sensors:
-        yaw = np.deg2rad(angles[:, 2])
-        velocity = 1e3 * sensors["linear_velocity"]
-        forward = velocity[:, 0] * np.sin(yaw) - velocity[:, 1] * np.cos(yaw)
-        parameters = recording.metadata.get("parameters") or {}
-        period = float(parameters.get("tracking.clock_ratio") or 1.0) / float(parameters.get("frequency") or 1.0)
-        lines = (
-            Curve("over a cycle", "first", _over_cycle(forward, time, period)),
-            Curve("at once", "first", forward, faint=True),
-        )
-        plots.append(Plot("speed", "Forward speed", "mm/s", lines))
-    way = (Curve("forward", "first", -place[:, 1]), Curve("to the left", "second", place[:, 0]))
-    return [*plots, Plot("place", "Position of the torso", "mm", way)]
+def _servos(angle: np.ndarray, command: np.ndarray) -> list[Plot]:
+    """Measured and commanded angles, (T, n_servos) [degrees]."""
+    names = servos_by_count(angle.shape[1])
+    # Key, title, and the name and colour of each servo's curve.
+    groups: list[tuple[str, str, dict[str, tuple[str, str]]]] = [
+        (kind, f"{kind.capitalize()} servos", {f"{limb}_{kind}": (limb.replace("_", " "), limb) for limb in LIMBS})
+        for kind in ("hip", "knee")
+    ]
+    for key, title, single in (
+        ("body_servos", "Body servos, + left", ("spine", "neck", "tail")),
+        ("vertical_servos", "Vertical servos, + hip up, nose down", ("spine_vertical", "head")),
+    ):
+        coloured = zip(single, _ORDINALS, strict=False)
+        groups.append((key, title, {name: (name.replace("_", " "), colour) for name, colour in coloured}))
+    plots = []
+    for key, title, servos in groups:
+        curves: list[Curve] = []
+        for servo in [servo for servo in servos if servo in names]:
+            (name, colour), i = servos[servo], names.index(servo)
+            curves.append(Curve(name, colour, angle[:, i]))
+            curves.append(Curve(f"{name}, commanded", colour, command[:, i], faint=True))
+        plots += [Plot(key, title, "°", tuple(curves))] if curves else []
+    return plots
 
 
 def attitude_of(quaternion: Float[np.ndarray, "T 4"]) -> Float[np.ndarray, "T 3"]:
@@ -351,47 +361,6 @@ def _over_cycle(values: np.ndarray, time: np.ndarray, period: float) -> np.ndarr
     begin, end = time - period / 2, time + period / 2
     mean = (np.interp(end, time, way) - np.interp(begin, time, way)) / period
     return np.where((begin >= time[0] - 1e-9) & (end <= time[-1] + 1e-9), mean, np.nan)
-
-
-def _tensions(motion: Motion) -> list[Plot]:
-    groups: dict[str, list[Curve]] = {}
-    for tendon in motion.tendons:
-        limb = next((limb for limb in LIMBS if tendon.name.startswith(limb)), "")
-        part, _, rest = ("leg", "", limb) if limb else tendon.name.partition("_")
-        curves = groups.setdefault(part, [])
-        colour = limb or ("first", "second", "third", "")[min(len(curves), 3)]
-        if colour:
-            curves.append(Curve(rest.replace("_", " "), colour, tendon.tension))
-    groups = {"leg": groups.pop("leg", []), **groups}
-    return [
-        Plot("knee_tension" if part == "leg" else f"{part}_tension", f"Tension, {part} tendons", "N", tuple(curves))
-        for part, curves in groups.items()
-        if curves
-    ]
-
-
-def _servos(angle: np.ndarray, command: np.ndarray) -> list[Plot]:
-    names = servos_by_count(angle.shape[1])
-    # Key, title, servos, and names and colours of their curves.
-    groups: list[tuple[str, str, Sequence[str], Sequence[str], Sequence[str]]] = [
-        (kind, f"{kind.capitalize()} servos", [f"{limb}_{kind}" for limb in LIMBS], _LIMB_TITLES, LIMBS)
-        for kind in ("hip", "knee")
-    ]
-    for key, title, single in (
-        ("body_servos", "Body servos, + left", ("spine", "neck", "tail")),
-        ("vertical_servos", "Vertical servos, + hip up, nose down", ("spine_vertical", "head")),
-    ):
-        groups.append((key, title, single, [name.replace("_", " ") for name in single], ("first", "second", "third")))
-    plots = []
-    for key, title, servos, titles, colours in groups:
-        curves: list[Curve] = []
-        for servo, name, colour in zip(servos, titles, colours, strict=False):
-            if servo in names:
-                i = names.index(servo)
-                curves.append(Curve(name, colour, angle[:, i]))
-                curves.append(Curve(f"{name}, commanded", colour, command[:, i], faint=True))
-        plots += [Plot(key, title, "°", tuple(curves))] if curves else []
-    return plots
 
 
 GAIT_TITLES: Final = {"trt": "trot", "trt1": "walking trot", "lat": "lateral sequence walk"}
@@ -417,12 +386,12 @@ def title_of(recording: Recording) -> str:
     controller = controller.rpartition("/")[2]  # of a policy's file, its name
     known = GAIT_TITLES.get(str(gait), "").capitalize()
     parts = [(known or str(gait)) if gait else controller]
-    if (frequency := _number(parameters.get("frequency"))) is not None:
+    if (frequency := parameters.get("frequency")) is not None:
         parts.append(f"{frequency:.3g} Hz")
     spine = str(setup.get("spine", "none")).replace("_", " ")
     if spine != "none":
         parts.append(f"spine {spine}")
-    rate = _number(parameters.get("pilot.turn_rate"))
+    rate = parameters.get("pilot.turn_rate")
     if setup.get("pilot") == "open_loop" and rate:
         parts.append(f"turn rate {rate:g}")
     return ", ".join(parts)
@@ -472,17 +441,12 @@ def _units(recording: Recording) -> dict[str, str]:
     return units | {name: metric.unit for name, metric in (METRICS | TRANSITION).items()} | _part(recording, "units")
 
 
-def _number(value: Any) -> float | None:
-    return float(value) if isinstance(value, (int, float)) and not isinstance(value, bool) else None
-
-
 def _shown(value: Any, unit: str, digits: int = 4) -> str:
     """A value as people read it: degrees and millimetres."""
-    number = _number(value)
-    if number is None:
+    if value is None or isinstance(value, bool) or not isinstance(value, (int, float)):
         return "–" if value is None else ("no", "yes")[value] if isinstance(value, bool) else str(value)
-    if not math.isfinite(number):
+    if not math.isfinite(value):
         return "–"
     name, factor = _SHOWN.get(unit, ("" if unit == "1" else unit, 1.0))
-    shown = f"{number * factor:{'#' if digits == 3 else ''}.{digits}g}".rstrip(".")
+    shown = f"{value * factor:{'#' if digits == 3 else ''}.{digits}g}".rstrip(".")
     return f"{shown}{'' if name == '°' else ' '}{name}".rstrip()

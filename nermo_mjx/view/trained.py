@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any, Final
 
 from matplotlib import rc_context
-from matplotlib.figure import Figure
 
 from nermo_mjx.learn.directory import EVALUATION, POLICY_FILE, SPEC
 from nermo_mjx.learn.evaluation import POLICY, recorded, summary_of
@@ -21,7 +20,8 @@ from nermo_mjx.plotting.style import STYLE
 from nermo_mjx.robot.scene import scene_name
 from nermo_mjx.runs.files import content_of, parquet_table
 from nermo_mjx.runtime import start_jax
-from nermo_mjx.view.page import Page, show, text
+from nermo_mjx.view.clip import page_of
+from nermo_mjx.view.page import Page, text
 
 _HEADINGS: Final = ("", "", "success [%]", "speed [mm/s]", "distance [m]", "cost, mechanical", "cost, electrical")
 #: Of a walk in the evaluation's summary: factor and digits.
@@ -45,24 +45,31 @@ def trained(path: Path, *, engine: str = "c") -> Page:
     """
     start_jax()
     training, drawn = Training.from_file(path / SPEC), figures(path)
-    name, parts, samples = path.resolve().name, list[str](), 0
+    name, parts, samples = html.escape(path.resolve().name), list[str](), 0
     if (path / POLICY_FILE).exists():
         for scene, recording in recorded(training, load_policy(path / POLICY_FILE), engine):
-            page = show(recording, height=520)
+            page = page_of([recording], ["A"], 520)
             parts.append(f"<h2>The policy on {html.escape(scene)}</h2>{page._repr_html_()}")
             samples = max(samples, page.samples)
     if (content := content_of(path / EVALUATION)) is not None:
-        parts.append(_table(training, summary_of(parquet_table(content))))
+        where = f"On {training.evaluation.bodies:,} unseen bodies and starts; medians."
+        table = _table(summary_of(parquet_table(content)))
+        parts.append(f'<h2>Evaluation</h2><p>{where}</p><div class="wide"><table>{table}</table></div>')
     with rc_context(STYLE):
-        parts += [f"<h2>{title.capitalize()}</h2>{_image(title, figure)}" for title, figure in drawn]
-    body = f"<header><h1>{html.escape(name)}</h1></header><main>{''.join(parts)}</main>"
+        for title, figure in drawn:
+            lay_out(figure)
+            file = io.BytesIO()
+            figure.savefig(file, format="svg")
+            source = f"data:image/svg+xml;base64,{base64.b64encode(file.getvalue()).decode('ascii')}"
+            parts.append(f'<h2>{title.capitalize()}</h2><img alt="{html.escape(title)}" src="{source}">')
     head = '<meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">'
-    head += f"<title>Nermo: {html.escape(name)}, a training</title><style>{text('trained.css')}</style>"
+    head += f"<title>Nermo: {name}, a training</title><style>{text('trained.css')}</style>"
+    body = f"<header><h1>{name}</h1></header><main>{''.join(parts)}</main>"
     whole = f'<!doctype html><html lang="en"><head>{head}</head><body>{body}</body></html>'
     return Page(whole, 680, samples)
 
 
-def _table(training: Training, found: dict[str, Any]) -> str:
+def _table(found: dict[str, Any]) -> str:
     """The evaluation: shares of successes, and medians."""
     rows = ["".join(f"<th>{each}</th>" for each in _HEADINGS)]
     for scene, walkers in found.items():
@@ -70,14 +77,4 @@ def _table(training: Training, found: dict[str, Any]) -> str:
             shown = [f"{factor * numbers[key]:.{digits}f}" for key, (factor, digits) in _NUMBERS.items()]
             called = "policy" if who == POLICY else "controller alone"
             rows.append("".join(f"<td>{html.escape(each)}</td>" for each in (scene_name(scene), called, *shown)))
-    table = "".join(f"<tr>{row}</tr>" for row in rows)
-    where = f"On {training.evaluation.bodies:,} unseen bodies and starts; medians."
-    return f'<h2>Evaluation</h2><p>{where}</p><div class="wide"><table>{table}</table></div>'
-
-
-def _image(title: str, figure: Figure) -> str:
-    file = io.BytesIO()
-    lay_out(figure)
-    figure.savefig(file, format="svg")
-    content = base64.b64encode(file.getvalue()).decode("ascii")
-    return f'<img alt="{html.escape(title)}" src="data:image/svg+xml;base64,{content}">'
+    return "".join(f"<tr>{row}</tr>" for row in rows)

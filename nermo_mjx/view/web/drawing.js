@@ -1,4 +1,4 @@
-// Drawing on canvases: at the screen's resolution, round ticks, lines, points, rings, shortened names.
+// Drawing on canvases: at the screen's resolution, scales and round ticks, lines, points, rings, shortened names.
 
 /**
  * A canvas of so many of the page's pixels, ready to draw on. The processor draws: copying ten thousand points on emulated
@@ -57,6 +57,33 @@ export function clipped(paper, text, width) {
   let length = text.length;
   while (length > 1 && paper.measureText(`${text.slice(0, length)}…`).width > width) length--;
   return `${text.slice(0, length)}…`;
+}
+
+/** The least and the greatest of some values, by default of all; NaN is passed over. */
+export function extent(values, places = values.keys()) {
+  let [low, high] = [Infinity, -Infinity];
+  for (const place of places) {
+    if (values[place] < low) low = values[place];
+    if (values[place] > high) high = values[place];
+  }
+  return [low, high];
+}
+
+/** Values from one to another, evenly or by their logarithms, as shares of the way. */
+export class Scale {
+  constructor(low, high, log) {
+    [this.from, this.to] = log ? [Math.log(low), Math.log(high)] : [low, high];
+    this.log = log;
+  }
+
+  share(value) {
+    return ((this.log ? Math.log(value) : value) - this.from) / (this.to - this.from);
+  }
+
+  value(share) {
+    const scaled = this.from + share * (this.to - this.from);
+    return this.log ? Math.exp(scaled) : scaled;
+  }
 }
 
 /** About `count` round values between two, spaced by a multiple of one of `steps`, and their number of digits. */

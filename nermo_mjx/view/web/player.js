@@ -1,6 +1,6 @@
 // The displayed time and its progress; and the bar below: play, scrub, speed, loop.
 
-import { find } from "viewer/dialogs.js";
+import { find } from "viewer/elements.js";
 
 const SPEEDS = [0.05, 0.1, 0.25, 0.5, 1, 2, 4];
 
@@ -47,8 +47,7 @@ export class Player extends EventTarget {
 
   /** The next of `SPEEDS`, slower or faster. */
   shiftSpeed(by) {
-    const nearest = SPEEDS.reduce((best, speed, i) => (Math.abs(speed - this.speed) < Math.abs(SPEEDS[best] - this.speed) ? i : best), 0);
-    this.setSpeed(SPEEDS[Math.min(Math.max(nearest + by, 0), SPEEDS.length - 1)]);
+    this.setSpeed(SPEEDS[SPEEDS.indexOf(this.speed) + by] ?? this.speed);
   }
 
   setLoop(loop) {

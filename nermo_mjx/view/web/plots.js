@@ -1,8 +1,8 @@
 // Plots over time: axes with units, curves or bars, a cursor at the time, and values beside the names.
 
 import { LIMBS } from "viewer/colours.js";
-import { button, element, find } from "viewer/dialogs.js";
-import { line, round, sheet } from "viewer/drawing.js";
+import { button, element, find } from "viewer/elements.js";
+import { extent, line, round, sheet } from "viewer/drawing.js";
 
 /** Size of a plot, its margins, and the height of a row of bars [pixels]. */
 const [HEIGHT, LEFT, RIGHT, TOP, BOTTOM, BAR] = [104, 40, 14, 6, 18, 15];
@@ -201,13 +201,8 @@ class Plot {
 
 /** The least and the greatest value of some curves, with a margin. */
 function range(curves) {
-  let [low, high] = [Infinity, -Infinity];
-  for (const { values } of curves) {
-    for (const value of values) {
-      if (value < low) low = value;
-      if (value > high) high = value;
-    }
-  }
+  const ends = curves.map(({ values }) => extent(values));
+  let [low, high] = [Math.min(...ends.map(([least]) => least)), Math.max(...ends.map(([, most]) => most))];
   if (low > high) [low, high] = [0, 1];
   if (high - low < CONSTANT) [low, high] = [low - 1, high + 1];
   const margin = 0.06 * (high - low);

@@ -9,10 +9,7 @@ export class RobotView {
   constructor(clip) {
     this.clip = clip;
     this.group = new Group();
-    this.colour = null;
-    this.collisions = false;
-    this.shadows = true;
-    this.plain = false;
+    this.looks = { ghost: null, collisions: false, shadows: true, plain: false };
     this.glossy = new MeshStandardMaterial({ roughness: 0.62, metalness: 0.05 });
     this.matt = new MeshLambertMaterial();
     this.hull = new MeshLambertMaterial({ color: "#56b4e9" });
@@ -39,46 +36,33 @@ export class RobotView {
       if (shape.collides) this.collides[i].geometry = shape.collides;
     });
     if (plain) this.shadow.cast(coarse ? model.outline : shapes.map((shape) => shape.seen));
-    this.plain = plain;
-    this.#dress();
+    this.dress({ plain });
   }
 
-  /** Shows the collision geometry through the visual one. */
-  showCollisions(on) {
-    this.collisions = on;
-    this.#dress();
-  }
-
-  showShadows(on) {
-    this.shadows = on;
-    this.#dress();
-  }
-
-  /** A translucent robot in one colour, to distinguish it from the other; null restores its normal look. */
-  ghost(colour) {
-    this.colour = colour;
-    this.#dress();
-  }
-
-  #dress() {
-    const ghost = this.colour !== null;
+  /**
+   * Changes how it looks: with `collisions` seen through it, with `shadows`, `plain`, or as a `ghost`, translucent in one
+   * colour, to distinguish it from the other; null restores its normal look.
+   */
+  dress(changes) {
+    const { ghost: colour, collisions, shadows, plain } = Object.assign(this.looks, changes);
+    const ghost = colour !== null;
     for (const material of [this.glossy, this.matt]) {
       Object.assign(material, {
         vertexColors: !ghost,
-        color: new Color(this.colour ?? "#ffffff"),
-        transparent: ghost || this.collisions,
-        opacity: this.collisions ? 0.32 : ghost ? 0.5 : 1,
-        depthWrite: !this.collisions,
+        color: new Color(colour ?? "#ffffff"),
+        transparent: ghost || collisions,
+        opacity: collisions ? 0.32 : ghost ? 0.5 : 1,
+        depthWrite: !collisions,
         needsUpdate: true,
       });
     }
-    this.shadow.group.visible = this.plain && this.shadows && !ghost && this.clip.model.hasGround;
+    this.shadow.group.visible = plain && shadows && !ghost && this.clip.model.hasGround;
     for (const mesh of this.seen) {
-      mesh.material = this.plain ? this.matt : this.glossy;
+      mesh.material = plain ? this.matt : this.glossy;
       mesh.castShadow = !ghost;
-      mesh.receiveShadow = !this.plain;
+      mesh.receiveShadow = !plain;
     }
-    for (const mesh of this.collides) mesh.visible = this.collisions;
+    for (const mesh of this.collides) mesh.visible = collisions;
     // The scene exists once, in the first robot's group.
     const moving = new Set(this.clip.moving);
     this.bodies.forEach((body, i) => (body.visible = !ghost || moving.has(i)));

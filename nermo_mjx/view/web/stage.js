@@ -1,10 +1,11 @@
-// The scene: light, ground and the robots of all clips, drawn when something has changed.
+// The scene: light, ground and the robots of all clips, drawn when something has changed; the camera, and how well it is drawn.
 
-import { Color, DirectionalLight, Fog, HemisphereLight, PCFShadowMap, Scene, Vector3, WebGLRenderer } from "three";
-import { CameraMan } from "viewer/camera.js";
+import {
+  Color, DirectionalLight, Fog, HemisphereLight, OrbitControls, PCFShadowMap, PerspectiveCamera, Quaternion, Scene, Vector3,
+  WebGLRenderer,
+} from "three";
 import { Ground } from "viewer/ground.js";
 import { ForceView, TendonView, TrailView } from "viewer/overlays.js";
-import { Quality, isSoftware } from "viewer/quality.js";
 import { RobotView, SUN } from "viewer/robot.js";
 
 /** Distance between robots shown side by side [m]. */
@@ -70,7 +71,7 @@ export class Stage {
       // The first stands on the robot's right, which is the near side of the usual views.
       actor.group.position.set(apart ? (i - middle) * APART : 0, 0, 0);
       const ghost = !apart && i > 0;
-      actor.robot.ghost(ghost ? this.colours?.second ?? "#e69f00" : null);
+      actor.robot.dress({ ghost: ghost ? this.colours?.second ?? "#e69f00" : null });
       actor.tendons.mesh.castShadow = !ghost;
     });
     const reach = 0.24 + (apart ? APART : 0);
@@ -95,14 +96,14 @@ export class Stage {
     this.arrange(this.way);
   }
 
-  /** The visible elements; keys `tendons`, `forces`, `trail`, `shadows`, `collisions`. */
+  /** What is switched on: `follow`, and the visible `tendons`, `forces`, `trail`, `shadows`, `collisions`. */
   show(what) {
+    this.man.setFollow(what.follow);
     for (const actor of this.actors) {
       actor.tendons.mesh.visible = what.tendons;
       actor.forces.group.visible = what.forces;
       actor.trail.group.visible = what.trail;
-      actor.robot.showCollisions(what.collisions);
-      actor.robot.showShadows(what.shadows);
+      actor.robot.dress({ collisions: what.collisions, shadows: what.shadows });
     }
     this.shadows = what.shadows;
     this.sun.castShadow = what.shadows && !this.quality.shown?.plain;
@@ -143,12 +144,6 @@ export class Stage {
     const { eyes } = clip.model;
     const body = robot.bodies[eyes.body];
     this.man.ride(eyes, body.position.clone().add(group.position), body.quaternion);
-  }
-
-  /** Whether the camera follows the robot; when switched on, it catches up. */
-  setFollow(on) {
-    this.man.setFollow(on);
-    this.stale = true;
   }
 
   look(view) {
@@ -202,4 +197,153 @@ export class Stage {
     // Shadows are blended into encoded pixels, for which a gamma of 2.2 is near enough.
     return { light, shade: 1 - (1 - sun.g / light.g) ** (1 / 2.2) };
   }
+}
+
+// Views of the robot: their directions, how they follow it, and its own cameras.
+
+/** Directions as in nermo_mjx/view/camera.py [degrees]: azimuth 0 looks along +x, so that the robot walks to the right. */
+export const VIEWS = {
+  three_quarter: { label: "Three-quarter", azimuth: 38, elevation: -22 },
+  side: { label: "Side", azimuth: 0, elevation: -6 },
+  top: { label: "Top", azimuth: 0, elevation: -89.9 },
+  front: { label: "Front", azimuth: 90, elevation: -12 },
+  rear: { label: "Rear", azimuth: -90, elevation: -18 },
+  eyes: { label: "Its eyes" },
+};
+
+const FIELD = 32; // vertical [degrees]
+
+class CameraMan {
+  constructor(canvas, changed) {
+    this.camera = new PerspectiveCamera(FIELD, 1, 0.005, 30);
+    this.camera.up.set(0, 0, 1);
+    this.controls = new OrbitControls(this.camera, canvas);
+    Object.assign(this.controls, { enableDamping: false, minDistance: 0.04, maxDistance: 6, zoomToCursor: true });
+    this.controls.addEventListener("change", changed);
+    this.follow = true;
+    this.view = "three_quarter";
+    this.target = new Vector3();
+    this.radius = 0.2;
+  }
+
+  /** Looks from one of `VIEWS`, as far away as a body of `radius` needs. */
+  look(view) {
+    this.view = view;
+    this.controls.enabled = view !== "eyes";
+    this.camera.fov = FIELD;
+    if (view !== "eyes") {
+      const turn = (VIEWS[view].azimuth * Math.PI) / 180;
+      const rise = (-VIEWS[view].elevation * Math.PI) / 180;
+      const away = new Vector3(-Math.cos(turn) * Math.cos(rise), -Math.sin(turn) * Math.cos(rise), Math.sin(rise));
+      const half = Math.tan((FIELD * Math.PI) / 360);
+      const room = this.camera.aspect > 1 ? half * Math.sqrt(this.camera.aspect) : half * this.camera.aspect;
+      this.controls.target.copy(this.target);
+      this.camera.up.set(0, 0, 1);
+      this.camera.position.copy(this.target).addScaledVector(away, this.radius / room);
+      this.controls.update();
+    }
+    this.camera.updateProjectionMatrix();
+  }
+
+  /** Update the followed point [m]. */
+  moveTo(x, y, z) {
+    const before = this.target.clone();
+    this.target.set(x, y, z);
+    if (!this.follow || this.view === "eyes") return;
+    const way = before.subVectors(this.target, before);
+    this.camera.position.add(way);
+    this.controls.target.add(way);
+  }
+
+  /** Looks through the model's camera `eyes` on a body at this place; MuJoCo's cameras look along -z, as these do. */
+  ride(eyes, position, quaternion) {
+    const [w, x, y, z] = eyes.quat;
+    this.camera.position.set(...eyes.pos).applyQuaternion(quaternion).add(position);
+    this.camera.quaternion.copy(quaternion).multiply(new Quaternion(x, y, z, w));
+    this.camera.fov = eyes.fovy;
+    this.camera.updateProjectionMatrix();
+  }
+
+  /** Whether it follows the robot; when switched on, it catches up, keeping its direction. */
+  setFollow(on) {
+    const before = this.follow;
+    this.follow = on;
+    if (!on || before || this.view === "eyes") return;
+    this.camera.position.add(this.target).sub(this.controls.target);
+    this.controls.target.copy(this.target);
+  }
+
+  resize(aspect) {
+    this.camera.aspect = aspect;
+    this.camera.updateProjectionMatrix();
+  }
+}
+
+// Rendering quality: the best for stills, reduced for animations to keep the frame rate.
+
+/**
+ * `share` of the screen's pixels in each direction; `plain`: without gloss, and with shadows on the ground alone; `coarse`:
+ * with fewer triangles.
+ */
+const LEVELS = [1, 0.8, 0.65, 0.5, 0.4].map((share, i) => ({ share, plain: i > 0, coarse: i > 0 }));
+/** On a processor gloss and shadows take seconds to compile; twice the pixels smooth edges that its WebGL leaves jagged. */
+const STILL_IN_SOFTWARE = { share: 2, plain: true, coarse: false };
+/** Pixels for each of the page's in one direction, at most. */
+const MOST = 2;
+/** Frame time above which rendering is slow [s]: 30 frames per second, allowing for a clock in milliseconds. */
+const SLOW = 0.0345;
+/** Weight of the newest frame in the running mean of frame times, and number of frames per level. */
+const NEWEST = 0.15;
+const PATIENCE = 16;
+/** Limit of a frame's time [s], so that one hitch has little effect; the first frames of a level compile and load. */
+const WARM_UP = 4;
+const HITCH = 0.1;
+/** A longer pause was due to a hidden page, not to drawing [s]. */
+const HIDDEN = 3;
+/** A picture that has not changed for this long is a still [s]. */
+const REST = 0.25;
+
+class Quality {
+  /** `software`: there is no graphics card. */
+  constructor(software) {
+    this.still = software ? STILL_IN_SOFTWARE : LEVELS[0];
+    this.level = software ? 1 : 0;
+    this.mean = 0;
+    this.frames = 0;
+    this.quiet = 0;
+    this.shown = null;
+  }
+
+  /** Call with the time since the last frame [s], and whether the picture has changed. */
+  note(seconds, changed) {
+    const moving = changed && this.quiet === 0;
+    this.quiet = changed ? 0 : this.quiet + seconds;
+    if (!moving || seconds > HIDDEN) return;
+    this.frames++;
+    if (this.frames <= WARM_UP) return;
+    const time = Math.min(seconds, HITCH);
+    this.mean = this.frames === WARM_UP + 1 ? time : this.mean + NEWEST * (time - this.mean);
+    if (this.frames < PATIENCE || this.mean < SLOW) return;
+    this.frames = 0;
+    this.level = Math.min(this.level + (this.mean > 2 * SLOW ? 2 : 1), LEVELS.length - 1);
+  }
+
+  get wanted() {
+    return this.quiet < REST ? LEVELS[this.level] : this.still;
+  }
+
+  /** Rendered pixels per page pixel, in one direction. */
+  get pixelRatio() {
+    return Math.min(Math.min(devicePixelRatio, MOST) * (this.shown?.share ?? 1), MOST);
+  }
+}
+
+/** Whether WebGL runs on the processor. */
+function isSoftware() {
+  const probe = document.createElement("canvas").getContext("webgl2");
+  if (!probe) return false;
+  const names = probe.getExtension("WEBGL_debug_renderer_info");
+  const name = probe.getParameter(names ? names.UNMASKED_RENDERER_WEBGL : probe.RENDERER);
+  probe.getExtension("WEBGL_lose_context")?.loseContext();
+  return /swiftshader|llvmpipe|softpipe|software|basic render/i.test(name);
 }

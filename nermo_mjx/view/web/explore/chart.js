@@ -1,9 +1,8 @@
-// The plot: runs as points or cells on one canvas, and the hovered and selected ones on another above it.
+// The plot: its axes and colours, and runs as points or cells on one canvas, the hovered and selected ones on another above it.
 
-import { find } from "viewer/dialogs.js";
-import { clipped, line, ring, sheet, sprite } from "viewer/drawing.js";
-import { Axis, cellsOf } from "viewer/explore/axis.js";
-import { Colouring } from "viewer/explore/colouring.js";
+import { Scale, clipped, extent, line, ring, round, roundLog, sheet, sprite } from "viewer/drawing.js";
+import { element, find } from "viewer/elements.js";
+import { number } from "viewer/explore/table.js";
 
 const TOP = 12;
 const RIGHT = 16;
@@ -187,5 +186,167 @@ export class Chart {
     paper.fillRect(...rectangle);
     paper.globalAlpha = 1;
     paper.strokeRect(...rectangle);
+  }
+}
+
+/** Number of cells of a column without steps or a measure. */
+const BINS = 30;
+const MARGIN = 0.04;
+/** Share of a name's step over which its points are spread, so that they do not hide each other. */
+const SPREAD = 0.6;
+
+class Axis {
+  /**
+   * `cells`: whether the axis is divided into bins; `measure`: how an atlas divides it; `log`: wanted; `places`: runs that
+   * it fits, or null for all.
+   */
+  constructor(field, { cells, measure, log, places }) {
+    this.field = field;
+    // The cells of an atlas have equal widths.
+    this.log = Boolean(log && field.positive && !(cells && measure));
+    this.steps = field.stepped && (cells || field.isText) && !measure ? field.known.length : 0;
+    if (this.steps) {
+      this.bins = this.steps;
+      return;
+    }
+    [this.low, this.high] = places ? extent(field.values, places) : [field.low, field.high];
+    if (cells && measure) [this.low, this.high] = [measure.low, measure.high];
+    this.bins = cells ? measure?.cells ?? BINS : 0;
+    if (!(this.low < this.high)) [this.low, this.high] = this.log ? [this.low / 2, this.low * 2] : [this.low - 0.5, this.low + 0.5];
+    this.scale = new Scale(this.low, this.high, this.log);
+    this.margin = cells ? 0 : MARGIN;
+  }
+
+  /** The position of a run as a share of the axis. */
+  at(place) {
+    const value = this.field.values[place];
+    if (!this.steps) return this.share(value);
+    const code = this.field.codes[place];
+    if (code >= this.steps) return NaN;
+    // A fixed position for each run: with the golden ratio, neighbours lie far apart.
+    const spread = this.field.isText ? SPREAD * (((place * 0.618034) % 1) - 0.5) : 0;
+    return (code + 0.5 + spread) / this.steps;
+  }
+
+  share(value) {
+    return (this.scale.share(value) + this.margin) / (1 + 2 * this.margin);
+  }
+
+  /** The value, or of an axis of steps the code, at a share of it. */
+  value(share) {
+    if (this.steps) return share * this.steps - 0.5;
+    return this.scale.value(share * (1 + 2 * this.margin) - this.margin);
+  }
+
+  /** The bin of a run, -1 if it has none; values beyond a measure's ends are in its last cells. */
+  bin(place) {
+    if (this.steps) return this.field.codes[place] < this.steps ? this.field.codes[place] : -1;
+    const share = this.at(place);
+    return Number.isFinite(share) ? Math.min(Math.max(Math.floor(share * this.bins + 1e-9), 0), this.bins - 1) : -1;
+  }
+
+  /** Shares of the axis and their labels, about `count` of them. */
+  ticks(count) {
+    const { field } = this;
+    if (this.steps) {
+      const every = Math.ceil(this.steps / Math.max(count, 1));
+      return field.known
+        .map((value, code) => ({ share: (code + 0.5) / this.steps, label: field.isText ? value : number(value * field.factor) }))
+        .filter((_, code) => code % every === 0);
+    }
+    const [low, high] = [this.value(0) * field.factor, this.value(1) * field.factor];
+    const turns = field.unit === "deg" && high - low >= 180;
+    const { values } = this.log ? roundLog(low, high, count) : round(low, high, count, turns ? [1, 3, 4.5, 6, 9] : undefined);
+    return values.map((value) => ({ share: this.share(value / field.factor), label: number(Math.abs(value) < 1e-12 ? 0 : value) }));
+  }
+}
+
+/**
+ * The cells that some runs fill. `of` is `best`, `mean` or `worst`; each has its bins, its runs from the best to the
+ * worst, a value, and the run that stands for it.
+ */
+function cellsOf(across, up, colour, places, of) {
+  const inside = Array.from(places).filter((place) => across.bin(place) >= 0 && up.bin(place) >= 0);
+  return [...Map.groupBy(inside, (place) => up.bin(place) * across.bins + across.bin(place))].map(([cell, members]) => {
+    if (!colour.isText) members.sort((a, b) => colour.order(a, b));
+    const at = { x: cell % across.bins, y: Math.floor(cell / across.bins), places: members };
+    return { ...at, ...(colour.isText ? commonest(colour, members) : valued(colour, members, of)) };
+  });
+}
+
+function commonest(colour, places) {
+  const groups = [...Map.groupBy(places, (place) => colour.values[place])];
+  const [value, [place]] = groups.reduce((most, each) => (each[1].length > most[1].length ? each : most));
+  return { value, place };
+}
+
+function valued(colour, places, of) {
+  const good = places.filter((place) => Number.isFinite(colour.values[place]));
+  if (!good.length) return { value: NaN, place: places[0] };
+  const mean = good.reduce((sum, place) => sum + colour.values[place], 0) / good.length;
+  const off = (place) => Math.abs(colour.values[place] - mean);
+  if (of === "mean") return { value: mean, place: good.reduce((best, place) => (off(place) < off(best) ? place : best)) };
+  const place = of === "best" ? good[0] : good.at(-1);
+  return { value: colour.values[place], place };
+}
+
+/** Losses up to this keep their colour [%]. */
+const GAIN = 25;
+
+class Colouring {
+  /** `log`: wanted; `places`: runs whose values take all of the colours, or null for those of all runs. */
+  constructor(field, palette, log, places) {
+    this.field = field;
+    this.palette = palette;
+    this.levels = field.isText ? palette.series : palette[field.colours || "scale"];
+    [this.low, this.high] = field.isText ? [0, 1] : places ? extent(field.values, places) : field.span;
+    // No gain is the middle of its colours; large losses are cut off where they would leave the gains pale, as in figures.
+    if (field.colours === "gain") {
+      const far = Math.max(this.high, Math.min(-this.low, Math.max(3 * this.high, GAIN)), 1e-9);
+      [this.low, this.high] = [-far, far];
+    }
+    // Both ends of a turn are one colour.
+    if (field.colours === "cyclic") [this.low, this.high] = [-Math.PI, Math.PI];
+    this.clips = !places;
+    this.log = log && field.positive;
+  }
+
+  /** Which of `levels` a value has; -1 if it has none. */
+  level(value) {
+    if (this.field.isText) return value % this.levels.length;
+    if (!Number.isFinite(value)) return -1;
+    const share = this.low < this.high ? new Scale(this.low, this.high, this.log).share(value) : 0.5;
+    return Math.min(Math.max(Math.floor(share * this.levels.length), 0), this.levels.length - 1) || 0;
+  }
+
+  css(level) {
+    return level < 0 ? this.palette.missing : this.levels[level];
+  }
+
+  /** Text colour that is legible on a colour. */
+  ink(level) {
+    const [r, g, b] = [1, 3, 5].map((at) => (parseInt(this.css(level).slice(at, at + 2), 16) / 255) ** 2.2);
+    return 0.2126 * r + 0.7152 * g + 0.0722 * b > 0.2 ? "#15181b" : "#ffffff";
+  }
+
+  /** Fills the element with names and colours, or with a bar and its ends. */
+  explain(place) {
+    const { field } = this;
+    const mark = (className, background) => {
+      const made = element("i", "", className);
+      made.style.background = background;
+      return made;
+    };
+    place.replaceChildren(element("b", field.label));
+    if (field.isText) {
+      place.append(...field.texts.map((name, code) => element("span", [mark("", this.css(this.level(code))), name])));
+      return;
+    }
+    const low = `${this.clips && this.low > field.low ? "≤ " : ""}${field.shown(this.low, false)}`;
+    const high = `${this.clips && this.high < field.high ? "≥ " : ""}${field.shown(this.high, false)}`;
+    const bar = mark("bar", `linear-gradient(to right, ${this.levels.join(", ")})`);
+    place.append(element("span", low), bar, element("span", high));
+    const sides = { low: "low is better", high: "high is better", zero: "near zero is better" };
+    if (field.better) place.append(element("small", sides[field.better]));
   }
 }

@@ -1,7 +1,7 @@
 // Filters: ranges of numbers, and names that are switched on and off.
 
-import { button, element } from "viewer/dialogs.js";
-import { sheet } from "viewer/drawing.js";
+import { button, element } from "viewer/elements.js";
+import { Scale, sheet } from "viewer/drawing.js";
 
 /** Positions of a handle, and bars of a histogram, for a column without steps. */
 const PLACES = 200;
@@ -128,7 +128,7 @@ class Range {
   constructor(field, filters) {
     Object.assign(this, { field, filters });
     this.stepped = field.stepped;
-    this.log = field.log && field.positive;
+    this.scale = new Scale(field.low, field.high, field.log && field.positive);
     this.last = this.stepped ? field.known.length - 1 : PLACES;
     this.bars = this.stepped ? field.known.length : BARS;
     [this.from, this.to] = [0, this.last];
@@ -193,15 +193,7 @@ class Range {
     if (this.stepped) return field.known[at];
     if (at <= 0) return field.low;
     if (at >= this.last) return field.high;
-    const share = at / this.last;
-    return this.log ? field.low * (field.high / field.low) ** share : field.low + share * (field.high - field.low);
-  }
-
-  /** The place of a handle at a value. */
-  #place(value) {
-    const { field } = this;
-    if (this.log) return (this.last * Math.log(value / field.low)) / Math.log(field.high / field.low);
-    return (this.last * (value - field.low)) / (field.high - field.low);
+    return this.scale.value(at / this.last);
   }
 
   #histogram(places) {
@@ -210,7 +202,7 @@ class Range {
     for (const place of places) {
       const value = field.values[place];
       if (!Number.isFinite(value)) continue;
-      const bar = this.stepped ? field.codes[place] : Math.floor((this.#place(value) / this.last) * this.bars);
+      const bar = this.stepped ? field.codes[place] : Math.floor(this.scale.share(value) * this.bars);
       counts[Math.min(bar, this.bars - 1)]++;
     }
     return counts;
@@ -246,7 +238,8 @@ class Range {
     }
     // Handles are at the nearest positions, and the values are the exact ones.
     const ends = [Math.max(low, this.field.low), Math.min(high, this.field.high)];
-    [this.from, this.to] = [Math.floor, Math.ceil].map((toPlace, i) => this.#within(toPlace(this.#place(ends[i]))));
+    const [from, to] = ends.map((value) => this.scale.share(value) * this.last);
+    [this.from, this.to] = [this.#within(Math.floor(from)), this.#within(Math.ceil(to))];
     this.#show(ends);
   }
 

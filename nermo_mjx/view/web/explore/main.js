@@ -2,28 +2,24 @@
 
 import { onThemeChange, theme } from "viewer/colours.js";
 import { unpack } from "viewer/data.js";
-import { element, failed, find, togglePanel, wireFullScreen, wirePanel } from "viewer/dialogs.js";
+import { closePanel, element, failed, find, togglePanel, wireFullScreen, wireKeys } from "viewer/elements.js";
 import { Chart } from "viewer/explore/chart.js";
 import { Filters } from "viewer/explore/filters.js";
 import { wirePointing } from "viewer/explore/pointing.js";
 import { RowPanel, csvOf, headOf } from "viewer/explore/row.js";
 import { Table } from "viewer/explore/table.js";
 import { Theatre } from "viewer/explore/theatre.js";
-import { wireKeys } from "viewer/keys.js";
 
+const HINT = "Click a run to see its numbers. Drag over the plot to keep the runs in a rectangle, and double-click to let go of it; drag over a histogram, or move its two handles. A ring marks a run whose recording plays in 3D.";
 const ROLES = { varied: "Parameters", metric: "Metrics", randomized: "Drawn at random", status: "Others", index: "Others" };
 
 async function start() {
   const header = JSON.parse(find("header").textContent);
   const packed = document.querySelector('[data-part="table"]').textContent;
   const table = new Table(header, { table: await unpack(packed) });
-  const recorded = new Set(Object.keys(header.recordings).map((row) => table.placeOf.get(Number(row))));
-  const view = { ...header.start, fit: false, logs: new Set(table.differing().filter((field) => field.wantsLog).map((field) => field.name)) };
+  const explorer = new Explorer(header, table);
   const figures = headOf(header, table).map((text) => element("span", text));
   find("runs").append(element("div", [element("h1", header.title), element("p", figures, "figures")], "run"));
-
-  const explorer = new Explorer(header, table, recorded, view);
-  wirePanel("help");
   wireFullScreen();
   const paint = () => {
     const colours = theme();
@@ -39,16 +35,23 @@ async function start() {
 }
 
 class Explorer {
-  constructor(header, table, recorded, view) {
-    Object.assign(this, { header, table, recorded, view });
+  constructor(header, table) {
+    const recorded = new Set(Object.keys(header.recordings).map((row) => table.placeOf.get(Number(row))));
+    const logs = new Set(table.differing().filter((field) => field.wantsLog).map((field) => field.name));
+    Object.assign(this, { header, table, recorded, view: { ...header.start, fit: false, logs } });
     this.filters = new Filters(find("filter-list"), table, recorded, () => this.show());
     this.chart = new Chart(table, header.palette, this.filters, recorded);
     this.panel = new RowPanel(find("row"), table, header.commands, recorded, (place, focus) => this.choose(place, focus), (place) => this.play(place));
-    this.theatre = new Theatre(header, () => this.#recordedRows(), (row) => this.choose(table.placeOf.get(row)));
+    const passing = () => Array.from(this.filters.places).filter((place) => recorded.has(place)).map((place) => table.rows[place]);
+    this.theatre = new Theatre(header, passing, (row) => this.choose(table.placeOf.get(row)));
     wirePointing(this.chart, find("tip"), find("said"), (place) => this.choose(place), (shares) => this.brush(shares));
     this.#wireChoices();
     for (const id of ["reset", "empty-reset"]) find(id).addEventListener("click", () => this.filters.release());
-    find("save").addEventListener("click", () => save(`${header.title}.csv`, this.csv));
+    find("save").addEventListener("click", () => {
+      const href = URL.createObjectURL(new Blob([this.csv], { type: "text/csv" }));
+      element("a", "", "", { download: `${header.title}.csv`, href }).click();
+      setTimeout(() => URL.revokeObjectURL(href), 1000);
+    });
     wireKeys([
       [[], "Tab", "to the plot, the filters, the chosen run"],
       [[], "← → ↑ ↓", "in the plot: walk from run to run"],
@@ -59,8 +62,8 @@ class Explorer {
       [["f"], "F", "axes and colours fit the runs that pass, or all", () => find("fit").click()],
       [["r"], "R", "reset the filters", () => this.filters.release()],
       [["?"], "?", "this help", () => togglePanel("help")],
-      [["Escape"], "Esc", "close what is open; let go of the run", () => this.#close()],
-    ]);
+      [["Escape"], "Esc", "close what is open; let go of the run", () => closePanel() || this.choose(-1)],
+    ], HINT);
   }
 
   #wireChoices() {
@@ -123,13 +126,7 @@ class Explorer {
   }
 
   play(place) {
-    const row = this.table.rows[place];
-    if (this.recorded.has(place) && !this.theatre.isOpen) this.theatre.open(row, `Row ${row}`);
-  }
-
-  /** Passing rows that have recordings. */
-  #recordedRows() {
-    return Array.from(this.filters.places).filter((place) => this.recorded.has(place)).map((place) => this.table.rows[place]);
+    if (this.recorded.has(place)) this.theatre.open(this.table.rows[place]);
   }
 
   /** Keeps the runs in a rectangle of shares of the axes; null clears both filters. */
@@ -157,18 +154,6 @@ class Explorer {
   get csv() {
     return csvOf(this.table, this.filters.places);
   }
-
-  #close() {
-    if (this.theatre.isOpen) this.theatre.close();
-    else if (!find("help").hidden) togglePanel("help", false);
-    else this.choose(-1);
-  }
-}
-
-function save(name, text) {
-  const link = element("a", "", "", { download: name, href: URL.createObjectURL(new Blob([text], { type: "text/csv" })) });
-  link.click();
-  setTimeout(() => URL.revokeObjectURL(link.href), 1000);
 }
 
 start().catch(failed);

@@ -1,6 +1,6 @@
 // Pointer and keys on the plot: hovering, selecting and brushing.
 
-import { element } from "viewer/dialogs.js";
+import { element } from "viewer/elements.js";
 
 /** A pointer movement below this is a click [pixels]. */
 const STILL = 5;

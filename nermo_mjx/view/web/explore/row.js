@@ -1,6 +1,6 @@
 // The selected run: its numbers, commands and recording; without a selection, the best runs and the recorded ones.
 
-import { button, element } from "viewer/dialogs.js";
+import { button, element } from "viewer/elements.js";
 
 const BEST = 10;
 const GROUPS = [["varied", "Parameters"], ["metric", "Metrics"], ["randomized", "Drawn at random"], ["index", "Place in the table"]];

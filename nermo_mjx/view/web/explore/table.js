@@ -107,13 +107,3 @@ export function number(value, digits = 4) {
   const text = size !== 0 && (size >= 1e6 || size < 1e-4) ? value.toExponential(2) : String(Number(value.toPrecision(digits)));
   return text.replaceAll("-", "−");
 }
-
-/** The least and the greatest value of some runs. */
-export function extent(values, places) {
-  let [low, high] = [Infinity, -Infinity];
-  for (const place of places) {
-    if (values[place] < low) low = values[place];
-    if (values[place] > high) high = values[place];
-  }
-  return [low, high];
-}
