@@ -112,17 +112,16 @@ class Page:
             assert time.monotonic() < deadline, f"still not, after {seconds:g} s: {condition}; {self.complaints()}"
             time.sleep(0.05)
 
+    def box(self, selector: str) -> dict[str, float]:
+        """Where an element lies in the window: `left`, `top`, `width` and so on [pixels]."""
+        return self.evaluate(f"document.querySelector({json.dumps(selector)}).getBoundingClientRect().toJSON()")
+
     def click(self, selector: str, share: float = 0.5) -> None:
         """Click an element, at a share of its width from the left."""
-        script = f"""(() => {{
-            const element = document.querySelector({json.dumps(selector)});
-            element.scrollIntoView({{block: "nearest"}});
-            const box = element.getBoundingClientRect();
-            return [box.left + {share} * box.width, box.top + box.height / 2];
-        }})()"""
-        x, y = self.evaluate(script)
-        self.mouse("mousePressed", x, y)
-        self.mouse("mouseReleased", x, y)
+        self.evaluate(f"document.querySelector({json.dumps(selector)}).scrollIntoView({{block: 'nearest'}}) ?? null")
+        box = self.box(selector)
+        for kind in ("mousePressed", "mouseReleased"):
+            self.mouse(kind, box["left"] + share * box["width"], box["top"] + box["height"] / 2)
 
 
 class Browser:

@@ -76,10 +76,8 @@ def choose(tab: Any, **choices: str) -> None:
 
 def place_of(tab: Any, row: int) -> tuple[float, float]:
     """Where a row is drawn in the window."""
-    x, y = tab.evaluate(f"""(() => {{ const item = explorer.chart.itemOf(explorer.table.placeOf.get({row}));
-        const box = document.getElementById("marks").getBoundingClientRect();
-        return [box.left + item.x, box.top + item.y]; }})()""")
-    return x, y
+    x, y = tab.evaluate(f"(({{x, y}}) => [x, y])(explorer.chart.itemOf(explorer.table.placeOf.get({row})))")
+    return tab.box("#marks")["left"] + x, tab.box("#marks")["top"] + y
 
 
 def click(tab: Any, x: float, y: float) -> None:
@@ -260,11 +258,8 @@ def test_brushes_handles_and_names_keep_the_runs_that_they_say(tab: Any, page: P
     opened(tab, page)
     tab.key("c")
     choose(tab, x="frequency", y="speed")
-    box = tab.evaluate(
-        "(() => { const b = document.getElementById('marks').getBoundingClientRect(); return [b.left, b.top]; })()"
-    )
-    frame = tab.evaluate("explorer.chart.frame")
-    left, top = box[0] + frame["left"], box[1] + frame["top"]
+    box, frame = tab.box("#marks"), tab.evaluate("explorer.chart.frame")
+    left, top = box["left"] + frame["left"], box["top"] + frame["top"]
     middle = left + 0.5 * frame["width"]
     drag(tab, (left + 4, top + 4), (middle, top + frame["height"] - 4))
     slow = rows["frequency"] < 0.8
@@ -287,9 +282,9 @@ def test_brushes_handles_and_names_keep_the_runs_that_they_say(tab: Any, page: P
     tab.click("#empty-reset")
     assert tab.evaluate(COUNT) == 36
     # A histogram's first bars.
-    width = tab.evaluate("document.querySelector('[data-field=frequency] canvas').getBoundingClientRect().toJSON()")
-    y = width["top"] + 10
-    drag(tab, (width["left"] + 2, y), (width["left"] + 0.4 * width["width"], y))
+    bars = tab.box("[data-field=frequency] canvas")
+    y = bars["top"] + 10
+    drag(tab, (bars["left"] + 2, y), (bars["left"] + 0.4 * bars["width"], y))
     assert tab.evaluate(COUNT) == (rows["frequency"] < 0.8).sum()
 
 
@@ -383,12 +378,9 @@ def test_everything_fits_its_window(tab: Any, page: Path, width: int, height: in
     width, height = tab.evaluate("[innerWidth, innerHeight]")  # Firefox has no window as narrow as a phone
     assert tab.evaluate("document.documentElement.scrollWidth") <= width
     assert tab.outside(["marks", "x", "save", "help"], width, height, 20) == []
-    plane = tab.evaluate("document.getElementById('marks').getBoundingClientRect().toJSON()")
-    assert plane["width"] * plane["height"] > 0.3 * width * height
-    reached = "(() => { document.querySelector('[data-field=\"spine.phase\"] input').scrollIntoView(); return 1; })()"
-    tab.evaluate(reached)
-    filters = tab.evaluate("document.querySelector('[data-field=\"spine.phase\"]').getBoundingClientRect().toJSON()")
-    assert 0 <= filters["top"] < height
+    assert tab.box("#marks")["width"] * tab.box("#marks")["height"] > 0.3 * width * height
+    tab.evaluate("document.querySelector('[data-field=\"spine.phase\"] input').scrollIntoView() ?? null")
+    assert 0 <= tab.box("[data-field='spine.phase']")["top"] < height
 
 
 def test_a_dark_page_is_dark_and_its_points_can_be_seen(tab: Any, page: Path, rows: dict[str, Any]) -> None:

@@ -35,9 +35,9 @@ def some_recording(**changes: object) -> Recording:
     return Recording(**(values | changes))
 
 
-def test_a_saved_recording_is_loaded_as_it_was(tmp_path: Path) -> None:
+def test_a_saved_recording_is_loaded_as_it_was_and_read_by_numpy_alone(tmp_path: Path) -> None:
     recording = some_recording()
-    loaded = Recording.load(recording.save(tmp_path / "new" / "walk.npz"))
+    loaded = Recording.load(path := recording.save(tmp_path / "new" / "walk.npz"))
     for name in ("time", "qpos", "qvel", "ctrl"):
         np.testing.assert_array_equal(getattr(loaded, name), getattr(recording, name))
     np.testing.assert_array_equal(loaded.sensors["foot_position"], recording.sensors["foot_position"])
@@ -45,10 +45,6 @@ def test_a_saved_recording_is_loaded_as_it_was(tmp_path: Path) -> None:
     assert loaded.model_hash == recording.model_hash
     assert loaded.duration == pytest.approx(0.08)
     assert [file.name for file in (tmp_path / "new").iterdir()] == ["walk.npz"], "no temporary file stays behind"
-
-
-def test_numpy_alone_can_read_a_recording(tmp_path: Path) -> None:
-    path = some_recording().save(tmp_path / "walk.npz")
     with np.load(path, allow_pickle=False) as file:
         assert file["qpos"].shape == (5, 7)
         assert json.loads(str(file["header"]))["metadata"]["setup"] == {"gait": "trt"}

@@ -60,11 +60,8 @@ def stage_picture(tab: chromium.Tab) -> np.ndarray:
     """The 3D picture without the overlaid tools."""
     tab.evaluate("viewer.stage.stale = true")
     tab.wait(RESTING)
-    box = tab.evaluate(
-        "(() => { const r = document.getElementById('stage').getBoundingClientRect();"
-        "return [r.left, r.top + 34, r.right, r.bottom - 30]; })()"
-    )
-    return tab.pixels(box)
+    box = tab.box("#stage")
+    return tab.pixels((box["left"], box["top"] + 34, box["right"], box["bottom"] - 30))
 
 
 def share_changed(a: np.ndarray, b: np.ndarray) -> float:
@@ -282,8 +279,7 @@ def test_everything_fits_its_window(tab: chromium.Tab, two: Path, width: int, he
     opened(tab, two, width, height)
     assert tab.evaluate("document.documentElement.scrollWidth") <= width
     assert tab.outside(CONTROLS, width, height) == []
-    area = tab.evaluate("document.getElementById('stage').clientWidth * document.getElementById('stage').clientHeight")
-    assert area > 0.3 * width * height
+    assert tab.box("#stage")["width"] * tab.box("#stage")["height"] > 0.3 * width * height
 
 
 def test_a_control_shows_its_focus(tab: chromium.Tab, two: Path) -> None:

@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from nermo_mjx.plotting.shown import shown as in_shown_unit
 from nermo_mjx.recording import Recording, RecordingError
 from nermo_mjx.robot import LIMBS, ModelParameters, Robot, RobotConfig, load_robot
 from nermo_mjx.robot.geometry import Geometry
@@ -364,8 +365,6 @@ def _over_cycle(values: np.ndarray, time: np.ndarray, period: float) -> np.ndarr
 
 
 GAIT_TITLES: Final = {"trt": "trot", "trt1": "walking trot", "lat": "lateral sequence walk"}
-_DEGREES: Final = math.degrees(1.0)
-_SHOWN: Final = {"rad": ("°", _DEGREES), "rad/s": ("°/s", _DEGREES), "m": ("mm", 1e3), "m/s": ("mm/s", 1e3)}
 #: Metrics in the page's head, and their labels.
 _HEADLINE: Final = {
     "speed": "speed",
@@ -447,6 +446,7 @@ def _shown(value: Any, unit: str, digits: int = 4) -> str:
         return "–" if value is None else ("no", "yes")[value] if isinstance(value, bool) else str(value)
     if not math.isfinite(value):
         return "–"
-    name, factor = _SHOWN.get(unit, ("" if unit == "1" else unit, 1.0))
-    shown = f"{value * factor:{'#' if digits == 3 else ''}.{digits}g}".rstrip(".")
-    return f"{shown}{'' if name == '°' else ' '}{name}".rstrip()
+    quantity = in_shown_unit("", unit, value)
+    name = quantity.unit.replace("deg", "°")
+    text = f"{quantity.values:{'#' if digits == 3 else ''}.{digits}g}".rstrip(".")
+    return f"{text}{'' if name == '°' else ' '}{name}".rstrip()

@@ -23,17 +23,7 @@ export function read(parts, entry) {
   const size = entry.shape.reduce((product, n) => product * n, 1);
   if (PLAIN[entry.kind]) return new PLAIN[entry.kind](buffer, entry.at, size);
   if (entry.kind === "json") return JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, entry.at, size)));
-  if (entry.kind.startsWith("planes")) return readPlanes(buffer, entry.at, size, Number(entry.kind.slice(6)));
   return readSteps(new Uint8Array(buffer, entry.at, 2 * size), size, entry);
-}
-
-function readPlanes(buffer, at, size, planes) {
-  const bytes = new Uint8Array(buffer, at, planes * size);
-  const bits = new Uint32Array(size);
-  for (let plane = 0; plane < planes; plane++) {
-    for (let i = 0; i < size; i++) bits[i] |= bytes[plane * size + i] << (24 - 8 * plane);
-  }
-  return new Float32Array(bits.buffer);
 }
 
 function readSteps(bytes, size, entry) {

@@ -35,7 +35,7 @@ async function start() {
   const stage = makeStage(clips);
   const plots = new Plots(find("plot-list"), clips, player);
   wireTransport(player);
-  const drive = live && new live.Drive(header.live, clips[0], player, stage, plots);
+  const drive = live && new live.Drive(header.live, clips[0], player, stage);
   wireControls(player, stage, plots, clips, drive);
 
   const paint = () => {

@@ -83,7 +83,6 @@ export function wireTransport(player) {
   const clock = find("clock");
   const update = () => {
     scrub.value = player.time;
-    scrub.style.setProperty("--share", (player.time - player.begin) / (player.end - player.begin || 1));
     scrub.setAttribute("aria-valuetext", `${player.time.toFixed(2)} seconds`);
     clock.textContent = `${player.time.toFixed(2)} / ${player.end.toFixed(2)} s`;
     find("play").classList.toggle("playing", player.playing);

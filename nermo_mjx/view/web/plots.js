@@ -8,6 +8,8 @@ import { extent, line, round, sheet } from "viewer/drawing.js";
 const [HEIGHT, LEFT, RIGHT, TOP, BOTTOM, BAR] = [104, 40, 14, 6, 18, 15];
 /** Length of the window that follows the time [s]. */
 const WINDOW = 2;
+/** Time between two drawings of plots that grow [ms]: of a window that moves, and of the whole. */
+const PACE = { window: 80, whole: 500 };
 /** Values that differ by less are shown as constant, in the unit of their plot: their ticks would be long numbers. */
 const CONSTANT = 0.02;
 
@@ -17,6 +19,7 @@ export class Plots {
     if (clips.length > 1) find("plots-hint").textContent = "A solid, B dashed";
     this.player = player;
     this.windowed = false;
+    this.grow = clips[0].grows;
     this.plots = clips[0].plots.map(({ key }) => {
       const rows = clips.map((clip) => ({ clip, plot: clip.plots.find((plot) => plot.key === key) }));
       return new Plot(rows.filter(({ plot }) => plot), player);
@@ -49,12 +52,15 @@ export class Plots {
   }
 
   draw(plots = this.plots) {
+    this.drawn = performance.now();
     if (this.colours) for (const plot of plots) plot.draw(...this.#span(), this.colours);
   }
 
+  /** Of plots that `grow`, as in a drive, not every time is drawn. */
   setTime(time) {
     const seen = this.plots.filter((plot) => plot.seen);
-    if (this.windowed) this.draw(seen);
+    if (this.grow && this.player.playing && performance.now() - this.drawn < PACE[this.windowed ? "window" : "whole"]) return;
+    if (this.windowed || this.grow) this.draw(seen);
     else for (const plot of seen) plot.setTime(time);
   }
 }

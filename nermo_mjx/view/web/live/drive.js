@@ -13,8 +13,6 @@ const DEAD = 0.12;
 const TURN = 0.6;
 /** Force of a push by the length of its drag [N per pixel], at most [N], and how long it lasts [s]. */
 const PUSH = { newton: 0.005, most: 3, seconds: 0.1 };
-/** Time between two drawings of the plots [ms]: of a window that moves, and of the whole. */
-const DRAWN = { window: 80, whole: 500 };
 const called = (name) => name.replaceAll("_", " ");
 
 /** `[keys, how the help names them, what they do, button of a gamepad, the same as a function of the drive]`. */
@@ -35,13 +33,12 @@ const CONTROLS = [
 ];
 
 export class Drive {
-  constructor(live, clip, player, stage, plots) {
-    Object.assign(this, { live, clip, player, stage, plots, state: {}, wanted: {}, touched: {}, buttons: [], stick: {}, pushing: false });
+  constructor(live, clip, player, stage) {
+    Object.assign(this, { live, clip, player, stage, state: {}, wanted: {}, touched: {}, buttons: [], stick: {}, pushing: false });
     document.body.classList.add("live");
     player.tick = () => {};
     player.toggle = (playing = !player.playing) => this.send({ pause: !playing });
     player.setLoop(false);
-    this.#limitPlots();
     this.#panel();
     this.#push();
     find("speed").addEventListener("change", () => this.send({ speed: Number(find("speed").value) }));
@@ -227,7 +224,6 @@ export class Drive {
     if (value === null) return;
     input.value = value;
     label.lastChild.textContent = `${value.toFixed(2)} ${label.dataset.unit}`.trim().replace("-", "−");
-    input.style.setProperty("--share", (value - input.min) / (input.max - input.min));
   }
 
   // Pushes: a drag from a body, with Shift or after the button.
@@ -276,19 +272,6 @@ export class Drive {
     const [right, up] = [0, 1].map((column) => new Vector3().setFromMatrixColumn(camera.matrixWorld, column));
     const force = right.multiplyScalar(event.offsetX - begin.x).addScaledVector(up, begin.y - event.offsetY);
     return force.multiplyScalar(PUSH.newton).clampLength(0, PUSH.most);
-  }
-
-  #limitPlots() {
-    const { plots } = this;
-    let before = 0;
-    const moved = plots.setTime.bind(plots);
-    plots.setTime = (time) => {
-      const now = performance.now();
-      if (this.player.playing && now - before < (plots.windowed ? DRAWN.window : DRAWN.whole)) return;
-      before = now;
-      if (plots.windowed) moved(time);
-      else plots.draw();
-    };
   }
 }
 
