@@ -367,7 +367,7 @@ def test_the_video_shows_the_walk_after_its_warm_up(finished, monkeypatch, tmp_p
         asked.update(panes=panes, options=options)
         return path
 
-    monkeypatch.setattr(figures, "render_side_by_side", take)
+    monkeypatch.setattr(figures, "render", take)
     best = finished.best
     figures.render_video(finished.tuning, finished.start, best, FakeWalker(), tmp_path / "v.mp4")
     start, shown = asked["panes"]

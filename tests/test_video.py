@@ -17,7 +17,7 @@ from PIL import Image, ImageSequence
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.view import Recording, RecordingError, VideoError, offscreen, render, video
 from nermo_mjx.view.camera import INSIDE, OUTSIDE, draw_support, is_inside, smooth_path, support_polygon
-from nermo_mjx.view.video import Pane, frame_samples, render_side_by_side, write_video
+from nermo_mjx.view.video import Pane, frame_samples, write_video
 
 pytestmark = pytest.mark.draws
 
@@ -165,7 +165,7 @@ def test_the_camera_follows_a_steady_walk_without_lag_and_without_shaking() -> N
 def test_side_by_side_shows_both_in_step_with_captions_and_ways(model: mujoco.MjModel, tmp_path: Path) -> None:
     slow, fast = walk(model, seconds=2.0, speed=0.1), walk(model, seconds=1.0, speed=0.2)
     panes = [Pane(slow, "Start", ["speed 100 mm/s"]), Pane(fast, "Best", ["speed 200 mm/s", "a long line " * 12])]
-    path = render_side_by_side(panes, model, tmp_path / "both.mp4", fps=4, width=120, height=80, speed=0.5)
+    path = render(panes, model, tmp_path / "both.mp4", fps=4, width=120, height=80, speed=0.5)
     frames = [np.asarray(frame).astype(int) for frame in imageio.get_reader(path)]
     assert len(frames) == 9, "as long as the shorter one, 1 s at half speed and 4 frames/s, both ends included"
     assert frames[0].shape[1] == 2 * 120 + 4
@@ -179,9 +179,9 @@ def test_side_by_side_shows_both_in_step_with_captions_and_ways(model: mujoco.Mj
 
 def test_side_by_side_needs_a_recording_and_an_even_picture(model: mujoco.MjModel, tmp_path: Path) -> None:
     with pytest.raises(ParameterError, match="at least one recording"):
-        render_side_by_side([], model, tmp_path / "v.mp4")
+        render([], model, tmp_path / "v.mp4")
     with pytest.raises(ParameterError, match="even width"):
-        render_side_by_side([Pane(walk(model), "a")], model, tmp_path / "v.mp4", width=63)
+        render([Pane(walk(model), "a")], model, tmp_path / "v.mp4", width=63)
 
 
 def trotting(model: mujoco.MjModel, seconds: float = 4.0) -> Recording:

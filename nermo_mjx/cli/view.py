@@ -106,7 +106,7 @@ def render_video(recordings: Sequence[Recording], path: Path, names: Sequence[st
     """
     from nermo_mjx.view import render, robot_of, shown_model
     from nermo_mjx.view.recorded import headline_of, title_of
-    from nermo_mjx.view.video import Pane, render_side_by_side
+    from nermo_mjx.view.video import Pane
 
     robots = [robot_of(each) for each in recordings]
     models = [shown_model(*each) for each in zip(recordings, robots, strict=True)]
@@ -118,7 +118,7 @@ def render_video(recordings: Sequence[Recording], path: Path, names: Sequence[st
         for each, name, model in zip(recordings, names, models, strict=True):
             figures = ", ".join(" ".join(row) for row in headline_of(each))
             panes.append(Pane(each, name, list(filter(None, (title_of(each), figures))), model))
-        render_side_by_side(panes, robots[0].model, path, progress=progress.count, **drawn)
+        render(panes, robots[0].model, path, progress=progress.count, **drawn)
 
 
 @command("play", reads=True)

@@ -63,7 +63,7 @@ from nermo_mjx.sweep.plots import chosen_figure, named_points, survey_figures, t
 from nermo_mjx.sweep.simulating import SimulatorLike
 from nermo_mjx.sweep.table import Columns, Results, meta
 from nermo_mjx.view import RecordingError, VideoError, check_video, recording_of
-from nermo_mjx.view.video import Pane, render_side_by_side
+from nermo_mjx.view.video import Pane, render
 
 _WIDTH: Final = 7.2
 
@@ -784,7 +784,7 @@ def render_video(
     ]
     report = None if progress is None else lambda done, frames: progress(done / frames)
     look: dict[str, Any] = {"width": WIDTH, "height": HEIGHT, "camera": CAMERA}
-    return render_side_by_side(panes, model, path, fps=FPS, speed=SPEED, progress=report, **look)
+    return render(panes, model, path, fps=FPS, speed=SPEED, progress=report, **look)
 
 
 # ---

@@ -331,8 +331,30 @@ STACKS: Final = 8
 FASTEST_GIF: Final = 50
 
 
+#: Height of a line of text, of the strip below the pictures, and of the gap between them [pixels].
+_LINE, _FOOTER, _GAP = 18, 40, 4
+_BAR, _TRACK = (35, 100, 143), (226, 226, 226)
+
+
+@dataclasses.dataclass(frozen=True)
+class Pane:
+    """One recording and its caption.
+
+    Attributes:
+        recording: from its first sample on.
+        title: in bold.
+        caption: lines below the title; long ones are wrapped.
+        model: of its own robot, if its geometry differs from the common model's.
+    """
+
+    recording: Recording
+    title: str
+    caption: Sequence[str] = ()
+    model: mujoco.MjModel | None = None
+
+
 def render(
-    recording: Recording,
+    recording: Recording | Sequence[Pane],
     model: mujoco.MjModel,
     path: str | os.PathLike[str],
     *,
@@ -344,14 +366,17 @@ def render(
     overlays: Sequence[str] = (),
     progress: CountDone | None = None,
 ) -> Path:
-    """Render a recording into a video file; the suffix chooses the format: `.mp4`, `.gif` or `.webp`.
+    """Render a recording, or several side by side, into a video; the suffix chooses `.mp4`, `.gif` or `.webp`.
+
+    Side by side, each robot has its own camera, its captions above, and a bar for its distance since the beginning
+    below, on the same scale for all; the video is as long as the shortest recording.
 
     Args:
-        recording: what to show; it is truncated where its state is no longer finite.
-        model: the simulated model.
+        recording: what to show, truncated where its state is no longer finite; or panes from left to right.
+        model: the simulated model, one for all.
         path: the file; it appears only when it is complete.
         fps: frames per second of the video.
-        width, height: size of the robot's picture in pixels, even except for GIF; strips of overlays stand below it.
+        width, height: size of one robot's picture in pixels, even except for GIF; strips of overlays stand below it.
         camera: a following view of `CAMERAS`, the name of a camera of the model, or `stereo` for the images of both
             eyes, each half as wide.
         speed: 1 is real time, 0.25 a quarter of it.
@@ -359,16 +384,42 @@ def render(
         progress: called with (frames done, frames in all).
 
     Raises:
-        VideoError: the request cannot be drawn or encoded here.
-        RecordingError: the recording does not fit the model.
+        ParameterError: no panes, or an invalid option.
+        VideoError: this machine cannot draw or encode.
+        RecordingError: a recording does not fit the model.
     """
+    panes = [Pane(recording, "")] if isinstance(recording, Recording) else recording
+    if not panes:
+        raise ParameterError("A video side by side needs at least one recording.")
     path = Path(path)
     check_video(model, path, fps=fps, width=width, height=height, camera=camera, speed=speed, overlays=overlays)
-    check_overlays(overlays, recording)
-    recording.check_model(model)
-    samples = frame_samples(recording, fps, speed)
-    frames, height = draw(recording, model, samples, width, height, camera, speed / fps, overlays)
-    return write_video(path, frames, len(samples), fps=fps, width=width, height=height, progress=progress)
+    for pane in panes:
+        check_overlays(overlays, pane.recording)
+        pane.recording.check_model(model)
+    samples = [frame_samples(pane.recording, fps, speed) for pane in panes]
+    count = min(map(len, samples))
+    samples = [each[:count] for each in samples]
+    drawn = [
+        draw(pane.recording, pane.model or model, each, width, height, camera, speed / fps, overlays)
+        for pane, each in zip(panes, samples, strict=True)
+    ]
+    pictures, height = drawn[0]
+    if isinstance(recording, Recording):
+        return write_video(path, pictures, count, fps=fps, width=width, height=height, progress=progress)
+    header = _header(panes, width)
+    # Each robot's distance from its start, without the sway of the steps [m].
+    data, ways = mujoco.MjData(model), np.empty((len(panes), count))
+    for i, (pane, each) in enumerate(zip(panes, samples, strict=True)):
+        positions = smooth_path(root_path(pane.recording, model, data, each), speed / fps)[:, :2]
+        ways[i] = np.linalg.norm(positions - positions[0], axis=1)
+
+    def frames() -> Iterator[UInt8[np.ndarray, "height width 3"]]:
+        for i, row in enumerate(zip(*(pictures for pictures, _ in drawn), strict=True)):
+            footer = _footer(i * speed / fps, speed, ways[:, i], ways.max(), width)
+            yield np.concatenate([header, _beside(list(row)), footer])
+
+    height += len(header) + _FOOTER
+    return write_video(path, frames(), count, fps=fps, width=header.shape[1], height=height, progress=progress)
 
 
 def check_video(
@@ -511,85 +562,6 @@ def _renderer(model: mujoco.MjModel, width: int, height: int) -> mujoco.Renderer
             f"MuJoCo cannot draw on this machine ({reason}): install libosmesa6 (`apt-get install libosmesa6`) and set "
             "MUJOCO_GL=osmesa."
         ) from error
-
-
-#: Height of a line of text, of the strip below the pictures, and of the gap between them [pixels].
-_LINE, _FOOTER, _GAP = 18, 40, 4
-_BAR, _TRACK = (35, 100, 143), (226, 226, 226)
-
-
-@dataclasses.dataclass(frozen=True)
-class Pane:
-    """One recording and its caption.
-
-    Attributes:
-        recording: from its first sample on.
-        title: in bold.
-        caption: lines below the title; long ones are wrapped.
-        model: of its own robot, if its geometry differs from the common model's.
-    """
-
-    recording: Recording
-    title: str
-    caption: Sequence[str] = ()
-    model: mujoco.MjModel | None = None
-
-
-def render_side_by_side(
-    panes: Sequence[Pane],
-    model: mujoco.MjModel,
-    path: str | os.PathLike[str],
-    *,
-    fps: int = 25,
-    width: int = 480,
-    height: int = 360,
-    camera: str = "three_quarter",
-    speed: float = 1.0,
-    overlays: Sequence[str] = (),
-    progress: CountDone | None = None,
-) -> Path:
-    """Render recordings of one model into one video; it is as long as the shortest of them.
-
-    Each robot has its own camera. A bar below it shows its distance since the beginning, on the same scale for all.
-
-    Args:
-        panes: from left to right.
-        model, path, fps, camera, speed, overlays, progress: as for `render`.
-        width, height: of one picture in pixels; the video has all of them and their captions.
-
-    Raises:
-        ParameterError: no panes, or an invalid option.
-        VideoError: this machine cannot draw or encode.
-        RecordingError: a recording does not fit the model.
-    """
-    if not panes:
-        raise ParameterError("A video side by side needs at least one recording.")
-    path = Path(path)
-    check_video(model, path, fps=fps, width=width, height=height, camera=camera, speed=speed, overlays=overlays)
-    for pane in panes:
-        pane.recording.check_model(model)
-        check_overlays(overlays, pane.recording)
-    samples = [frame_samples(pane.recording, fps, speed) for pane in panes]
-    count = min(map(len, samples))
-    samples = [each[:count] for each in samples]
-    header = _header(panes, width)
-    # Each robot's distance from its start, without the sway of the steps [m].
-    data, ways = mujoco.MjData(model), np.empty((len(panes), count))
-    for i, (pane, each) in enumerate(zip(panes, samples, strict=True)):
-        positions = smooth_path(root_path(pane.recording, model, data, each), speed / fps)[:, :2]
-        ways[i] = np.linalg.norm(positions - positions[0], axis=1)
-    drawn = [
-        draw(pane.recording, pane.model or model, each, width, height, camera, speed / fps, overlays)
-        for pane, each in zip(panes, samples, strict=True)
-    ]
-
-    def frames() -> Iterator[UInt8[np.ndarray, "height width 3"]]:
-        for i, row in enumerate(zip(*(pictures for pictures, _ in drawn), strict=True)):
-            footer = _footer(i * speed / fps, speed, ways[:, i], ways.max(), width)
-            yield np.concatenate([header, _beside(list(row)), footer])
-
-    size = (header.shape[1], header.shape[0] + drawn[0][1] + _FOOTER)
-    return write_video(path, frames(), count, fps=fps, width=size[0], height=size[1], progress=progress)
 
 
 def _header(panes: Sequence[Pane], width: int) -> UInt8[np.ndarray, "height width 3"]:
