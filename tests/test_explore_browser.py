@@ -23,7 +23,7 @@ pytestmark = pytest.mark.browser
 RECORDED = (3, 20)
 SELECTED = "(explorer.chart.chosen < 0 ? null : explorer.table.rows[explorer.chart.chosen])"
 COUNT = "explorer.filters.places.length"
-TOLD = "document.getElementById('said').textContent"
+TOLD = "document.getElementById('announcement').textContent"
 
 
 @pytest.fixture(scope="module")

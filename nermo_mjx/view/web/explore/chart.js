@@ -194,7 +194,7 @@ export class Chart {
 const STILL = 5;
 
 /** `choose(place)` with a run, -1 for none; `brush(rectangle of shares or null)`. */
-export function wirePointing(chart, tip, said, choose, brush) {
+export function wirePointing(chart, tip, announcement, choose, brush) {
   const { marks } = chart;
   let start = null;
   const at = (event) => {
@@ -205,7 +205,7 @@ export function wirePointing(chart, tip, said, choose, brush) {
     chart.current = item;
     chart.mark();
     fillTip(chart, tip, item);
-    if (speak && item) said.textContent = tip.innerText.replaceAll("\n", ", ");
+    if (speak && item) announcement.textContent = tip.innerText.replaceAll("\n", ", ");
   };
   const rectangle = (x, y) => [Math.min(start[0], x), Math.min(start[1], y), Math.abs(x - start[0]), Math.abs(y - start[1])];
   const moved = (x, y) => start && Math.hypot(x - start[0], y - start[1]) > STILL;

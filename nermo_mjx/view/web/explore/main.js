@@ -42,7 +42,7 @@ class Explorer {
     this.panel = new RowPanel(find("row"), table, header.commands, recorded, (place, focus) => this.choose(place, focus), (place) => this.play(place));
     const passing = () => Array.from(this.filters.places).filter((place) => recorded.has(place)).map((place) => table.rows[place]);
     this.theatre = new Theatre(header, passing, (row) => this.choose(table.placeOf.get(row)));
-    wirePointing(this.chart, find("tip"), find("said"), (place) => this.choose(place), (shares) => this.brush(shares));
+    wirePointing(this.chart, find("tip"), find("announcement"), (place) => this.choose(place), (shares) => this.brush(shares));
     this.#wireChoices();
     for (const id of ["reset", "empty-reset"]) find(id).addEventListener("click", () => this.filters.release());
     find("save").addEventListener("click", () => {
@@ -118,7 +118,7 @@ class Explorer {
     this.chart.chosen = place;
     this.#fillRow();
     this.chart.mark();
-    find("said").textContent = place < 0 ? "No run chosen" : `Row ${this.table.rows[place]} chosen`;
+    find("announcement").textContent = place < 0 ? "No run chosen" : `Row ${this.table.rows[place]} chosen`;
     document.body.classList.toggle("chosen", place >= 0);
     if (focus) find("row").focus();
   }

@@ -58,11 +58,11 @@ export class Drive {
     address.protocol = "ws:";
     this.socket = new WebSocket(address);
     this.socket.binaryType = "arraybuffer";
-    this.socket.onmessage = ({ data }) => (typeof data === "string" ? this.#told(JSON.parse(data)) : this.#row(data));
+    this.socket.onmessage = ({ data }) => (typeof data === "string" ? this.#receive(JSON.parse(data)) : this.#row(data));
     this.socket.onclose = ({ code }) => {
       this.player.playing = false;
       this.player.seek(this.player.time);
-      this.#say(code === 4001 ? "Another page drives now. Reload to take over." : "The drive has ended.", true);
+      this.#notify(code === 4001 ? "Another page drives now. Reload to take over." : "The drive has ended.", true);
     };
   }
 
@@ -77,8 +77,8 @@ export class Drive {
     requestAnimationFrame(() => setTimeout(() => this.send({ shown: number })));
   }
 
-  #told(message) {
-    if (message.refused) return this.#say(message.refused);
+  #receive(message) {
+    if (message.refused) return this.#notify(message.refused);
     if (message.restart) return this.clip.clear();
     this.state = message;
     this.player.playing = !message.paused;
@@ -94,12 +94,12 @@ export class Drive {
     find("drive-state").textContent = `${message.paused ? "paused" : "driving"}${factor}`;
   }
 
-  #say(text, stays = false) {
-    const told = find("told");
-    told.textContent = text;
-    told.hidden = false;
+  #notify(text, stays = false) {
+    const notice = find("message");
+    notice.textContent = text;
+    notice.hidden = false;
     clearTimeout(this.silence);
-    if (!stays) this.silence = setTimeout(() => (told.hidden = true), 5000);
+    if (!stays) this.silence = setTimeout(() => (notice.hidden = true), 5000);
   }
 
   // What is commanded.
@@ -183,7 +183,7 @@ export class Drive {
     const buttons = element("div", [...groups, this.#group("hand", [push]), this.#group("", [reset])], "drive-buttons");
     const sliders = element("div", this.live.sliders.map((slider) => this.#slider(slider)), "drive-sliders");
     document.querySelector("footer").before(element("section", [buttons, sliders], "", { id: "drive", "aria-label": "Drive" }));
-    find("stage").append(element("p", "", "", { id: "told", hidden: true, role: "status" }));
+    find("stage").append(element("p", "", "", { id: "message", hidden: true, role: "status" }));
     find("clock").after(element("span", "", "", { id: "drive-state" }));
   }
 
