@@ -1,4 +1,4 @@
-"""Named array shapes of the package; tests check them at every call, see `tests/shapes.py`.
+"""Named array shapes of the package; tests check them, see `tests/shapes.py`.
 
 An array is JAX's or NumPy's, or one number: functions of JAX take all of them. `*batch` stands for any leading
 dimensions, the same in all arguments of a call; where they are only broadcast, they are `*#batch`.

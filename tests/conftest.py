@@ -17,6 +17,7 @@ import chromium
 import jax
 import numpy as np
 import pytest
+import shapes
 import tiers
 
 # Without bytecode each of the processes that a run starts compiles the package anew, for 3 s of a core, and each of
@@ -106,6 +107,10 @@ def pytest_collection(session: pytest.Session) -> Generator[None, Any, Any]:
     gc.freeze()
     gc.enable()
     return result
+
+
+def pytest_runtest_setup() -> None:
+    shapes.calls.clear()
 
 
 def pytest_unconfigure() -> None:

@@ -218,42 +218,27 @@ def physical_model(spec: mujoco.MjSpec, model: mujoco.MjModel) -> mujoco.MjModel
         model: compiled from it.
     """
     around = np.isin(model.wrap_type, (mujoco.mjtWrap.mjWRAP_SPHERE, mujoco.mjtWrap.mjWRAP_CYLINDER))
-
-    def sensed(kind: mujoco.mjtObj) -> list[np.ndarray]:
-        """Ids of the elements of one kind that a sensor reads or uses as its reference."""
-        return [model.sensor_objid[model.sensor_objtype == kind], model.sensor_refid[model.sensor_reftype == kind]]
-
-    geoms = np.concatenate(
-        [
-            model.pair_geom1,
-            model.pair_geom2,
-            np.flatnonzero(model.geom_contype | model.geom_conaffinity),
-            model.wrap_objid[around],
-            *sensed(mujoco.mjtObj.mjOBJ_GEOM),
-        ]
-    )
-    # Those that tendons go through, or choose a side by, that actuators pull, or that sensors read.
+    # Sites that tendons go through, or choose a side by, that actuators pull, or that sensors read or refer to.
     sites = np.concatenate(
         [
             model.wrap_objid[model.wrap_type == mujoco.mjtWrap.mjWRAP_SITE],
             model.wrap_prm[around].astype(int),
             model.actuator_trnid[model.actuator_trntype == mujoco.mjtTrn.mjTRN_SITE].ravel(),
-            *sensed(mujoco.mjtObj.mjOBJ_SITE),
+            model.sensor_objid[model.sensor_objtype == mujoco.mjtObj.mjOBJ_SITE],
+            model.sensor_refid[model.sensor_reftype == mujoco.mjtObj.mjOBJ_SITE],
         ]
     )
-    names = {model.site(i).name for i in sites.tolist() if i >= 0} | set(READ)
-    return reduced_model(spec, {model.geom(i).name for i in geoms.tolist() if i >= 0}, names)
+    return reduced_model(spec, {model.site(i).name for i in sites.tolist() if i >= 0} | set(READ))
 
 
-def reduced_model(spec: mujoco.MjSpec, geoms: Collection[str], sites: Collection[str]) -> mujoco.MjModel:
-    """The compiled model of a specification with only these geoms and sites and no visuals; `spec` is not changed."""
+def reduced_model(spec: mujoco.MjSpec, sites: Collection[str]) -> mujoco.MjModel:
+    """The compiled model of a specification with only these sites and no visuals; `spec` is not changed."""
     lean = spec.copy()
-    for geom in list(lean.geoms):
-        if geom.name not in geoms:
-            lean.delete(geom)
+    # The compiler's own list of what is visual, in a third of the time of deleting each element.
+    lean.compiler.discardvisual = True
     for site in list(lean.sites):
         if site.name not in sites:
             lean.delete(site)
-    for element in (*lean.cameras, *lean.lights, *lean.meshes):
+    for element in (*lean.cameras, *lean.lights):
         lean.delete(element)
     return lean.compile()

@@ -151,10 +151,11 @@ def replace_quantities(tree: T, values: Mapping[str, Any]) -> T:
     A value may be a number, a numpy array or a traced array, of any batch shape; a component of a vector quantity is
     written into the last axis. Values are not checked: see `check_quantities`.
     """
-    unknown = set(values) - {name for name, _ in quantities(tree)} if values else None
+    unknown = set(values)
+    replaced = _replace(tree, values, "", unknown) if values else tree
     if unknown:
         raise ParameterError(f"{sorted(unknown)[0]} is not a parameter.")
-    return _replace(tree, values, "")
+    return replaced
 
 
 def check_quantities(tree: Any, prefix: str = "") -> None:
@@ -191,20 +192,23 @@ def _of_component(about: Quantity, component: int) -> Quantity:
     return dataclasses.replace(about, default=about.default[component], labels=())
 
 
-def _replace(tree: Any, values: Mapping[str, Any], prefix: str) -> Any:
+def _replace(tree: Any, values: Mapping[str, Any], prefix: str, unknown: set[str]) -> Any:
+    """The tree with the values whose names begin with its prefix, which are unknown no longer."""
     changes: dict[str, Any] = {}
     for field in dataclasses.fields(tree) if dataclasses.is_dataclass(tree) else ():
         about, value = field.metadata.get("quantity"), getattr(tree, field.name)
         if about is None:
-            sub = _replace(value, values, prefix + _prefix(field))
+            sub = _replace(value, values, prefix + _prefix(field), unknown)
             changes |= {} if sub is value else {field.name: sub}
         elif prefix + field.name in values and not about.labels:
             changes[field.name] = values[prefix + field.name]
+            unknown.discard(prefix + field.name)
         elif about.labels and any(f"{prefix}{field.name}.{label}" in values for label in about.labels):
             names = [f"{prefix}{field.name}.{label}" for label in about.labels]
             parts = [values.get(name, value[..., i]) for i, name in enumerate(names)]
             xp = jax.numpy if any(isinstance(part, jax.Array) for part in parts) else np
             changes[field.name] = xp.stack(xp.broadcast_arrays(*parts), axis=-1)
+            unknown.difference_update(names)
     return dataclasses.replace(tree, **changes) if changes else tree
 
 

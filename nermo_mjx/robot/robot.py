@@ -146,10 +146,7 @@ class Robot:
     def physical_with_geometry(self, geometry: Geometry) -> mujoco.MjModel:
         """The same for `physical`."""
         known = self._compiled.physical
-        geoms, sites = (
-            [one(i).name for i in range(n)] for one, n in ((known.geom, known.ngeom), (known.site, known.nsite))
-        )
-        return reduced_model(self._with(geometry), geoms, sites)
+        return reduced_model(self._with(geometry), [known.site(i).name for i in range(known.nsite)])
 
     def _with(self, geometry: Geometry) -> mujoco.MjSpec:
         parameters = dataclasses.replace(default_parameters(self.config.robot), geometry=geometry)
