@@ -31,11 +31,11 @@ from nermo_mjx.plotting import files
 from nermo_mjx.rollout import Run, RunResult, Setup, Simulator
 from nermo_mjx.rollout.setup import without_presettings
 
-# Programs of a test run for seconds and compile for longer: XLA does not optimize machine code and leaves out LLVM's slow
-# passes (a sixth of the time of derivatives of the step), takes its older emitter for all programs, not only for those
-# of the package (`runtime.COMPILER_OPTIONS`: a Jacobian of the metrics takes 3.7 s of processor time instead of 9.3), and
-# does not split them among threads, here and in processes that tests start, unless asked to (CI does, for what it runs
-# of the wheel). A walk's loop takes three times as long.
+# Programs of a test run for seconds and compile for longer: XLA does not optimize machine code and leaves out LLVM's
+# slow passes (a sixth of the time of derivatives of the step), takes its older emitter for all programs, not only for
+# those of the package (`runtime.COMPILER_OPTIONS`: a Jacobian of the metrics takes 3.7 s of processor time instead of
+# 9.3), and does not split them among threads, here and in processes that tests start, unless asked to (CI does, for
+# what it runs of the wheel). A walk's loop takes three times as long.
 QUICK_TO_COMPILE = (
     "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false --xla_cpu_parallel_codegen_split_count=1"
     " --xla_llvm_disable_expensive_passes=true"
