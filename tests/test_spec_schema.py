@@ -246,7 +246,7 @@ def test_no_odd_value_leads_to_anything_but_a_sentence():
     ]
     messages = []
     for model in models:
-        for name in [*model.names(), "frequency", "other"]:
+        for name in [*model.declared(), "frequency", "other"]:
             for odd in ODD:
                 try:
                     read(read_mapping({name: odd}), model)

@@ -19,15 +19,17 @@ if TYPE_CHECKING:
     from nermo_mjx.dynamics.checking import GradientCheck, check_gradient
     from nermo_mjx.dynamics.checkpointing import checkpointed_scan
     from nermo_mjx.dynamics.constants import MassConstants, PlaceConstants
-    from nermo_mjx.dynamics.coverage import approximated, fitted, not_simulated
+    from nermo_mjx.dynamics.coverage import approximated, not_simulated
     from nermo_mjx.dynamics.differentiable import forward, step
+    from nermo_mjx.dynamics.preparing import fitted
 
 _HOMES = {
     "nermo_mjx.dynamics.checking": ("GradientCheck", "check_gradient"),
     "nermo_mjx.dynamics.checkpointing": ("checkpointed_scan",),
     "nermo_mjx.dynamics.constants": ("MassConstants", "PlaceConstants"),
-    "nermo_mjx.dynamics.coverage": ("approximated", "fitted", "not_simulated"),
+    "nermo_mjx.dynamics.coverage": ("approximated", "not_simulated"),
     "nermo_mjx.dynamics.differentiable": ("forward", "step"),
+    "nermo_mjx.dynamics.preparing": ("fitted",),
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 

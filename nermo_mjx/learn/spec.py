@@ -25,8 +25,8 @@ from nermo_mjx.rollout.run import too_many
 from nermo_mjx.specs.controllers import code_identity, known_names
 from nermo_mjx.specs.described import Described, digest_of
 from nermo_mjx.specs.fields import Fields, Refused, optional, read
-from nermo_mjx.specs.model import Spec, named, one_of, plain, written
-from nermo_mjx.specs.reading import Document, FieldPath, SpecError
+from nermo_mjx.specs.model import Spec, named, one_of, written
+from nermo_mjx.specs.reading import Document, FieldPath, SpecError, plain
 from nermo_mjx.specs.values import Choice, Ends, Finite, Positive, Whole
 from nermo_mjx.specs.walk import Pilot, SceneField, WalkFields, WalkSpec, pilot_options, read_walk, scene_beside
 

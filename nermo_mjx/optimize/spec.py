@@ -35,7 +35,7 @@ from nermo_mjx.rollout.run import Run, too_many
 from nermo_mjx.rollout.setup import Setup
 from nermo_mjx.specs.controllers import code_identity, known_names
 from nermo_mjx.specs.described import Described, digest_of
-from nermo_mjx.specs.fields import Fields, JsonSchema, OneOf, Refused, chosen, optional, read
+from nermo_mjx.specs.fields import Fields, JsonSchema, OneOf, Refused, optional, read
 from nermo_mjx.specs.model import Spec, named, one_of, written
 from nermo_mjx.specs.reading import Document, FieldPath, SpecError, describe, dump, read_file
 from nermo_mjx.specs.values import (
@@ -269,7 +269,11 @@ class OptimizerFields(Fields):
     short: ClassVar = ({"enum": [*NAMES]},)
     __pydantic_extra__: dict[str, float | bool | str | dict[str, Any]]
     model_config = ConfigDict(extra="allow", use_attribute_docstrings=True)
-    name: str = chosen("adam", NAMES, "controlled_adam, line_search, or a function of optax")
+    name: str = Field(
+        default="adam",
+        description="controlled_adam, line_search, or a function of optax",
+        json_schema_extra={"enum": [*NAMES]},
+    )
     learning_rate: Positive | dict[str, Any] = LEARNING_RATE
     """in coordinates u a step; or a schedule such as {cosine: {init_value: 0.1, decay_steps: 40}}"""
     clip: Positive = optional("a longer gradient is clipped to this norm")

@@ -31,7 +31,7 @@ from nermo_mjx.robot.masses import mass_values
 from nermo_mjx.robot.model_parameters import ModelParameters, gravity_vector
 from nermo_mjx.robot.parameters import LEGS, LIMBS, PRESETS, ROUTINGS, PhysicsPreset, PresetTimestep
 from nermo_mjx.robot.parts import load_part, mirror, stance_height
-from nermo_mjx.robot.quantity import ParameterError, replace_quantities
+from nermo_mjx.robot.quantity import ParameterError, replace_quantities, static, with_attributes
 from nermo_mjx.robot.scene import Scene, load_scene, resolve_scene, scene_geoms, scene_name
 
 ROBOTS: Final = ("nermo_lite", "nermo_41")
@@ -43,43 +43,38 @@ FOLLOWING: Final = ("track_side", "track_top", "track_three_quarter")
 EYES: Final = ("left_eye", "right_eye")
 
 
+@with_attributes
 @dataclasses.dataclass(frozen=True)
 class RobotConfig:
-    """Which robot to build; every name is resolved before anything compiles.
+    """Which robot to build; every name is resolved before anything compiles."""
 
-    Attributes:
-        robot: `nermo_lite`, or `nermo_41` with vertical spine joints and head tilt (see `nermo_41`).
-        scene: name of a file in `mjcf/scenes`, or a custom scene; stored as `scene.resolve_scene` returns it.
-        tail: `rigid` (default: a third faster) or `articulated`, 19 joints; same mass and centre of mass.
-        routing: of the leg tendons, `type3` through the hip axis (the robot), `type1`, `type2`, or `type3_idler` around
-            an idler on that axis; see `leg_plane.pull`.
-        cone: of the friction, `elliptic` or `pyramidal`.
-        physics: `reference` or `fast`, see `PRESETS`.
-        timestep: of the physics [s]; overrides that of the preset, which is the default.
-        hinges: of every compliant joint of legs and spine, from 1 to `MOST_HINGES`; see `flexure`.
-    """
-
-    robot: str = "nermo_lite"
-    scene: Scene = "flat"
-    tail: str = "rigid"
-    routing: str = "type3"
-    cone: str = "elliptic"
-    physics: str = "reference"
-    timestep: float = PresetTimestep("nan")
-    hinges: int = 1
+    robot: str = static("nermo_lite", "`nermo_41` has vertical spine joints, and a head that tilts", ROBOTS)
+    scene: Scene = static(
+        "flat", "a scene of mjcf/scenes, or a custom one as the path of an MJCF file or as MJCF itself, which is stored"
+    )
+    tail: str = static(
+        "rigid", "rigid is a third faster, articulated has 19 joints; same mass and centre of mass", TAILS
+    )
+    routing: str = static(
+        "type3",
+        "of the knee's tendon: type3 through the hip axis (the robot), type3_idler around an idler on that axis; see "
+        "`robot.geometry.pull`",
+        ROUTINGS,
+    )
+    cone: str = static("elliptic", "friction cone", CONES)
+    physics: str = static("reference", "time step and contact pairs, see `PRESETS`", tuple(PRESETS))
+    timestep: float = static(
+        PresetTimestep("nan"),
+        "physics step [s]: the control period 0.01 s divided by a whole number; takes precedence over that of physics",
+    )
+    hinges: int = static(1, f"of each compliant joint of legs and spine, from 1 to {MOST_HINGES}; see `flexure`")
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "scene", resolve_scene(self.scene))
-        for field, allowed in (
-            ("robot", ROBOTS),
-            ("tail", TAILS),
-            ("routing", ROUTINGS),
-            ("cone", CONES),
-            ("physics", tuple(PRESETS)),
-        ):
-            if getattr(self, field) not in allowed:
+        for field in dataclasses.fields(RobotConfig):
+            if (allowed := field.metadata["allowed"]) and getattr(self, field.name) not in allowed:
                 raise ParameterError(
-                    f"{field} is {getattr(self, field)!r}: allowed is {' or '.join(map(repr, allowed))}."
+                    f"{field.name} is {getattr(self, field.name)!r}: allowed is {' or '.join(map(repr, allowed))}."
                 )
         if isinstance(self.timestep, PresetTimestep):
             object.__setattr__(self, "timestep", PresetTimestep(self.preset.timestep))

@@ -223,6 +223,31 @@ def group(sub: type[T]) -> Any:
 
 
 # ---
+# Choices made before anything compiles: a field of a frozen dataclass, with its meaning and the names that it may have.
+
+
+def static(default: Any, doc: str, allowed: Iterable[str] = ()) -> Any:
+    """Declare a dataclass field that holds a choice, a name or an object, made before anything compiles.
+
+    Args:
+        default: what it is if nothing is given.
+        doc: its meaning.
+        allowed: the names that it may have; the class checks them.
+    """
+    return dataclasses.field(default=default, metadata={"doc": doc, "allowed": tuple(allowed)})
+
+
+def with_attributes(cls: type[T]) -> type[T]:
+    """Class decorator: the docstring of a dataclass lists the fields that `static` declares."""
+    lines = []
+    for field in dataclasses.fields(cls):  # type: ignore[arg-type]
+        names = field.metadata["allowed"] if len(field.metadata["allowed"]) <= 12 else ()
+        lines.append(f"{field.name}: {field.metadata['doc']}{'; one of ' * bool(names)}{', '.join(names)}.")
+    cls.__doc__ = "\n        ".join((f"{cls.__doc__}\n    Attributes:", *lines)) + "\n"
+    return cls
+
+
+# ---
 # Names of which one is allowed, and suggestions for misspelled ones.
 
 

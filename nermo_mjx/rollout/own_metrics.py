@@ -289,7 +289,7 @@ def check_metrics(config: RobotConfig, metrics: tuple[OwnMetric, ...]) -> None:
     if not metrics:
         return
     start_jax()
-    robot = load_robot(**{field.name: getattr(config, field.name) for field in dataclasses.fields(config)})
+    robot = load_robot(config)
     with jax.ensure_compile_time_eval():
         reading = np.asarray(robot.sensordata_at_rest(jnp.asarray(robot.model.qpos0)))
     for each in metrics:

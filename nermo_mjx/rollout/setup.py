@@ -12,9 +12,11 @@ import numpy as np
 from jaxtyping import Float
 
 from nermo_mjx.control.controller import Controller, published_controller
-from nermo_mjx.control.head_and_tail import TAIL_MOTIONS
+from nermo_mjx.control.head_and_tail import HEADS, TAIL_MOTIONS
 from nermo_mjx.control.loading import check_form, load_controller, named_place, user_code
 from nermo_mjx.control.parameters import (
+    PROFILES,
+    STEERING,
     ControlParameters,
     ProfileSteering,
     body_values,
@@ -25,8 +27,10 @@ from nermo_mjx.control.parameters import (
 from nermo_mjx.control.pilot import Command
 from nermo_mjx.control.protocol import ActsUpon, ChecksParameters, CompletesValues, ControllerLike
 from nermo_mjx.control.schedule import MODES, MOST, Schedule, Switch, check_schedule, schedule_of
-from nermo_mjx.control.spine_modes import SAGITTAL_MODES, SpineModes, mode_names
-from nermo_mjx.robot import GAIT_CODES, ParameterError, Robot, RobotConfig, load_robot
+from nermo_mjx.control.spine_modes import SAGITTAL_MODES, SPINES, SpineModes, mode_names
+from nermo_mjx.control.stepping import FREE
+from nermo_mjx.control.trajectory import FORMS
+from nermo_mjx.robot import GAIT_CODES, GAIT_NAMES, GAITS, ParameterError, Robot, RobotConfig, load_robot
 from nermo_mjx.robot.equipment import check_servo, highest_kp, highest_kv
 from nermo_mjx.robot.geometry import Geometry, check_geometry, names_geometry
 from nermo_mjx.robot.masses import mass_values
@@ -41,9 +45,11 @@ from nermo_mjx.robot.quantity import (
     quantities,
     quantity,
     replace_quantities,
+    static,
     values_of,
+    with_attributes,
 )
-from nermo_mjx.robot.scene import Scene, is_mjcf, load_scene
+from nermo_mjx.robot.scene import is_mjcf, load_scene
 from nermo_mjx.robot.terrains import scenes_reading, terrain_values
 from nermo_mjx.rollout.own_metrics import METRICS, Metric, OwnMetric, load_metrics
 from nermo_mjx.rollout.transitions import TRANSITION
@@ -101,39 +107,10 @@ def bounded_by_step(known: Mapping[str, Quantity], timestep: float) -> dict[str,
 #: Columns of tables, and keys beside parameters in files: reserved names for metrics and parameters.
 TAKEN: Final = frozenset(
     (
-        "row",
-        "variant",
-        "repeat",
-        "seed",
-        "body",
-        "status",
-        "code",
-        "batch",
-        "cell",
-        "time",
-        "objective",
-        "iteration",
-        "start",
-        "ok",
-        "discarded",
-        "simulated_seconds",
-        "wall_seconds",
-        "trajectory_error",
-        "line",
-        "centre",
-        "width",
-        "side",
-        "repeats",
-        "quality",
-        *RobotConfig.__dataclass_fields__,
-        "gait",
-        "spine",
-        "steering",
-        "pilot",
-        "profile",
-        "trajectory",
-        "head",
-        "tail_motion",
+        *("row", "variant", "repeat", "seed", "body", "status", "code", "batch", "cell", "time", "objective"),
+        *("iteration", "start", "ok", "discarded", "simulated_seconds", "wall_seconds", "trajectory_error"),
+        *("line", "centre", "width", "side", "repeats", "quality", *RobotConfig.__dataclass_fields__),
+        *("gait", "spine", "steering", "pilot", "profile", "trajectory", "head", "tail_motion"),
     )
 )
 #: First parts of columns that are named after a parameter: `gradient.stride`.
@@ -196,88 +173,71 @@ def check_terrain(scene: str, values: Mapping[str, Any]) -> None:
 
 #: Choices that only the published controller has.
 PUBLISHED: Final = (
-    "gait",
-    "spine",
-    "steering",
-    "profile",
-    "pilot",
-    "waypoints",
-    "command",
-    "trajectory",
-    "head",
-    "tail_motion",
+    *("gait", "spine", "steering", "profile", "pilot", "waypoints", "command"),
+    *("trajectory", "head", "tail_motion"),
 )
-
 #: Choices that only set defaults of parameters.
 PRESETTINGS: Final = ("gait", "steering", "profile")
 
 
+@with_attributes
 @dataclasses.dataclass(frozen=True)
-class Setup:
+class Setup(RobotConfig):
     """Static choices of a simulation; every name is checked at construction.
 
     >>> Setup(gait="lat", spine="stride_extension").defaults()["duty"]
     0.68
 
-    Attributes:
-        robot, scene, tail, routing, cone, physics, timestep, hinges: see `RobotConfig`. `dataclasses.replace` with
-            another preset takes that preset's time step, unless one was given. A custom scene, a file or an `MjSpec`,
-            is stored as MJCF, so that setups with the same scene are equal.
-        gait: `trt` or `trot`, `trt1` or `walking_trot`, `lat` or `lateral_walk`, `bound` or `gallop`: defaults of duty,
-            offsets and gait factor. Of two names the first one, the author's, is stored.
-        spine: auxiliary modes of the spine: `none`, `stride_extension`, `balance`, `harmonics`, and with robot
-            `nermo_41` `sagittal_extension` and `pitch_balance`, or several joined by "+".
-        steering: `leg`, `spine` or `mix`; by default `spine` in the profile `as_published`, as its code turns, else
-            `leg`.
-        profile: `exact`, `as_published`, the published simulation with its body, or `as_built`, with the body of the
-            built robot.
-        pilot: `straight`, `arc`, `waypoints`, `open_loop`, or `external` with `command`.
-        waypoints: for the pilot `waypoints`, (x, y) of each [m], see `control.path.course_through`.
-        command: for the pilot `external`, see `control.pilot.tabulated`.
-        trajectory: `cubic`, `linear` or `parabolic` foot paths, or `free`: cubic ones with movable points, and
-            parameters per limb.
-        head: `none` or `gaze`, see `control.head_and_tail`.
-        tail_motion: `none`, `swing`, `counter_yaw` or `counter_roll` of the tail, see `control.head_and_tail`.
-        controller: another controller (see `ControllerLike`), or the name of one, `FILE.py:NAME`, `MODULE:NAME`, or
-            `FILE.npz`, a policy. The choices above from `gait` on belong to the published controller and cannot be
-            combined with another; with a `Controller` of other parts, gait, steering and profile can. A policy has its
-            own pilot, which a choice other than `straight` replaces.
-        schedule: what changes while the robot walks, see `control.schedule`.
-        metrics: custom metrics in addition to `METRICS`: created by `metric`, or named as `FILE.py`, `FILE.py:NAME`,
-            `MODULE` or `MODULE:NAME`; one, or several in a list.
+    `dataclasses.replace` with another preset of the physics takes that preset's time step, unless one was given. A
+    custom scene, a file or an `MjSpec`, is stored as MJCF, so that setups with the same scene are equal.
+
+    The choices from `gait` to `tail_motion` belong to the published controller and cannot be combined with another; of
+    those, gait, steering and profile can with a `Controller` of other parts. A policy has its own pilot, which a choice
+    other than `straight` replaces.
 
     Raises:
         ParameterError: an unknown name, or choices that cannot be combined; the message says what is allowed.
     """
 
-    robot: str = "nermo_lite"
-    scene: Scene = "flat"
-    tail: str = "rigid"
-    routing: str = "type3"
-    cone: str = "elliptic"
-    physics: str = "reference"
-    timestep: float = RobotConfig.timestep
-    hinges: int = 1
-    gait: str = "trt"
-    spine: str = "none"
-    steering: str = steering_of("exact")
-    profile: str = "exact"
-    pilot: str = "straight"
-    waypoints: tuple[tuple[float, float], ...] | None = None
-    command: Command | None = None
-    trajectory: str = "cubic"
-    head: str = "none"
-    tail_motion: str = "none"
-    controller: ControllerLike | str | None = None
-    metrics: tuple[OwnMetric | str, ...] = ()
-    schedule: tuple[Switch, ...] = ()
+    gait: str = static(
+        "trt",
+        "defaults of duty, offsets and gait factor; of two names the first one, the author's, is stored",
+        (*GAITS, *GAIT_NAMES.values()),
+    )
+    spine: str = static(
+        "none",
+        "its auxiliary modes, none or several joined by +: stride_extension, balance, harmonics, and with the robot "
+        "nermo_41 sagittal_extension and pitch_balance",
+        SPINES,
+    )
+    steering: str = static(
+        steering_of("exact"), "what turns the robot; in the profile as_published by default spine", STEERING
+    )
+    profile: str = static(
+        "exact",
+        "as_published is the published simulation with its body, as_built has the body of the built robot",
+        PROFILES,
+    )
+    pilot: str = static("straight", "what steers the robot: straight, arc, waypoints, open_loop or external")
+    waypoints: tuple[tuple[float, float], ...] | None = static(
+        None, "for the pilot waypoints, (x, y) of each [m], see `control.path.course_through`"
+    )
+    command: Command | None = static(None, "for the pilot external, see `control.pilot.tabulated`")
+    trajectory: str = static(
+        "cubic", "form of the foot path; free: cubic, with movable points and numbers of limbs", (*FORMS, FREE)
+    )
+    head: str = static("none", "gaze keeps its direction in the world", HEADS)
+    tail_motion: str = static("none", "what the articulated tail does", TAIL_MOTIONS)
+    controller: ControllerLike | str | None = static(
+        None, "another controller (see `ControllerLike`): FILE.py:NAME or FILE.npz, a policy, or MODULE:NAME"
+    )
+    metrics: tuple[OwnMetric | str, ...] = static(
+        (), "custom metrics: created by `metric`, or FILE.py, FILE.py:NAME, MODULE or MODULE:NAME; one, or a list"
+    )
+    schedule: tuple[Switch, ...] = static((), "what changes while the robot walks, see `control.schedule`")
 
     def __post_init__(self) -> None:
-        config = RobotConfig(
-            self.robot, self.scene, self.tail, self.routing, self.cone, self.physics, self.timestep, self.hinges
-        )
-        object.__setattr__(self, "timestep", config.timestep)
-        object.__setattr__(self, "scene", config.scene)
+        super().__post_init__()
         object.__setattr__(self, "gait", GAIT_CODES.get(self.gait, self.gait))
         published_values(self.gait, steering=self.steering, profile=self.profile)
         if isinstance(self.steering, ProfileSteering) and self._applies("steering"):
@@ -348,9 +308,7 @@ class Setup:
 
     def load(self) -> Robot:
         """The assembled robot in its scene."""
-        return load_robot(
-            self.robot, self.scene, self.tail, self.routing, self.cone, self.physics, self.timestep, self.hinges
-        )
+        return load_robot(RobotConfig(*(getattr(self, field.name) for field in dataclasses.fields(RobotConfig))))
 
     def make_controller(self) -> ControllerLike:
         """The controller with these choices."""

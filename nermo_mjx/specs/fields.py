@@ -6,7 +6,6 @@ validator can raise such a sentence itself, and because a field may have one of 
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from typing import Any, ClassVar, Final, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, GetJsonSchemaHandler, ValidationError, model_validator
@@ -78,63 +77,79 @@ def _place(data: Any, place: FieldPath) -> FieldPath:
     return place
 
 
-def chosen(default: str, names: Iterable[str], description: str) -> Any:
-    """A field with one of these names; the caller checks that it is."""
-    return Field(default=default, description=description, json_schema_extra={"enum": [*names]})
-
-
 def optional(description: str | None = None, *, alias: str | None = None, **schema: Any) -> Any:
     """An optional field: None if missing, which cannot be written in the file. `schema`: additions for an editor."""
     return Field(default=None, alias=alias, description=description, json_schema_extra=schema or None)
 
 
-class Fields(BaseModel):
-    """A mapping with known fields.
+class Section:
+    """A mapping with known fields: how the sections of files refuse others, whatever declares them.
 
     Attributes:
         what: what one of them is, for messages: "a field of a run".
         expected: instead of something that is no mapping.
         example: where a field is missing that must be there.
-        short: JSON Schemas of the short forms.
     """
 
-    model_config = ConfigDict(strict=True, frozen=True, extra="forbid")
     what: ClassVar[str]
     expected: ClassVar[str] = ""
     example: ClassVar[str] = ""
-    short: ClassVar[tuple[JsonSchema, ...]] = ()
 
-    @model_validator(mode="before")
     @classmethod
-    def _known(cls, given: Any) -> Any:
-        given = cls.written_out(given)
-        names = cls.names()
+    def declared(cls) -> dict[str, bool]:
+        """The fields by their names in the file, and whether each must be there."""
+        raise NotImplementedError
+
+    @classmethod
+    def required(cls) -> list[str]:
+        """Names of the fields without a default."""
+        return [name for name, needed in cls.declared().items() if needed]
+
+    @classmethod
+    def checked(cls, given: Any) -> Any:
+        """A mapping with these fields and no others; raises `Refused`."""
+        names = cls.declared()
         if not isinstance(given, dict):
-            mapping = f"a mapping of {', '.join(names) or 'nothing'}"
-            raise Refused(f"is {describe(given)}: expected {cls.expected or mapping}.")
+            expected = cls.expected or f"a mapping of {', '.join(names) or 'nothing'}"
+            raise Refused(f"is {describe(given)}: expected {expected}.")
         for key in given:
             if key not in names:
                 cls.refuse(key)
-        for name, field in names.items():
-            if field.is_required() and name not in given:
+        for name in cls.required():
+            if name not in given:
                 raise Refused(f"has no '{name}': expected {cls.example}.")
-        return given
-
-    @classmethod
-    def names(cls) -> dict[str, Any]:
-        """The fields by their names in the file."""
-        return {field.alias or name: field for name, field in cls.model_fields.items()}
-
-    @classmethod
-    def written_out(cls, given: Any) -> Any:
-        """The mapping that a short form stands for."""
         return given
 
     @classmethod
     def refuse(cls, key: str) -> None:
         """Raise `Refused` about an unknown field; one that is allowed nevertheless passes."""
-        known = f"allowed are {', '.join(cls.names())}" if cls.names() else "it has none"
-        raise Refused(f"is not {cls.what}; {known}{did_you_mean(key, cls.names())}", key)
+        known = f"allowed are {', '.join(cls.declared())}" if cls.declared() else "it has none"
+        raise Refused(f"is not {cls.what}; {known}{did_you_mean(key, cls.declared())}", key)
+
+
+class Fields(Section, BaseModel):
+    """A section that pydantic reads as a model of its own.
+
+    Attributes:
+        short: JSON Schemas of the short forms.
+    """
+
+    model_config = ConfigDict(strict=True, frozen=True, extra="forbid")
+    short: ClassVar[tuple[JsonSchema, ...]] = ()
+
+    @model_validator(mode="before")
+    @classmethod
+    def _known(cls, given: Any) -> Any:
+        return cls.checked(cls.written_out(given))
+
+    @classmethod
+    def declared(cls) -> dict[str, bool]:
+        return {field.alias or name: field.is_required() for name, field in cls.model_fields.items()}
+
+    @classmethod
+    def written_out(cls, given: Any) -> Any:
+        """The mapping that a short form stands for."""
+        return given
 
     @classmethod
     def called(cls, path: FieldPath) -> str:
@@ -177,13 +192,12 @@ class OneOf(Fields):
         """As a mapping, of exactly one field."""
         if isinstance(given, str) and given in cls.alone:
             return {given: None}
-        if isinstance(given, str) and given in cls.names():
-            model = cls.names()[given].annotation
-            needs = " and ".join(name for name, field in model.names().items() if field.is_required())
-            raise Refused(f"is '{given}' without {needs}: expected {model.example}.")
+        if isinstance(given, str) and given in cls.declared():
+            model: Any = cls.model_fields[given].annotation
+            raise Refused(f"is '{given}' without {' and '.join(model.required())}: expected {model.example}.")
         if isinstance(given, str):
             raise Refused(
-                f"{cls.other_name.format(name=given)}: expected {cls.expected}{did_you_mean(given, cls.names())}"
+                f"{cls.other_name.format(name=given)}: expected {cls.expected}{did_you_mean(given, cls.declared())}"
             )
         if isinstance(given, dict) and len(given) != 1:
             raise Refused(f"is {describe(given)}: expected {cls.expected}.")
@@ -191,7 +205,7 @@ class OneOf(Fields):
 
     @classmethod
     def refuse(cls, key: str) -> None:
-        message = f"{cls.other.format(name=key)}: expected {cls.expected}{did_you_mean(key, cls.names())}"
+        message = f"{cls.other.format(name=key)}: expected {cls.expected}{did_you_mean(key, cls.declared())}"
         raise Refused(message, at=(key,)) if "{name" in cls.other else Refused(message, key)
 
     @property

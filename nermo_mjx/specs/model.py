@@ -25,51 +25,31 @@ from typing import Any, ClassVar
 from pydantic import ConfigDict, Field, GetCoreSchemaHandler, GetJsonSchemaHandler, create_model
 from pydantic_core import core_schema
 
-from nermo_mjx.robot.quantity import did_you_mean
-from nermo_mjx.specs.fields import JsonSchema, OneOf, Refused
-from nermo_mjx.specs.reading import describe
+from nermo_mjx.specs.fields import JsonSchema, OneOf, Refused, Section
+from nermo_mjx.specs.reading import plain
 
 
-class Spec:
+class Spec(Section):
     """A section of a file, to be derived from by a frozen dataclass.
 
     Attributes:
-        what: what one of its fields is, for messages: "an option of 'ppo'".
-        expected: what is allowed instead of something that is no mapping; by default a mapping of its fields.
-        example: where a field is missing that must be there.
         elsewhere: fields of the object that stand in another section of the file.
     """
 
     __pydantic_config__: ClassVar = ConfigDict(strict=True, extra="forbid", use_attribute_docstrings=True)
-    what: ClassVar[str]
-    expected: ClassVar[str] = ""
-    example: ClassVar[str] = ""
     elsewhere: ClassVar[tuple[str, ...]] = ()
 
     @classmethod
-    def _known(cls, given: Any) -> Any:
-        names = [name for name in cls.__dataclass_fields__ if name not in cls.elsewhere]  # type: ignore[attr-defined]
-        if isinstance(given, cls):
-            return given
-        if given is None and (needs := " and ".join(cls.required())):
-            raise Refused(f"is without {needs}: expected {cls.example}.")
-        if not isinstance(given, dict):
-            raise Refused(f"is {describe(given)}: expected {cls.expected or 'a mapping of ' + ', '.join(names)}.")
-        for key in given:
-            if key not in names:
-                known = f"allowed are {', '.join(names)}" if names else "it has none"
-                raise Refused(f"is not {cls.what}; {known}{did_you_mean(key, names)}", key)
-        for name in cls.required():
-            if name not in given:
-                raise Refused(f"has no '{name}': expected {cls.example}.")
-        return given
+    def declared(cls) -> dict[str, bool]:
+        fields: tuple[dataclasses.Field[Any], ...] = dataclasses.fields(cls)  # type: ignore[arg-type]
+        given = (each for each in fields if each.name not in cls.elsewhere)
+        return {each.name: each.default is dataclasses.MISSING is each.default_factory for each in given}
 
     @classmethod
-    def required(cls) -> list[str]:
-        """Fields without a default."""
-        fields: tuple[dataclasses.Field[Any], ...] = dataclasses.fields(cls)  # type: ignore[arg-type]
-        given = [each for each in fields if each.name not in cls.elsewhere]
-        return [each.name for each in given if each.default is dataclasses.MISSING is each.default_factory]
+    def _known(cls, given: Any) -> Any:
+        if given is None and (needs := " and ".join(cls.required())):
+            raise Refused(f"is without {needs}: expected {cls.example}.")
+        return given if isinstance(given, cls) else cls.checked(given)
 
     @classmethod
     def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> core_schema.CoreSchema:
@@ -139,10 +119,3 @@ def named(spec: Any, models: Mapping[str, type[Spec]]) -> dict[str, Any]:
     """One of several sections as a file has it, see `one_of`."""
     name = next(name for name, model in models.items() if isinstance(spec, model))
     return {name: written(spec)}
-
-
-def plain(value: Any) -> Any:
-    """A value with lists instead of tuples."""
-    if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
-    return [plain(item) for item in value] if isinstance(value, tuple) else value

@@ -124,7 +124,7 @@ def read_mapping(data: Mapping[str, Any], what: str = "sweep") -> Document:
     """A document of a dict given in Python; arrays and tuples count as lists. `what` names its kind."""
     if not isinstance(data, Mapping):
         raise SpecError(f"{what}: a {what} is a mapping of fields, not {describe(data)}.")
-    return Document(what, _plain(data))
+    return Document(what, plain(data))
 
 
 def dump(data: Mapping[str, Any]) -> str:
@@ -249,12 +249,12 @@ def _tagged(node: Node) -> str:
     return kind if node.tag in _PLAIN_TAGS else f"{kind} with the tag {tag}"
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
     """Plain dicts, lists, strings and numbers of what Python gave."""
     if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
+        return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
+        return [plain(item) for item in value]
     if hasattr(value, "tolist"):  # numpy and JAX arrays and scalars
         return value.tolist()
     for kind in (bool, int, float, str):  # and what derives from them

@@ -13,25 +13,22 @@ from typing import Annotated, Any, ClassVar, Final, Literal, NoReturn
 
 import mujoco
 import numpy as np
-from pydantic import BeforeValidator, Field
+from pydantic import BeforeValidator, Field, create_model
 
 from nermo_mjx.control.head_and_tail import COUNTER_ROLL, COUNTER_YAW, GAZE, HEADS, SWING, TAIL_MOTIONS
-from nermo_mjx.control.parameters import PROFILES, STEERING, ProfileSteering
+from nermo_mjx.control.parameters import STEERING, ProfileSteering
 from nermo_mjx.control.schedule import Switch
 from nermo_mjx.control.spine_modes import SPINES
 from nermo_mjx.control.stepping import FREE
-from nermo_mjx.control.trajectory import FORMS
 from nermo_mjx.robot import GAIT_NAMES, GAITS
-from nermo_mjx.robot.assembly import CONES, ROBOTS, TAILS
 from nermo_mjx.robot.equipment import MOST_HINGES
-from nermo_mjx.robot.parameters import PRESETS, ROUTINGS
 from nermo_mjx.robot.quantity import ParameterError, Quantity, did_you_mean
 from nermo_mjx.robot.scene import resolve_scene, scenes
 from nermo_mjx.robot.terrains import scenes_reading, terrain_values
 from nermo_mjx.rollout import Metric, Run, Setup, all_metrics, all_parameters
 from nermo_mjx.rollout.loop import check_code
 from nermo_mjx.specs.controllers import named_controller, named_metrics, written_controller, written_metrics
-from nermo_mjx.specs.fields import Fields, OneOf, Refused, chosen, optional
+from nermo_mjx.specs.fields import Fields, OneOf, Refused, optional
 from nermo_mjx.specs.reading import Document, FieldPath, describe
 from nermo_mjx.specs.values import (
     NAMES,
@@ -108,41 +105,28 @@ SceneField = Annotated[
 ]
 
 
-class SetupFields(Fields):
-    """The static choices; `Setup` says which names there are, and their defaults."""
-
-    robot: str = chosen(Setup.robot, ROBOTS, "which robot")
-    scene: SceneField = Field(
-        str(Setup.scene),
-        description="a scene of mjcf/scenes, or a custom one as the path of an MJCF file or as MJCF itself",
-    )
-    tail: str = chosen(Setup.tail, TAILS, "rigid is a third faster")
-    routing: str = chosen(Setup.routing, ROUTINGS, "of the knee's tendon")
-    cone: str = chosen(Setup.cone, CONES, "friction cone")
-    physics: str = chosen(Setup.physics, PRESETS, "time step and contact pairs")
-    timestep: float = optional(
-        "physics step [s]: the control period 0.01 s divided by a whole number; takes precedence over that of physics"
-    )
-    hinges: Annotated[int, Whole(1, MOST_HINGES)] = Field(
-        Setup.hinges, description="of each compliant joint of legs and spine"
-    )
-    gait: str = chosen(Setup.gait, (*GAITS, *GAIT_NAMES.values()), "defaults of duty, offsets and gait factor")
-    spine: str = chosen(Setup.spine, SPINES, "its modes")
-    steering: str = Field(
-        default_factory=lambda: Setup.steering,  # which changes with the profile, and no JSON has
-        description="what turns the robot; in the profile as_published by default spine",
-        json_schema_extra={"enum": [*STEERING], "default": str(Setup.steering)},
-    )
-    profile: str = chosen(Setup.profile, PROFILES, "as_published is the published simulation, as_built the robot")
-    trajectory: str = chosen(
-        Setup.trajectory, (*FORMS, FREE), "form of the foot path; free: cubic, with movable points and numbers of limbs"
-    )
-    head: str = chosen(Setup.head, HEADS, "gaze keeps its direction in the world")
-    tail_motion: str = chosen(Setup.tail_motion, TAIL_MOTIONS, "what the articulated tail does")
-    controller: str = optional("another controller: FILE.py:NAME or FILE.npz, from this file's folder, or MODULE:NAME")
+def _in_a_file(name: str) -> tuple[Any, Any]:
+    """A choice of the setup as a field of a file: one of several names, by default that of `Setup`."""
+    field = Setup.__dataclass_fields__[name]
+    about, allowed = field.metadata["doc"], list[Any](field.metadata["allowed"])
+    if name in ("timestep", "controller"):
+        return float if name == "timestep" else str, optional(about)
+    if name == "steering":  # its default changes with the profile, which no JSON has
+        extra: Any = {"enum": allowed, "default": str(field.default)}
+        return str, Field(default_factory=lambda: field.default, description=about, json_schema_extra=extra)
+    kind = {"scene": SceneField, "hinges": Annotated[int, Whole(1, MOST_HINGES)]}.get(name, str)
+    names: Any = {"json_schema_extra": {"enum": allowed}} if allowed else {}
+    return kind, Field(default=field.default, description=about, **names)
 
 
-SETUP_FIELDS: Final = tuple(SetupFields.model_fields)
+#: Choices of a setup that are fields of a file; the others stand in sections, or only in Python.
+SETUP_FIELDS: Final = tuple(
+    field.name
+    for field in dataclasses.fields(Setup)
+    if field.name not in ("pilot", "waypoints", "command", "metrics", "schedule")
+)
+_IN_FILES: Final[dict[str, Any]] = {name: _in_a_file(name) for name in SETUP_FIELDS}
+SetupFields: Any = create_model("SetupFields", __base__=Fields, **_IN_FILES)
 
 
 class Straight(Fields):
