@@ -6,10 +6,12 @@ validator can raise such a sentence itself, and because a field may have one of 
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterable
-from typing import Any, ClassVar, Final, TypeVar
+from typing import Any, ClassVar, Final, TypeVar, get_args, get_type_hints
 
 from pydantic import BaseModel, ConfigDict, Field, GetJsonSchemaHandler, ValidationError, model_validator
+from pydantic.fields import FieldInfo
 from pydantic_core import core_schema
 
 from nermo_mjx.robot.quantity import ParameterError, did_you_mean
@@ -178,9 +180,11 @@ class OneOf(Fields):
         if isinstance(given, str) and given in cls.alone:
             return {given: None}
         if isinstance(given, str) and given in cls.names():
-            model = cls.names()[given].annotation
-            needs = " and ".join(name for name, field in model.names().items() if field.is_required())
-            raise Refused(f"is '{given}' without {needs}: expected {model.example}.")
+            model, needs, example = cls.names()[given].annotation, "its value", cls.expected
+            if isinstance(model, type) and issubclass(model, Fields):
+                needs = " and ".join(name for name, field in model.names().items() if field.is_required())
+                example = model.example
+            raise Refused(f"is '{given}' without {needs}: expected {example}.")
         if isinstance(given, str):
             raise Refused(
                 f"{cls.other_name.format(name=given)}: expected {cls.expected}{did_you_mean(given, cls.names())}"
@@ -199,6 +203,14 @@ class OneOf(Fields):
         """The name of the given field, and its value."""
         (name,) = self.model_fields_set
         return name, getattr(self, name)
+
+
+def documented(cls: type) -> dict[str, Any]:
+    """Type and default of a dataclass's fields that have a description, as `create_model` takes them for a file."""
+    hints = get_type_hints(cls, include_extras=True)
+    fields = {field.name: (hints[field.name], field.default) for field in dataclasses.fields(cls)}
+    described = (name for name in fields if any(isinstance(each, FieldInfo) for each in get_args(hints[name])))
+    return {name: fields[name] for name in described}
 
 
 def schema_of(model: type[Fields]) -> JsonSchema:
