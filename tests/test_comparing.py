@@ -235,7 +235,7 @@ def test_a_file_asks_for_its_comparison(tmp_path: Path) -> None:
     assert [each["for"] for each in about["groups"]] == [{"frequency": 0.5}, {"frequency": 0.9}]
     assert about["groups"][0]["metrics"]["speed"]["relative"] == pytest.approx(0.2, abs=0.02)
     assert pq.read_table(tmp_path / "comparison.parquet").num_rows == 3 * len(about["metrics"])
-    assert Sweep.from_file(tmp_path / "sweep.yaml").comparison is not None
+    assert Sweep.from_file(tmp_path / "sweep.yaml").compare is not None
     assert {"differences.png", "speed-gain-by-frequency.png"} <= {path.name for path in result.plots}
     known = compare(tmp_path, by="spine.amplitude", groups=["frequency"]).about()["metrics"]["speed"]
     assert about["metrics"]["speed"] == pytest.approx(known)
@@ -302,6 +302,19 @@ def test_a_gain_in_speed_stands_beside_both_costs(drawing) -> None:
     listed = [label.get_text() for label in figures["differences"].axes[0].get_yticklabels()]
     assert listed[:3] == titles
     assert listed[-1] == "Yaw, minimum"
+
+
+def test_a_panel_may_lack_a_line_of_the_others(drawing) -> None:
+    """The lateral walk is on flat ground alone: the panel of the other scene has the lines of the trots."""
+    data = table(repeats=4)
+    there = (data.column("repeat").to_numpy() % 2 == 1) & (np.array(data.column("gait").to_pylist()) != "lat")
+    about = {"role": "varied", "unit": "1", "description": "scene", "scale": "structure"}
+    scene = pa.array(np.where(there, "planks", "flat").tolist())
+    data = data.append_column(pa.field("scene", pa.string(), metadata=about), scene)
+    found = compare(data, by="spine", groups=["gait", "frequency", "scene"])
+    figure = dict(figures_of(found.table))["speed-gain-by-gait-and-frequency-and-scene"]
+    lines = [sum(len(line.get_xdata()) == 3 for line in ax.get_lines()) for ax in figure.axes]
+    assert sorted(lines) == [2, 3]
 
 
 @pytest.mark.parametrize(

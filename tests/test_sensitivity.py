@@ -15,7 +15,7 @@ from nermo_mjx import ParameterError, run_sweep, sensitivity
 from nermo_mjx.cli import main
 from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.sweep import Sweep, sample
-from nermo_mjx.sweep.axes import saltelli_points
+from nermo_mjx.sweep.sampling import saltelli_points
 
 NAMES = ("frequency", "stride", "duty")
 SPEC = {"vary": {name: {"uniform": [0.55, 0.75]} for name in NAMES}, "plots": False}

@@ -222,7 +222,7 @@ def test_no_odd_value_leads_to_anything_but_a_sentence():
     from nermo_mjx.specs.fields import read
     from nermo_mjx.specs.reading import SpecError, read_mapping
     from nermo_mjx.specs.walk import Arc, OpenLoop, Pilot, RunFields, Straight, Waypoints
-    from nermo_mjx.sweep.axes import Axis, Draw
+    from nermo_mjx.sweep.sampling import Axis, Draw
     from nermo_mjx.sweep.spec import Randomized, Sampler, SweepFile
 
     models = [

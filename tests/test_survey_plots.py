@@ -9,6 +9,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 from matplotlib.collections import LineCollection, PathCollection, PolyCollection
+from scipy import stats
 
 from nermo_mjx.plotting.cloud import CROWD
 from nermo_mjx.plotting.files import write_figures
@@ -16,7 +17,6 @@ from nermo_mjx.plotting.shown import ShownValues, spoken
 from nermo_mjx.plotting.style import STYLE
 from nermo_mjx.robot import ParameterError
 from nermo_mjx.sweep import Results
-from nermo_mjx.sweep.figures import points_of, scatters
 from nermo_mjx.sweep.plots import (
     BEST_LINES,
     MOST_LINES,
@@ -25,6 +25,8 @@ from nermo_mjx.sweep.plots import (
     figures_of,
     front,
     named_points,
+    points_of,
+    scatters,
     survey_figures,
 )
 from nermo_mjx.sweep.table import Columns
@@ -249,11 +251,14 @@ def test_less_is_better_where_it_is() -> None:
     assert "highest" in texts(figures(data, "duration")["duration-parallel"])
 
 
-def test_a_star_of_a_thinned_scatter_is_the_best_of_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_scatter_of_too_many_points_is_thinned(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The note says how many of all are drawn; correlations and the star still count all of them."""
     monkeypatch.setattr("nermo_mjx.sweep.plots.MOST_POINTS", 20)
     data = table(1000)
     well = np.array(data.column("status").to_pylist()) == "ok"
-    files = write_figures(figures_of(Results(data)), tmp_path)
-    svg = next(file for file in files if file.name == "speed-over-pairs.svg").read_text()
-    assert f"star: best, {1e3 * data.column('speed').to_numpy()[well].max():.4g} mm/s" in svg
-    assert "20 of 941 runs" in svg
+    speed, frequency = (data.column(name).to_numpy()[well] for name in ("speed", "frequency"))
+    svg = {file.name: file.read_text() for file in write_figures(figures_of(Results(data)), tmp_path, formats=["svg"])}
+    assert f"star: best, {1e3 * speed.max():.4g} mm/s" in svg["speed-over-pairs.svg"]
+    for name in ("speed-over-each.svg", "speed-over-pairs.svg"):
+        assert "20 of 941 runs" in svg[name]
+    assert f"rank correlation {stats.spearmanr(frequency, speed).statistic:+.2f}" in svg["speed-over-each.svg"]

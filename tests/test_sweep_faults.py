@@ -356,7 +356,7 @@ def test_a_shard_that_died_before_it_summed_up_does_so_when_it_is_run_again(tmp_
     whole = run_sweep(SPEC, tmp_path / "whole", chunk=4, simulator=FakeSimulator()).summary
     run_sweep(SPEC, tmp_path, chunk=4, shard=(0, 2), simulator=FakeSimulator())
     with monkeypatch.context() as patch:
-        patch.setattr("nermo_mjx.sweep.run._sum_up", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+        patch.setattr("nermo_mjx.sweep.run.summarize", lambda _: (_ for _ in ()).throw(KeyboardInterrupt))
         with pytest.raises(KeyboardInterrupt):
             run_sweep(SPEC, tmp_path, shard=(1, 2), simulator=FakeSimulator())
     assert not (tmp_path / "summary.json").exists()

@@ -11,8 +11,7 @@ from nermo_mjx.plotting.files import write_figures
 from nermo_mjx.plotting.shown import shown
 from nermo_mjx.plotting.style import STYLE, colour_scale
 from nermo_mjx.sweep import Results, run_sweep
-from nermo_mjx.sweep.figures import heat_maps
-from nermo_mjx.sweep.plots import figures_of
+from nermo_mjx.sweep.plots import figures_of, heat_maps
 
 pytestmark = pytest.mark.draws
 
@@ -205,11 +204,13 @@ def test_no_gain_figure_without_a_stiff_spine_to_compare_with(tmp_path, vary):
             ["mean over"],
         ),
         ({"vary": {"frequency": [0.5]}}, [], []),
+        ({"vary": {"frequency": [0.5, 0.7]}, "plots": False}, [], []),
     ],
 )
 def test_each_kind_of_sweep_gets_its_figures(tmp_path, change, names, texts):
-    """Lines for one parameter, maps for a grid, scatters for a sample or for randomized parameters alone."""
+    """Lines for one parameter, maps for a grid, scatters for a sample or for randomized parameters alone; or none."""
     paths = plots_of(change, tmp_path)
+    assert bool(paths) == bool(names)
     assert [name for name in names if f"{name}.png" not in {path.name for path in paths}] == []
     if names:
         svg = next(path for path in paths if path.name == f"{names[0]}.svg").read_text()
@@ -221,21 +222,6 @@ def test_the_same_table_gives_the_same_files(tmp_path):
     result = run_sweep({"vary": {"frequency": [0.5, 0.7, 0.9]}}, tmp_path / "a", simulator=FakeSimulator())
     again = write_figures(figures_of(Results(result.table)), tmp_path / "b")
     assert [path.read_bytes() for path in again] == [path.read_bytes() for path in result.plots]
-
-
-def test_plots_can_be_turned_off(tmp_path):
-    """`plots: false` draws nothing."""
-    assert plots_of({"vary": {"frequency": [0.5, 0.7]}, "plots": False}, tmp_path) == []
-
-
-def test_a_scatter_of_too_many_points_is_thinned(tmp_path, monkeypatch):
-    """The note says how many of all are drawn; correlations still count all of them."""
-    monkeypatch.setattr("nermo_mjx.sweep.plots.MOST_POINTS", 20)
-    spec = {"vary": {"frequency": {"uniform": [0.5, 1]}, "duty": {"uniform": [0.5, 0.6]}}, "sample": {"sobol": 64}}
-    svg = {path.name: path for path in plots_of(spec, tmp_path)}
-    assert "20 of 64 runs" in svg["speed-over-each.svg"].read_text()
-    assert "20 of 64 runs" in svg["speed-over-pairs.svg"].read_text()
-    assert "rank correlation +1.00" in svg["speed-over-each.svg"].read_text()
 
 
 def test_a_few_wild_values_do_not_take_the_colours():

@@ -138,14 +138,3 @@ def test_bodies_are_drawn_whole_by_weight_and_leave_other_draws_alone(monkeypatc
     shares = np.bincount(drawn.body) / len(drawn)
     np.testing.assert_allclose(shares, [1 / 8, 2 / 8, 5 / 8], atol=4 * np.sqrt(0.25 / 4000))
     assert abs(np.corrcoef(drawn.body, drawn.values["mass.front"])[0, 1]) < 4 / np.sqrt(4000)
-
-
-def test_taking_rows_keeps_columns_together():
-    """A chunk's rows are the sweep's rows at those places, in all columns."""
-    rows = rows_of(vary={"frequency": [0.5, 0.6, 0.7]}, randomize={"repeats": 2})
-    part = rows.take(np.array([4, 1]))
-    assert len(part) == 2
-    assert part.variant.tolist() == [2, 0]
-    assert part.repeat.tolist() == [0, 1]
-    assert part.values["frequency"].tolist() == [0.7, 0.5]
-    assert part.seed.tolist() == rows.seed[[4, 1]].tolist()

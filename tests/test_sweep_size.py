@@ -97,16 +97,16 @@ def test_a_row_is_the_same_whichever_rows_are_asked_for(spec):
     sweep = Sweep.from_dict(spec)
     lazy, whole = Sample(sweep), sample(sweep)
     index = np.random.default_rng(0).permutation(len(lazy))[: len(lazy) - 1]
-    some = lazy.take(index)
     assert len(lazy) == len(whole)
-    np.testing.assert_array_equal(some.variant, whole.variant[index])
-    np.testing.assert_array_equal(some.repeat, whole.repeat[index])
-    np.testing.assert_array_equal(some.seed, whole.seed[index])
-    assert (some.body is None) == (whole.body is None)
-    np.testing.assert_array_equal(some.body, None if whole.body is None else whole.body[index])
-    for name, values in whole.values.items():
-        np.testing.assert_array_equal(some.values[name], values[index])
-        np.testing.assert_array_equal(lazy.column(name), values)
+    for some in (lazy.take(index), whole.take(index)):
+        assert len(some) == len(index)
+        for name in ("variant", "repeat", "seed", "structure"):
+            np.testing.assert_array_equal(getattr(some, name), getattr(whole, name)[index])
+        assert (some.body is None) == (whole.body is None)
+        np.testing.assert_array_equal(some.body, None if whole.body is None else whole.body[index])
+        for name, values in whole.values.items():
+            np.testing.assert_array_equal(some.values[name], values[index])
+            np.testing.assert_array_equal(lazy.column(name), values)
 
 
 def test_a_grid_of_ten_million_rows_takes_no_memory():

@@ -69,6 +69,12 @@ WRONG = {
     "pilot's radius": (STRAIGHT, "arc: {radius: 0.001}", 5, ["'pilot.radius' is 0.001: allowed is [0.05"]),
     "unknown sampler": ("sample: grid", "sample: random", 12, ["'sample' is the text 'random'", "latin_hypercube"]),
     "misspelt sampler": ("sample: grid", "sample: {sobl: 64}", 12, ["'sample.sobl'", "did you mean 'sobol'?"]),
+    "sampler without size": (
+        "sample: grid",
+        "sample: sobol",
+        12,
+        ["'sobol' without its value", "{sobol: N}"],
+    ),
     "broken sample size": ("sample: grid", "sample: {sobol: 0}", 12, ["'sample.sobol' is 0: expected a whole number"]),
     "unknown bodies": (FRICTION, "from: identifed", 13, ["'randomize.from' is the text 'identifed'", "'identified'?"]),
     "body's parameter drawn": (FRICTION, f"from: identified, {FRICTION}", 13, ["also drawn by 'randomize.from'"]),

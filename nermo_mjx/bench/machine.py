@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import jax
 from jax.experimental.compilation_cache import compilation_cache
 
-from nermo_mjx.runs.provenance import processor
+from nermo_mjx.runs.code import processor
 from nermo_mjx.runtime import cpu_count
 
 

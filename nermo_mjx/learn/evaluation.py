@@ -16,7 +16,7 @@ from nermo_mjx.robot import identified
 from nermo_mjx.robot.quantity import quantities
 from nermo_mjx.robot.scene import scene_name
 from nermo_mjx.rollout import RunResult, Setup, Simulator
-from nermo_mjx.runs.columns import Columns
+from nermo_mjx.runs.rows import Columns
 
 #: Added to a training's seed, so that no training episode was drawn from such a key.
 UNSEEN: Final = 0x5EED

@@ -15,8 +15,8 @@ from typing import Final
 import numpy as np
 import pyarrow as pa
 
-from nermo_mjx.runs.columns import Columns
 from nermo_mjx.runs.files import stored_table
+from nermo_mjx.runs.rows import Columns
 
 #: The file in a training's directory.
 FILE: Final = "history.parquet"

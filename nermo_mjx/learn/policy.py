@@ -40,7 +40,7 @@ from nermo_mjx.robot.quantity import (
     replace_quantities,
 )
 from nermo_mjx.rollout.setup import Setup
-from nermo_mjx.runs.provenance import versions
+from nermo_mjx.runs.code import versions
 from nermo_mjx.shapes import Array, Count, Scalar
 from nermo_mjx.specs.model import named
 

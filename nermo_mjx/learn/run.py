@@ -36,8 +36,7 @@ from nermo_mjx.physics import resolve_engine
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.runs import RunDirectory, session
 from nermo_mjx.runs.files import content_of, parquet_bytes, parquet_table
-from nermo_mjx.runs.job import Interruption, resumable
-from nermo_mjx.runs.tensorboard import TensorBoard, require_tensorboard
+from nermo_mjx.runs.job import Interruption, TensorBoard, require_tensorboard, resumable
 from nermo_mjx.runs.text import to_json
 from nermo_mjx.runtime import compiler_options
 

@@ -28,7 +28,7 @@ from nermo_mjx.rollout import Run, Setup, Simulator
 from nermo_mjx.rollout.loop import LoopState
 from nermo_mjx.rollout.setup import Window
 from nermo_mjx.rollout.simulator import MOST_RECORDED, TICK_BYTES, default_precision
-from nermo_mjx.runs.provenance import versions
+from nermo_mjx.runs.code import versions
 from nermo_mjx.runs.text import plain
 from nermo_mjx.specs.walk import WalkSpec
 

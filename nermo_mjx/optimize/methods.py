@@ -48,7 +48,7 @@ from nermo_mjx.optimize.spec import (
     is_turn,
 )
 from nermo_mjx.robot.quantity import ParameterError
-from nermo_mjx.sweep.axes import Axis
+from nermo_mjx.sweep.sampling import Axis
 
 
 @dataclasses.dataclass(frozen=True)

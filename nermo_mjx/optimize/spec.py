@@ -51,7 +51,7 @@ from nermo_mjx.specs.values import (
     check_value,
 )
 from nermo_mjx.specs.walk import WalkFields, WalkSpec, check_sources, check_workspace, read_walk, written_out
-from nermo_mjx.sweep.axes import Axis, read_axis, read_draw
+from nermo_mjx.sweep.sampling import Axis, read_axis, read_draw
 from nermo_mjx.sweep.spec import Randomized, Sweep, start_draws
 from nermo_mjx.sweep.structures import Structure
 

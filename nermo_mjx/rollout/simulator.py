@@ -27,7 +27,7 @@ from nermo_mjx.rollout.own_metrics import OwnMetric
 from nermo_mjx.rollout.run import LONGEST, Lanes, Run, StartPose, too_many
 from nermo_mjx.rollout.saving import Keeper, Saving, Series
 from nermo_mjx.rollout.setup import Setup, Window, WorldParameters, with_own, without_presettings
-from nermo_mjx.runs.provenance import versions
+from nermo_mjx.runs.code import versions
 from nermo_mjx.runs.text import plain
 
 # ---

@@ -91,7 +91,12 @@ class Checkpoints:
         damaged, found = [], None
         with _quiet():
             for number in sorted(self._manager.all_steps(), reverse=True):
-                self._check_readable(number)
+                try:  # distinguish an unresponsive disk from a damaged file, which Orbax does not
+                    for path in (self.folder / str(number)).rglob("*"):
+                        if path.is_file():
+                            path.read_bytes()
+                except OSError as error:
+                    raise self._unreadable(number, error) from error
                 found = self._read(number, like)
                 if found is not None:
                     break
@@ -103,15 +108,6 @@ class Checkpoints:
             if damaged:
                 self._manager.reload()
         return found
-
-    def _check_readable(self, number: int) -> None:
-        """Distinguish an unresponsive disk from a damaged file, which Orbax does not."""
-        try:
-            for path in (self.folder / str(number)).rglob("*"):
-                if path.is_file():
-                    path.read_bytes()
-        except OSError as error:
-            raise self._unreadable(number, error) from error
 
     def _unreadable(self, number: int, error: OSError) -> DirectoryError:
         return DirectoryError(
@@ -125,7 +121,12 @@ class Checkpoints:
             about: About = self._manager.restore(number, args=ocp.args.Composite(about=ocp.args.JsonRestore()))["about"]
             if about.get("seal", "") != ("" if "identity" not in about else _seal(about)):
                 return None
-            shapes = {name: jax.tree.map(_shape, part) for name, part in like(about).items()}
+            shapes = {  # what is a NumPy array is restored as one, all else as a JAX array
+                name: jax.tree.map(
+                    lambda leaf: leaf if isinstance(leaf, np.ndarray) else ocp.utils.to_shape_dtype_struct(leaf), part
+                )
+                for name, part in like(about).items()
+            }
             items = ocp.args.Composite(**{self._item: ocp.args.StandardRestore(shapes)})
             found = self._manager.restore(number, args=items)[self._item]
             # As plain arrays: Orbax commits them to a device, and programs would be recompiled for those.
@@ -139,11 +140,6 @@ class Checkpoints:
         except Exception:  # a damaged file can raise any exception in its reader
             return None
         return (parts, about) if about["checksum"] == _checksum(parts) else None
-
-
-def _shape(leaf: Any) -> Any:
-    """How Orbax restores a leaf: as a NumPy array if it is one, otherwise as a JAX array."""
-    return leaf if isinstance(leaf, np.ndarray) else ocp.utils.to_shape_dtype_struct(leaf)
 
 
 def _plain(found: Any, like: Any) -> Any:

@@ -1,16 +1,24 @@
-"""Which code computes a result: a directory records it, and mixes results of different codes only on request."""
+"""Which code computes a result, where and with what: enough to run it again.
+
+A directory records it, and mixes results of different codes only on request.
+"""
 
 from __future__ import annotations
 
 import dataclasses
 import functools
 import hashlib
+import importlib.metadata
 import json
+import os
+import platform
+import shlex
+import sys
+import time
 from pathlib import Path
 from typing import Any, Final
 
 import nermo_mjx
-from nermo_mjx.runs.provenance import version
 from nermo_mjx.version import __version__
 
 #: Rooms of the package that determine what a world does and what is measured.
@@ -108,3 +116,51 @@ def sources(more: tuple[str, ...] = ()) -> str:
                 total.update(f"{root.name}/{path.relative_to(root).as_posix()}\0".encode())
                 total.update(path.read_bytes())
     return total.hexdigest()
+
+
+# ---
+# Versions, machine and command of a session of work.
+
+
+PACKAGES = ("mujoco", "mujoco-mjx", "jax", "jaxlib", "numpy", "scipy", "pyarrow", "optax", "orbax-checkpoint")
+
+
+def versions() -> dict[str, str]:
+    """Versions of this package, of Python, and of the packages that affect results."""
+    return {"nermo-mjx": __version__, "python": platform.python_version()} | {name: version(name) for name in PACKAGES}
+
+
+@functools.cache
+def version(package: str) -> str:
+    """Version of an installed package; "absent" if it is not installed."""
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return "absent"
+
+
+def machine() -> dict[str, Any]:
+    """The machine's name, processor, number of cores and platform."""
+    return {
+        "host": platform.node(),
+        "processor": processor(),
+        "cores": os.cpu_count(),
+        "platform": platform.platform(),
+    }
+
+
+def session(**more: Any) -> dict[str, Any]:
+    """One session of work: when, by which command, with which versions, where."""
+    started = time.strftime("%Y-%m-%dT%H:%M:%S%z")
+    return {"started": started, "command": shlex.join(sys.argv), "versions": versions(), "machine": machine(), **more}
+
+
+def processor() -> str:
+    """The processor's name."""
+    try:
+        for line in Path("/proc/cpuinfo").read_text().splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    except OSError:
+        pass
+    return platform.processor() or platform.machine()

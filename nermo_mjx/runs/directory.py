@@ -15,7 +15,7 @@ import filecmp
 import hashlib
 import json
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
@@ -145,7 +145,7 @@ class RunDirectory:
         Raises:
             OtherCode: what is there was made by other code, and `accept` is not given.
         """
-        with self._record() as record:
+        with self.record() as record:
             codes = record.setdefault("codes", {})
             if self.shard is None and not holds_rows:
                 codes.clear()
@@ -165,18 +165,13 @@ class RunDirectory:
                     )
                 codes[stamp.id] = stamp.fields()
 
-    def note_files(self, files: Mapping[str, str]) -> None:
-        """Record which files the program wrote (`Written`)."""
-        with self._record() as record:
-            record["files"] = dict(files)
-
     def note_session(self, session: dict[str, Any]) -> None:
-        """Add this session (`provenance.session`)."""
-        with self._record() as record:
+        """Add this session (`code.session`)."""
+        with self.record() as record:
             record.setdefault("sessions", []).append(session)
 
     @contextlib.contextmanager
-    def _record(self) -> Iterator[dict[str, Any]]:
+    def record(self) -> Iterator[dict[str, Any]]:
         """The content of run.json, written back if changed; processes take turns."""
         with clear_errors(self.out):
             held = hold(self.out, ".lock-run", wait=True)
@@ -210,7 +205,7 @@ def read_record(out: Path) -> dict[str, Any]:
 
 
 class Session(BaseModel, extra="allow"):
-    """One session in run.json, see `provenance.session`, as far as it is read."""
+    """One session in run.json, see `code.session`, as far as it is read."""
 
     started: str | None = None
     command: str | None = None
@@ -316,7 +311,8 @@ class Written:
 
     def note(self) -> None:
         """Record now what was written, so that the files are recognized even if the process is killed later."""
-        self.held.note_files(self.known)
+        with self.held.record() as record:
+            record["files"] = dict(self.known)
 
     def write(self, path: Path, content: bytes) -> None:
         """Replace a file, by its path with the directory's; atomically.

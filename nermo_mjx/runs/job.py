@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import importlib.util
+import math
 import signal
 import threading
+import time
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from types import FrameType
-from typing import Final
+from typing import Final, Self
 
+from nermo_mjx.runs.files import WrongDirectory
 from nermo_mjx.runs.workers import WorkersLost
 
 
@@ -130,9 +134,47 @@ def resumable(out: Path, again: str = "") -> Iterator[Interruption]:
         with interruptible() as interruption:
             yield interruption
     except WorkersLost as lost:
-        raise JobFailed(lost.kept_in(out)) from None
+        raise JobFailed(f"{lost} What is finished is kept in {out}: run the same command again.") from None
     except KeyboardInterrupt:
         how = f", or: nermo-mjx {again} --out {out}" if again else "."
         raise Interrupted(
             f"stopped; what is finished is kept in {out}. To resume, run the same command again{how}"
         ) from None
+
+
+# ---
+# Scalars of a long run in DIR/tensorboard, which `tensorboard --logdir DIR` shows; needs the extra `tensorboard`.
+
+
+class TensorBoard:
+    """Writes scalars; use it in a `with` statement. A resumed session adds a file.
+
+    Args:
+        out: the directory.
+        part: of several processes that write the directory, which one this is.
+    """
+
+    def __init__(self, out: Path, part: str = "") -> None:
+        from tensorboardX import SummaryWriter
+
+        # Files are named by the second: of two sessions within one, the later would overwrite the earlier.
+        self._writer = SummaryWriter(str(out / "tensorboard" / part), filename_suffix=f".{time.time_ns()}")
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._writer.close()
+
+    def log(self, step: int, numbers: Mapping[str, float]) -> None:
+        """Write the finite numbers, by name; the others cannot be plotted."""
+        for name, value in numbers.items():
+            if math.isfinite(value):
+                self._writer.add_scalar(name, float(value), step)
+        self._writer.flush()
+
+
+def require_tensorboard() -> None:
+    """Raises `WrongDirectory`, with the sentence that says what to install, where the package is missing."""
+    if importlib.util.find_spec("tensorboardX") is None:
+        raise WrongDirectory("tensorboard needs the package tensorboardX: install it with pip.")

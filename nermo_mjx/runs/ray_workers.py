@@ -174,7 +174,13 @@ class RayWorkers:
                     if given is None:
                         return
                     again.append(given)
-                self._check_patience()
+                if self._workers:
+                    self._seen = time.monotonic()
+                alone = bool(self._refused) and all(node["NodeID"] in self._refused for node in self._nodes())
+                if not self._workers and (alone or time.monotonic() - self._seen > self._patience):
+                    raise WorkersLost(
+                        " ".join(self._refused.values()) or f"no node came within {self._patience:.0f} s."
+                    )
                 if not self._busy:
                     time.sleep(LOOK)
                     continue
@@ -261,14 +267,6 @@ class RayWorkers:
         for known in (self._failures, self._refused):
             known.clear()
         self._looked = -math.inf
-
-    def _check_patience(self) -> None:
-        """Give up if there has been no worker for long, or none can join any more."""
-        if self._workers:
-            self._seen = time.monotonic()
-        alone = all(node["NodeID"] in self._refused for node in self._nodes()) if self._refused else False
-        if not self._workers and (alone or time.monotonic() - self._seen > self._patience):
-            raise WorkersLost(" ".join(self._refused.values()) or f"no node came within {self._patience:.0f} s.")
 
     def _nodes(self) -> list[dict[str, Any]]:
         return [node for node in self._ray.nodes() if node["Alive"]]

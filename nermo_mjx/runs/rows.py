@@ -22,7 +22,7 @@ import re
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -151,9 +151,9 @@ class Runs:
         if held is not None:
             with clear_errors(out):
                 (out / RESULTS).mkdir(exist_ok=True)
-                for folder in (RESULTS, SERIES) if held.shard is None else ():
-                    remove_leftovers(out / folder)
                 for folder in (SERIES, RESULTS):
+                    if held.shard is None:
+                        remove_leftovers(out / folder)
                     _move(out / FORMER / folder, out / folder, lambda found: found == group)
         self.others = [part for place in (out, *self._also) for part in self._intact(place, own=False)]
         self.survey()
@@ -177,28 +177,22 @@ class Runs:
             for path in (*part_files(out), *part_files(out / FORMER)):
                 if (out == self.out and path.name.split("-")[1] == self.group) != own:
                     continue
-                part, flaw = self._inspected(path, own)
-                if part is not None:
+                content, flaw = _content(path)
+                if content is not None:
+                    with parquet_file(pa.BufferReader(content)) as file:
+                        part = Part.of(path, file.metadata.num_rows, file.metadata.metadata or {})
+                        numbers = file.read(["row"])["row"].to_numpy() if own else None
+                    if self._series and (part.series is None or _content(part.series)[0] is None):
+                        flaw = "has no time series, or damaged ones"
+                if not flaw:
                     parts.append(part)
+                    if numbers is not None:
+                        self._note(numbers)
                 elif self.held is None or path.parent != self.out / RESULTS:
                     self._warn(f"{path} {flaw}; its runs are not used.")
                 elif self.held.move_aside(path.relative_to(out), f"{RESULTS}.aside") is not None:
                     self._warn(f"{path} {flaw}; it is kept in {RESULTS}.aside, and its runs are made again.")
         return parts
-
-    def _inspected(self, path: Path, own: bool) -> tuple[Part | None, str]:
-        """A part if it is intact to the last bit, else what is wrong with it."""
-        content, flaw = _content(path)
-        if content is None:
-            return None, flaw
-        with parquet_file(pa.BufferReader(content)) as file:
-            part = Part.of(path, file.metadata.num_rows, file.metadata.metadata or {})
-            numbers = file.read(["row"])["row"].to_numpy() if own else None
-        if self._series and (part.series is None or _content(part.series)[0] is None):
-            return None, "has no time series, or damaged ones"
-        if numbers is not None:
-            self._note(numbers)
-        return part, ""
 
     @property
     def numbers(self) -> np.ndarray:
@@ -391,3 +385,36 @@ class _Index(NamedTuple):
     keys: np.ndarray
     places: np.ndarray
     parts: list[Part]
+
+
+class Columns:
+    """Collects the columns of a table; each field's metadata has its unit, its description and its role."""
+
+    def __init__(self) -> None:
+        self._arrays: dict[str, pa.Array] = {}
+        self._fields: list[pa.Field] = []
+
+    def add(
+        self,
+        name: str,
+        values: np.ndarray,
+        role: str,
+        unit: str,
+        description: str,
+        *,
+        nulls: bool = False,
+        **more: str | None,
+    ) -> None:
+        """Add a column of (n,) values; with `nulls` a NaN is one."""
+        values = np.asarray(values)
+        if values.dtype.kind in "fiu":
+            values = values.astype(np.float64 if values.dtype.kind == "f" else np.int64)
+        self._arrays[name] = pa.array(values.tolist() if values.dtype.kind in "OU" else values, from_pandas=nulls)
+        metadata = {"unit": unit, "description": description, "role": role}
+        metadata |= {key: text for key, text in more.items() if text}
+        self._fields.append(pa.field(name, self._arrays[name].type, metadata=metadata))
+
+    def table(self, about: Mapping[str, Any]) -> pa.Table:
+        """The table, and what to note in its schema's metadata."""
+        metadata = {key: str(value) for key, value in about.items()}
+        return pa.table(self._arrays, schema=pa.schema(self._fields, metadata=metadata))

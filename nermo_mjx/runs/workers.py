@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Iterable, Iterator
-from pathlib import Path
 from typing import Any, Protocol
 
 from nermo_mjx.runs.code import CodeStamp
@@ -76,10 +75,6 @@ class TaskFailed(RuntimeError):
 
 class WorkersLost(RuntimeError):
     """No worker is left; the message says why."""
-
-    def kept_in(self, out: Path) -> str:
-        """The message, and where what is finished is kept."""
-        return f"{self} What is finished is kept in {out}: run the same command again."
 
 
 class LocalWorkers:

@@ -6,9 +6,11 @@ validator can raise such a sentence itself, and because a field may have one of 
 
 from __future__ import annotations
 
-from typing import Any, ClassVar, Final, TypeVar
+import dataclasses
+from typing import Any, ClassVar, Final, TypeVar, get_args, get_type_hints
 
 from pydantic import BaseModel, ConfigDict, Field, GetJsonSchemaHandler, ValidationError, model_validator
+from pydantic.fields import FieldInfo
 from pydantic_core import core_schema
 
 from nermo_mjx.robot.quantity import ParameterError, did_you_mean
@@ -193,8 +195,10 @@ class OneOf(Fields):
         if isinstance(given, str) and given in cls.alone:
             return {given: None}
         if isinstance(given, str) and given in cls.declared():
-            model: Any = cls.model_fields[given].annotation
-            raise Refused(f"is '{given}' without {' and '.join(model.required())}: expected {model.example}.")
+            model, needs, example = cls.model_fields[given].annotation, "its value", cls.expected
+            if isinstance(model, type) and issubclass(model, Fields):
+                needs, example = " and ".join(model.required()), model.example
+            raise Refused(f"is '{given}' without {needs}: expected {example}.")
         if isinstance(given, str):
             raise Refused(
                 f"{cls.other_name.format(name=given)}: expected {cls.expected}{did_you_mean(given, cls.declared())}"
@@ -213,6 +217,14 @@ class OneOf(Fields):
         """The name of the given field, and its value."""
         (name,) = self.model_fields_set
         return name, getattr(self, name)
+
+
+def documented(cls: type) -> dict[str, Any]:
+    """Type and default of a dataclass's fields that have a description, as `create_model` takes them for a file."""
+    hints = get_type_hints(cls, include_extras=True)
+    fields = {field.name: (hints[field.name], field.default) for field in dataclasses.fields(cls)}
+    described = (name for name in fields if any(isinstance(each, FieldInfo) for each in get_args(hints[name])))
+    return {name: fields[name] for name in described}
 
 
 def schema_of(model: type[Fields]) -> JsonSchema:

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter
@@ -531,19 +530,18 @@ class Comparison:
         Args:
             only: metrics that the groups have; by default all.
         """
-        each = [self._about(other, only) for other in self.others]
+        each = []
+        for other in self.others:
+            about: dict[str, Any] = {"other": other, "metrics": _by_metric(self.rows(other), self.groups)}
+            rows = [row for row in self.rows(other, grouped=True) if not only or row["metric"] in only]
+            if self.groups:
+                about["groups"] = [
+                    {"for": {name: own[0][name] for name in self.groups}, "metrics": _by_metric(own, self.groups)}
+                    for own in (list(own) for _, own in itertools.groupby(rows, lambda row: row["group"]))
+                ]
+            each.append(about)
         about = {"base": self.base, "status": self.status, "notes": list(self.notes)}
         return about | (each[0] if len(each) == 1 else {"comparisons": each})
-
-    def _about(self, other: str, only: Sequence[str]) -> dict[str, Any]:
-        about: dict[str, Any] = {"other": other, "metrics": _by_metric(self.rows(other), self.groups)}
-        rows = [row for row in self.rows(other, grouped=True) if not only or row["metric"] in only]
-        if self.groups:
-            about["groups"] = [
-                {"for": {name: own[0][name] for name in self.groups}, "metrics": _by_metric(own, self.groups)}
-                for own in (list(own) for _, own in itertools.groupby(rows, lambda row: row["group"]))
-            ]
-        return about
 
 
 def compare(
@@ -783,7 +781,13 @@ def _by_groups(
     rows: Sequence[Row], metrics: Sequence[str], schema: pa.Schema, groups: Sequence[str], against: str
 ) -> Figure:
     """The gain of each metric over the groups: one of their columns across, one as lines, the others as panels."""
-    x, series, panels = _roles(rows, groups)
+    # The x axis is the numbers with the most values, the lines are the names or numbers with the most of the few.
+    count = {name: len({row[name] for row in rows}) for name in groups}
+    numeric = [name for name in groups if all(isinstance(row[name], float) for row in rows)]
+    x = max(numeric or groups, key=count.__getitem__)
+    few = [name for name in groups if name != x and count[name] <= len(SERIES)]
+    series = max(few, key=count.__getitem__) if few else None
+    panels = [name for name in groups if name not in (x, series)]
     parts = list(dict.fromkeys(tuple(row[name] for name in panels) for row in rows))[:_MOST_PANELS]
     each = list(dict.fromkeys(row[series] if series else None for row in rows))
     # A row of panels has all metrics; of one metric, its panels follow one another.
@@ -798,23 +802,40 @@ def _by_groups(
     )
     for ax in page.axes.ravel()[len(drawn) :]:
         ax.remove()
-    for at, (ax, (part, metric)) in enumerate(zip(page.axes.ravel(), drawn, strict=False)):
+    for number, (ax, (part, metric)) in enumerate(zip(page.axes.ravel(), drawn, strict=False)):
         of_metric = [row for row in rows if row["metric"] == metric]
         own = [row for row in of_metric if tuple(row[name] for name in panels) == part]
         relative = all(row["relative"] is not None and np.isfinite(row["relative"]) for row in of_metric)
         names = ("relative", "relative_low", "relative_high") if relative else ("difference", "low", "high")
         numbers = shown(metric, own[0]["metric_unit"], [[row[name] for name in names] for row in own])
         values = 100 * np.array([[row[name] for name in names] for row in own], float) if relative else numbers.values
-        across = _column(schema, x, [row[x] for row in own])
+        places = [row[x] for row in own]
+        if all(isinstance(value, float) for value in places):
+            about = meta(schema.field(x))
+            across = shown(x, about["unit"], places, log=about.get("scale") == "log")
+        else:
+            texts = list(map(_text, places))
+            names_of = tuple(dict.fromkeys(texts))
+            across = ShownValues(x, "", np.array([names_of.index(text) for text in texts], float), names=names_of)
+        distinct = np.unique(across.values)
+        step = float(np.diff(distinct).min()) if len(distinct) > 1 else 1.0
         for place, value in enumerate(each):
-            chosen = [i for i, row in enumerate(own) if series is None or row[series] == value]
-            _line(ax, across, values, [own[i]["beyond_noise"] for i in chosen], chosen, place, len(each))
+            chosen = np.array([i for i, row in enumerate(own) if series is None or row[series] == value], int)
+            order = chosen[np.argsort(across.values[chosen], kind="stable")]
+            # Lines stand a little apart, so that their bars do not cover each other.
+            shift = 0.0 if across.log else (place - (len(each) - 1) / 2) * 0.09 * step
+            at, colour = across.values[order] + shift, SERIES[place % len(SERIES)]
+            middle, low, high = values[order].T
+            ax.plot(at, middle, color=colour, lw=0 if across.names else 1.2, alpha=0.7, zorder=2)
+            ax.vlines(at, low, high, color=colour, lw=1.6, zorder=3)
+            fills = [colour if own[i]["beyond_noise"] else "white" for i in order]
+            ax.scatter(at, middle, s=34, ec=colour, fc=fills, lw=1.3, zorder=4)
         words = [f"{spoken(name)} {_text(value)}" for name, value in zip(panels, part, strict=True)]
         ax.set_title(", ".join([*([titled(metric)] if len(metrics) > 1 else []), *words]))
         set_scales(ax, across)
         ax.axhline(0, color=MUTED, lw=0.8, zorder=1)
         horizontal_grid(ax)
-        if len(metrics) > 1 or at % columns == 0:
+        if len(metrics) > 1 or number % columns == 0:
             ax.set_ylabel(f"difference [{'%' if relative else numbers.unit or 1}]")
         ax.set_xlabel(across.label)
     for metric in metrics:  # the same scale for all of its panels
@@ -829,48 +850,6 @@ def _by_groups(
     told = [f"{', '.join(_text(row[name]) for name in groups)} ({count})" for count, row in failed[:4] if count]
     most = f", most at {'; '.join(told)}" if told else ""
     return page.finish(handles, f"{_MARKS}\n{_runs(rows)}{most}")
-
-
-def _line(
-    ax: Axes,
-    across: ShownValues,
-    values: np.ndarray,
-    beyond: Sequence[bool | None],
-    own: Sequence[int],
-    place: int,
-    count: int,
-) -> None:
-    """One line with bars; lines stand a little apart, so that their bars do not cover each other."""
-    distinct = np.unique(across.values)
-    step = float(np.diff(distinct).min()) if len(distinct) > 1 else 1.0
-    order = np.array(own)[np.argsort(across.values[own], kind="stable")]
-    shift = 0.0 if across.log else (place - (count - 1) / 2) * 0.09 * step
-    at, colour = across.values[order] + shift, SERIES[place % len(SERIES)]
-    middle, low, high = values[order].T
-    ax.plot(at, middle, color=colour, lw=0 if across.names else 1.2, alpha=0.7, zorder=2)
-    ax.vlines(at, low, high, color=colour, lw=1.6, zorder=3)
-    hollow = {i: not flag for i, flag in zip(own, beyond, strict=True)}
-    ax.scatter(at, middle, s=34, ec=colour, fc=["white" if hollow[i] else colour for i in order], lw=1.3, zorder=4)
-
-
-def _roles(rows: Sequence[Row], groups: Sequence[str]) -> tuple[str, str | None, list[str]]:
-    """Which columns give the x axis, the lines and the panels: numbers with many values give the x axis."""
-    count = {name: len({row[name] for row in rows}) for name in groups}
-    numbers = [name for name in groups if all(isinstance(row[name], float) for row in rows)]
-    x = max(numbers or groups, key=count.__getitem__)
-    rest = [name for name in groups if name != x]
-    few = [name for name in rest if count[name] <= len(SERIES)]
-    series = max(few, key=count.__getitem__) if few else None
-    return x, series, [name for name in rest if name != series]
-
-
-def _column(schema: pa.Schema, name: str, values: Sequence[Any]) -> ShownValues:
-    """The values across as shown."""
-    if all(isinstance(value, float) for value in values):
-        about = meta(schema.field(name))
-        return shown(name, about["unit"], values, log=about.get("scale") == "log")
-    names = tuple(dict.fromkeys(map(_text, values)))
-    return ShownValues(name, "", np.array([names.index(_text(value)) for value in values], float), names=names)
 
 
 def _mark(colour: str, label: str) -> Line2D:

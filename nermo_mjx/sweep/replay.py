@@ -69,6 +69,11 @@ class SweepRow:
         return self.sweep.structures[int(self.line.structure[0])]
 
     @property
+    def runs_on(self) -> str:
+        """The engine that the row, or else its directory, was started with; `auto` if that no longer exists."""
+        return self.engine if self.engine in ENGINES else "auto"
+
+    @property
     def parameters(self) -> dict[str, float]:
         """Every parameter of the row, defaults included."""
         return self.walk.setup.defaults() | self.walk.constants | self.values
@@ -177,7 +182,7 @@ def replay_row(
         ParameterError: an unknown engine.
     """
     if simulator is None:
-        simulator = Simulator(found.walk.setup, engine or engine_for(found))
+        simulator = Simulator(found.walk.setup, engine or found.runs_on)
     values = {name: np.array([value]) for name, value in (found.walk.constants | found.values).items()}
     result = simulator.run(values, found.walk.run, record=True, progress=progress)
     metrics = {name: float(values[0]) for name, values in result.metrics.items()}
@@ -204,11 +209,6 @@ def replay_row(
         model=simulator.robot.model,
         comparison=None if found.stored is None else agreement(found.stored, metrics, str(found.engine)),
     )
-
-
-def engine_for(found: SweepRow) -> str:
-    """The engine that the row, or else its directory, was started with; `auto` if that no longer exists."""
-    return found.engine if found.engine in ENGINES else "auto"
 
 
 def report_of(found: SweepRow, replay: Replay) -> dict[str, Any]:
@@ -342,7 +342,7 @@ def record_rows(
                 continue
         check()
         found = find_row(held.out, row)
-        walker = simulator(found.walk.setup, engine_for(found))
+        walker = simulator(found.walk.setup, found.runs_on)
         replay = replay_row(found, progress=lambda _: check(), simulator=walker)
         if not len(replay.history.time):
             warn(f"row {row} diverged in its first tick: there is nothing to record.")

@@ -26,12 +26,11 @@ from nermo_mjx.plotting.files import write_figures
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.rollout import METRICS, Simulator
 from nermo_mjx.rollout.run import too_many
+from nermo_mjx.runs.code import session
 from nermo_mjx.runs.directory import RunDirectory, engine_of
 from nermo_mjx.runs.files import DirectoryError, WrongDirectory, parquet_bytes
-from nermo_mjx.runs.job import SILENT, JobFailed, Progress, Watch, resumable
-from nermo_mjx.runs.provenance import session
+from nermo_mjx.runs.job import SILENT, JobFailed, Progress, TensorBoard, Watch, require_tensorboard, resumable
 from nermo_mjx.runs.rows import Runs
-from nermo_mjx.runs.tensorboard import TensorBoard, require_tensorboard
 from nermo_mjx.runs.text import to_json
 from nermo_mjx.runs.workers import LocalWorkers, TaskFailed, Workers
 from nermo_mjx.specs.reading import SpecError
@@ -58,7 +57,6 @@ from nermo_mjx.sweep.store import (
     differences,
     fixed_differences,
     keys_of_rows,
-    layout_of,
     listed,
     refusal,
     series_table,
@@ -120,7 +118,12 @@ class Work:
     ) -> None:
         self.sweep, self.out, self.rows, self._watch = sweep, out, Sample(sweep), watch
         self._structure, self.seconds = self.rows.structures(), simulated_seconds(sweep, self.rows)
-        self.layout, self._shard = layout_of(self.seconds, size, self._structure), shard or (0, 1)
+        # Rows of one batch share structure and duration; batches are of equal size, to one row.
+        order, self.layout = np.argsort(self.seconds, kind="stable"), list[np.ndarray]()
+        for at in np.unique(self._structure):
+            alike = order[self._structure[order] == at]
+            self.layout += np.array_split(alike, math.ceil(len(alike) / size))
+        self._shard = shard or (0, 1)
         self._share = np.concatenate(self.layout[self._shard[0] :: self._shard[1]] or [np.empty(0, int)])
         self.runs = Runs(out, sweep.digest(), sources, watch.warn, sweep.save is not None, held)
         self._log = None if board is None else BatchLog(board)
@@ -204,7 +207,8 @@ class Work:
         """
         for index, places in self.known():
             if not self.reused:
-                self._take_codes(self.runs.codes(accept=accept_new_code), accept_new_code)
+                codes = self.runs.codes(accept=accept_new_code)
+                self.runs.take_codes(codes, accept=accept_new_code, any_model=True)
             table = self.runs.take(places)
             metrics = {name: table[name].to_numpy() for name in columns_of(table, "metric")}
             status, code = (np.array(table[name].to_pylist(), object) for name in ("status", "code"))
@@ -235,7 +239,8 @@ class Work:
             return
         workers.begin(simulator)
         stamps = {at: simulator.stamp(at) for at in dict.fromkeys(batch.structure for batch in batches)}
-        self._take_codes(list(stamps.values()), accept_new_code)
+        several = bool(self.runs.others) or len(self.sweep.structures) > 1
+        self.runs.take_codes(list(stamps.values()), accept=accept_new_code, any_model=several)
         first, held = next(iter(stamps.values())), self.runs.held
         assert held is not None
         shard = "" if held.shard is None else "{}/{}".format(*held.shard)
@@ -281,10 +286,6 @@ class Work:
         fraction = 1.0 if self._finished == count else 1.0 - (self._left - current) / whole
         self._watch.progress(Progress(fraction, self._finished, count, self._resumed + self.reused))
 
-    def _take_codes(self, stamps: Sequence[Any], accept: bool) -> None:
-        several = bool(self.runs.others) or len(self.sweep.structures) > 1
-        self.runs.take_codes(stamps, accept=accept, any_model=several)
-
     def _write(self, batch: Batch, result: Simulated, stamps: Mapping[int, Any]) -> None:
         stamp, count = stamps[batch.structure], len(batch.rows)
         about = {"engine": stamp.engine, "code": stamp.id, "steps": result.steps, "wall_seconds": result.seconds}
@@ -292,7 +293,7 @@ class Work:
         series = None if result.series is None else series_table(self.sweep, batch.rows, result.series)
         table = self._add(batch.rows, metrics, result.status[:count], stamp.id, about, series)
         if self._log is not None:
-            self._log.tell(table, result.steps / result.seconds if result.seconds else math.nan)
+            self._log.add(table, result.steps / result.seconds if result.seconds else math.nan)
 
     def _add(
         self,
@@ -313,7 +314,7 @@ class BatchLog:
     """Scalars for TensorBoard, summed up as batches come: best and mean of each metric, statuses, steps per second.
 
     Args:
-        board: is told after each batch that is added with `tell`.
+        board: where they go.
     """
 
     def __init__(self, board: TensorBoard) -> None:
@@ -323,8 +324,9 @@ class BatchLog:
         self._counts: collections.Counter[str] = collections.Counter()
         self._best: dict[str, float] = {}
 
-    def add(self, table: pa.Table) -> None:
-        """Add a batch's rows; only successful runs count in best and mean."""
+    def add(self, table: pa.Table, steps_per_second: float | None = None) -> None:
+        """Add a batch's rows, and report the state if this session made them; only successful runs count in best and
+        mean. The step is the number of rows."""
         self._rows += table.num_rows
         self._statuses.update(table.column("status").to_pylist())
         well = pc.equal(table.column("status"), "ok").to_numpy()
@@ -338,10 +340,8 @@ class BatchLog:
             if side := better(table.schema.field(name)):
                 candidates = np.append(self._best.get(name, values[0]), values)
                 self._best[name] = float(candidates[np.argmin(cost(SIDES[side], candidates))])
-
-    def tell(self, table: pa.Table, steps_per_second: float = math.nan) -> None:
-        """Add a chunk's rows, and report the current state to TensorBoard; the step is the number of rows."""
-        self.add(table)
+        if steps_per_second is None:
+            return
         numbers = {
             "rows": float(self._rows),
             "steps_per_second": steps_per_second,
@@ -493,7 +493,14 @@ def run_sweep(
         done, recordings, summary, plots = work.done, list[Path](), dict[str, Any](), list[Path]()
         if done.all():
             results = Results([part.path for part in work.runs.parts])
-            summary, plots = _sum_up(work, held, results, watch)
+            summary, figures = {**summarize(results), **work.effort()}, figures_of(results)
+            compared = None if sweep.compare is None else sweep.compare.written()
+            for name, table, about, drawn in findings(results, compared, notify=watch.warn):
+                held.write(f"{name}.parquet", parquet_bytes(table))
+                summary[name] = about
+                figures = itertools.chain(figures, drawn)
+            held.write("summary.json", to_json(summary))
+            plots = write_figures(figures, held.out / "plots") if sweep.plots else plots
             if sweep.keep is not None:
                 from nermo_mjx.sweep.replay import record_rows
 
@@ -511,18 +518,6 @@ def run_sweep(
             rows=len(done),
             missing=work.missing(),
         )
-
-
-def _sum_up(work: Work, held: RunDirectory, results: Results, watch: Watch) -> tuple[dict[str, Any], list[Path]]:
-    """Write the summary and the figures of a complete table."""
-    summary, figures = {**summarize(results), **work.effort()}, figures_of(results)
-    comparison = None if work.sweep.comparison is None else work.sweep.comparison.written()
-    for name, table, about, drawn in findings(results, comparison, notify=watch.warn):
-        held.write(f"{name}.parquet", parquet_bytes(table))
-        summary[name] = about
-        figures = itertools.chain(figures, drawn)
-    held.write("summary.json", to_json(summary))
-    return summary, write_figures(figures, held.out / "plots") if work.sweep.plots else []
 
 
 # ---

@@ -20,8 +20,8 @@ from nermo_mjx.plotting.page import Page
 from nermo_mjx.plotting.shown import spoken
 from nermo_mjx.plotting.style import BAND, GRID, INK, LINE, MUTED, OKABE_ITO
 from nermo_mjx.robot.quantity import ParameterError, did_you_mean
-from nermo_mjx.sweep.axes import saltelli_size, unit_problem
 from nermo_mjx.sweep.comparing import Source, opened
+from nermo_mjx.sweep.sampling import saltelli_size, unit_problem
 from nermo_mjx.sweep.table import LEADING, Columns, Results, columns_of, labelled, report_table
 
 #: Resamples of SALib's bootstrap, the same ones in each call; SALib takes a seed of 0 for none.

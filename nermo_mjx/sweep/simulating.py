@@ -115,27 +115,23 @@ class SweepSimulator:
         result = simulator.run(values, self.walks[structure].run, progress=progress, notify=self._notify, **saved)
         status = np.asarray(result.status)
         metrics = {name: np.asarray(column) for name, column in result.metrics.items()}
-        seconds = time.perf_counter() - began
-        return Simulated(
-            metrics, status, result.steps * len(status), seconds, None if self.save is None else result.series
-        )
+        steps, seconds = result.steps * len(status), time.perf_counter() - began
+        return Simulated(metrics, status, steps, seconds, result.series if saved else None)
 
     def simulator(self, structure: int = 0) -> SimulatorLike:
         """A structure's simulator, created on first use."""
         if self._current is None or self._current[0] != structure:
-            self._current = None
-            self._current = structure, self._given or self._made(self.walks[structure].setup)
+            self._current, simulator = None, self._given
+            if simulator is None:  # with the programs of one that was made before, where these are the same
+                setup = self.walks[structure].setup
+                programs = without_presettings(setup)
+                kept = self._kept.pop(programs, None)
+                while len(self._kept) >= MOST_KEPT:  # its memory goes before the next one takes some
+                    del self._kept[next(iter(self._kept))]
+                simulator = Simulator(setup, self.engine) if kept is None else kept.with_setup(setup)
+                self._kept[programs] = simulator
+            self._current = structure, simulator
         return self._current[1]
-
-    def _made(self, setup: Setup) -> Simulator:
-        """A simulator of a setup, with the programs of one that was made before where these are the same."""
-        programs = without_presettings(setup)
-        kept = self._kept.pop(programs, None)
-        while len(self._kept) >= MOST_KEPT:  # its memory goes before the next one takes some
-            del self._kept[next(iter(self._kept))]
-        simulator = Simulator(setup, self.engine) if kept is None else kept.with_setup(setup)
-        self._kept[programs] = simulator
-        return simulator
 
 
 def engine_name(wanted: str, simulator: SimulatorLike | None, begun: str | None) -> str:

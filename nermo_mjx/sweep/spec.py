@@ -12,7 +12,7 @@ from typing import Annotated, Any, ClassVar, Final
 
 import numpy as np
 import pyarrow as pa
-from pydantic import BeforeValidator, ConfigDict, Field
+from pydantic import BeforeValidator, ConfigDict, Field, create_model
 
 from nermo_mjx.robot import identified
 from nermo_mjx.robot.quantity import ParameterError, Quantity, did_you_mean
@@ -21,11 +21,11 @@ from nermo_mjx.rollout.run import START_SPREAD
 from nermo_mjx.rollout.saving import Keeper
 from nermo_mjx.specs.controllers import code_identity, known_names
 from nermo_mjx.specs.described import Described, digest_of
-from nermo_mjx.specs.fields import Fields, OneOf, Refused, optional, read
+from nermo_mjx.specs.fields import Fields, OneOf, Refused, documented, optional, read
 from nermo_mjx.specs.reading import Document, describe, read_file, read_mapping
 from nermo_mjx.specs.values import Choice, Positive, Whole, refuse_parameter
 from nermo_mjx.specs.walk import WalkFields, WalkSpec, check_sources, check_workspace, unread, written_out
-from nermo_mjx.sweep.axes import Axis, Draw, Saltelli, read_axis, read_draw, saltelli_size
+from nermo_mjx.sweep.sampling import Axis, Draw, Saltelli, read_axis, read_draw, saltelli_size
 from nermo_mjx.sweep.structures import (
     RowList,
     RowsForm,
@@ -52,12 +52,13 @@ def _listed(given: Any) -> Any:
 
 
 def _names(given: Any) -> Any:
-    if not isinstance(given := _listed(given), list) or not all(isinstance(name, str) for name in given):
+    given = _listed(given)
+    if not isinstance(given, list) or not all(isinstance(name, str) for name in given):
         raise Refused(f"is {describe(given)}: expected a list of varied parameters.")
     return list(dict.fromkeys(given))
 
 
-class AskedComparison(Fields):
+class ComparedColumns(Fields):
     """The section `compare` of a sweep file: what is compared when the sweep is complete; see `nermo_mjx.compare`."""
 
     what: ClassVar = "a field of a comparison"
@@ -71,35 +72,6 @@ class AskedComparison(Fields):
     def written(self) -> dict[str, Any]:
         """As written in a sweep file."""
         return self.model_dump(by_alias=True, exclude_none=True)
-
-
-def check_comparison(doc: Document, fields: AskedComparison, varied: Mapping[str, Sequence[Value] | None]) -> None:
-    """Fail where the section `compare` names what cannot be compared.
-
-    Args:
-        varied: the values of each varied column; None where they are drawn between bounds.
-    """
-    for field, name in (("by", fields.by), *(("for", name) for name in fields.groups)):
-        if name not in varied:
-            there = ", ".join(varied) or "nothing"
-            why = f"which is not varied{did_you_mean(name, varied)} Varied: {there}."
-        elif varied[name] is None:
-            why = "which is drawn between bounds, so that no two variants share a value: list its values."
-        elif field == "by" and len(varied[name] or ()) < 2:
-            why = "which has one value: there is nothing to compare."
-        elif field == "for" and name == fields.by:
-            why = "whose values are compared: name other columns."
-        else:
-            continue
-        doc.fail(("compare", field), f"names {name!r}, {why}")
-    values = list(varied[fields.by] or ())
-    if fields.base is not None and fields.base not in values:
-        listed = [value if isinstance(value, str) else f"{value:g}" for value in values]
-        doc.fail(
-            ("compare", "base"),
-            f"is {describe(fields.base)}, no value of {fields.by}; allowed are "
-            f"{', '.join(listed)}{did_you_mean(str(fields.base), listed)}",
-        )
 
 
 # ---
@@ -224,23 +196,6 @@ class Randomized(Fields):
         refuse_parameter(key)
 
 
-class SweepFile(WalkFields):
-    """A file for `nermo-mjx sweep`."""
-
-    what: ClassVar = "a field of a sweep"
-    sources: ClassVar = "'vary', 'set' or 'randomize'"
-    vary: Vary = Field(Vary.model_validate({}), description="varied structures and parameters")
-    rows: Annotated[Any, RowsForm()] = optional("exactly these variants, instead of vary: a table, or a list")
-    sample: Sampler = Field(Sampler(grid=None), description="grid, or a sampler and its number of variants")
-    randomize: Randomized = Field(Randomized.model_validate({}), description="what is drawn at random in each run")
-    seed: Annotated[int, Whole(0, 2**53)] = Field(0, description="makes samples and draws repeatable")
-    chunk: Annotated[int, Whole(1, LARGEST_SWEEP)] = optional("runs simulated and stored together")
-    plots: bool = Field(True, description="whether figures are drawn when the table is complete")
-    compare: AskedComparison = optional("structures or values to compare when the table is complete")
-    save: SaveFields = optional("time series of some sensors beside the table")
-    keep: Keep = optional("rows that are recorded when the table is complete")
-
-
 # ---
 # What no field of a sweep file shows alone: what its structures share, what varies, and what does not go together.
 
@@ -290,15 +245,8 @@ def check_together(doc: Document, sweep: Sweep) -> None:
         tried["vary"] = {axis.name: axis.tried(grid=sweep.sampler == "grid") for axis in sweep.axes}
     for setup in {(each.gait, each.routing): each for each in setups}.values():
         check_workspace(doc, setup, sweep.fixed, tried)
-    if sweep.comparison is not None:
-        values: dict[str, list[Value] | None] = {
-            name: list(dict.fromkeys(each.labels[name] for each in sweep.structures)) for name in sweep.labelled
-        }
-        for axis in sweep.axes:
-            values[axis.name] = axis.listed().tolist() if sweep.sampler == "grid" or axis.form == "values" else None
-        for name, column in ({} if sweep.rows is None else sweep.rows.values).items():
-            values[name] = np.unique(column[~np.isnan(column)]).tolist()
-        check_comparison(doc, sweep.comparison, values)
+    if sweep.compare is not None:
+        check_comparison(doc, sweep, sweep.compare)
     if (rows := sweep.rows) is None:
         return
     for at, walk in enumerate(sweep.structures):
@@ -310,6 +258,40 @@ def check_together(doc: Document, sweep: Sweep) -> None:
             doc.fail(("rows",), f"has values that do not go together: {error}")
 
 
+def check_comparison(doc: Document, sweep: Sweep, compare: ComparedColumns) -> None:
+    """Fail where the section `compare` names what cannot be compared."""
+    values: dict[str, list[Value] | None] = {  # None where they are drawn between bounds
+        name: list(dict.fromkeys(each.labels[name] for each in sweep.structures)) for name in sweep.labelled
+    }
+    for axis in sweep.axes:
+        values[axis.name] = axis.listed().tolist() if sweep.sampler == "grid" or axis.form == "values" else None
+    for name, column in ({} if sweep.rows is None else sweep.rows.values).items():
+        values[name] = np.unique(column[~np.isnan(column)]).tolist()
+    for field, name in (("by", compare.by), *(("for", name) for name in compare.groups)):
+        if name not in values:
+            there = ", ".join(values) or "nothing"
+            why = f"which is not varied{did_you_mean(name, values)} Varied: {there}."
+        elif (known := values[name]) is None:
+            why = "which is drawn between bounds, so that no two variants share a value: list its values."
+        elif field == "by" and len(known) < 2:
+            why = "which has one value: there is nothing to compare."
+        elif field == "for" and name == compare.by:
+            why = "whose values are compared: name other columns."
+        else:
+            continue
+        doc.fail(("compare", field), f"names {name!r}, {why}")
+    bases = values[compare.by] or []
+    if compare.base is not None and compare.base not in bases:
+        listed = [value if isinstance(value, str) else f"{value:g}" for value in bases]
+        doc.fail(
+            ("compare", "base"),
+            f"is {describe(compare.base)}, no value of {compare.by}; allowed are "
+            f"{', '.join(listed)}{did_you_mean(str(compare.base), listed)}",
+        )
+
+
+#: The value of a field that is not given: none cannot be written in a file.
+_ABSENT: Any = None
 #: Fields that no row depends on.
 _NOT_DECISIVE = ("chunk", "plots", "compare", "keep")
 
@@ -318,7 +300,7 @@ _NOT_DECISIVE = ("chunk", "plots", "compare", "keep")
 class Sweep(WalkSpec, Described):
     """A checked sweep. Build it with `from_file`, `from_text` or `from_dict`.
 
-    The fields from `seed` on are those of `SweepFile`, which documents them; `comparison` is its section `compare`.
+    The fields from `seed` on are a file's, too: `SweepFile` has them from here.
 
     Attributes:
         setup, run, fixed, pilot: see `WalkSpec`; where structures vary, those of the first one.
@@ -329,6 +311,7 @@ class Sweep(WalkSpec, Described):
         rows: the variants, where they are given one by one.
         bodies: "identified", if each run has a body of that ensemble; else None.
         second_order: whether a design of Saltelli's has the variants for indices of pairs.
+        save: which time series are kept, and how often.
     """
 
     kind: ClassVar = "sweep"
@@ -341,12 +324,14 @@ class Sweep(WalkSpec, Described):
     rows: RowList | None = None
     bodies: str | None = None
     second_order: bool = False
-    seed: int = 0
-    chunk: int | None = None
-    plots: bool = True
-    comparison: AskedComparison | None = None
     save: Saving | None = None
-    keep: Keep | None = None
+    seed: Annotated[int, Whole(0, 2**53), Field(description="makes samples and draws repeatable")] = 0
+    chunk: Annotated[int, Whole(1, LARGEST_SWEEP), Field(description="runs simulated and stored together")] = _ABSENT
+    plots: Annotated[bool, Field(description="whether figures are drawn when the table is complete")] = True
+    compare: Annotated[
+        ComparedColumns, Field(description="structures or values to compare when the table is complete")
+    ] = _ABSENT
+    keep: Annotated[Keep, Field(description="rows that are recorded when the table is complete")] = _ABSENT
 
     @classmethod
     def from_rows(cls, rows: str | os.PathLike[str], path: str | os.PathLike[str] | None = None) -> Sweep:
@@ -365,7 +350,45 @@ class Sweep(WalkSpec, Described):
 
     @classmethod
     def of_document(cls, doc: Document) -> Sweep:
-        return _read(doc)
+        with known_names(doc):
+            doc = written_out(doc)
+            file = read(doc, SweepFile)
+            for other in ("vary", "sample") if file.rows is not None else ():
+                if doc.data.get(other) not in (None, {}):
+                    doc.fail((other,), "is given beside 'rows', which are all variants: leave out one of them.")
+            table = None if file.rows is None else read_row_table(doc, file.rows)
+            chosen, which = table.combinations() if table is not None else (combinations_of(doc, file.vary), None)
+            found = read_structures(doc, SweepFile, chosen)
+        if table is None:
+            check_repeats(doc, chosen, found)
+        different = {tuple(each.labels.items()): each for each in found}
+        structures, parameters = tuple(different.values()), narrowest(found)
+        rows = None
+        if table is not None:
+            place = {labels: at for at, labels in enumerate(different)}
+            at = np.array([place[tuple(each.labels.items())] for each in found])[which]
+            rows = listed_rows(table, structures, at, parameters)
+        sampler, samples = file.sample.chosen if rows is None else ("rows", len(rows))
+        design = samples if isinstance(samples, Saltelli) else None
+        varied, drawn = file.vary.model_extra or {}, file.randomize.model_extra or {}
+        axes = [read_axis(doc, name, form, parameters[name], grid=sampler == "grid") for name, form in varied.items()]
+        first = structures[0]
+        sweep = cls(
+            **{name: getattr(first, name) for name in ("setup", "run", "fixed", "pilot")},
+            **{name: getattr(file, name) for name in documented(cls)},
+            axes=tuple(axes),
+            sampler=sampler,
+            samples=(samples if design is None else design.points) or 0,
+            second_order=design is not None and design.second_order,
+            draws=tuple(read_draw(doc, name, form, parameters[name]) for name, form in drawn.items()),
+            repeats=file.randomize.repeats,
+            structures=structures,
+            rows=rows,
+            bodies=file.randomize.bodies,
+            save=None if file.save is None else read_saving(doc, file.save, first.setup),
+        )
+        check_together(doc, sweep)
+        return sweep if sweep.repeats == 1 else dataclasses.replace(sweep, draws=(*sweep.draws, *start_draws(sweep)))
 
     @functools.cached_property
     def counts(self) -> tuple[int, ...]:
@@ -398,7 +421,10 @@ class Sweep(WalkSpec, Described):
     @functools.cached_property
     def is_grid(self) -> bool:
         """Whether the variants are every combination of their values."""
-        return self.sampler == "grid" if self.rows is None else self.rows.is_product()
+        if self.rows is None:
+            return self.sampler == "grid"
+        columns = [self.rows.structure, *self.rows.values.values()]
+        return math.prod(len(np.unique(column)) for column in columns) == len(self.rows)
 
     def partly_read(self) -> dict[str, list[Structure]]:
         """The varied parameters that only some of the structures read, and which ones do."""
@@ -432,8 +458,8 @@ class Sweep(WalkSpec, Described):
         named = [draw for draw in self.draws if not draw.implied]
         data["randomize"] = {"repeats": self.repeats} | bodies | {draw.name: draw.written() for draw in named}
         data |= {name: getattr(self, name) for name in ("seed", "chunk", "plots") if getattr(self, name) is not None}
-        if self.comparison is not None:
-            data["compare"] = self.comparison.written()
+        if self.compare is not None:
+            data["compare"] = self.compare.written()
         if self.save is not None:
             data["save"] = {"sensors": list(self.save.sensors), "rate": float(self.save.rate)}
         return data | ({} if self.keep is None else {"keep": self.keep.model_dump()})
@@ -465,47 +491,22 @@ class Sweep(WalkSpec, Described):
         return digest_of(self.decisive(), defaults, *bodies, *filter(None, implied))
 
 
-def _read(doc: Document) -> Sweep:
-    with known_names(doc):
-        doc = written_out(doc)
-        file = read(doc, SweepFile)
-        for other in ("vary", "sample") if file.rows is not None else ():
-            if doc.data.get(other) not in (None, {}):
-                doc.fail((other,), "is given beside 'rows', which are all variants: leave out one of them.")
-        table = None if file.rows is None else read_row_table(doc, file.rows)
-        chosen, which = table.combinations() if table is not None else (combinations_of(doc, file.vary), None)
-        found = read_structures(doc, SweepFile, chosen)
-    if table is None:
-        check_repeats(doc, chosen, found)
-    different = {tuple(each.labels.items()): each for each in found}
-    structures, parameters = tuple(different.values()), narrowest(found)
-    rows = None
-    if table is not None:
-        place = {labels: at for at, labels in enumerate(different)}
-        at = np.array([place[tuple(each.labels.items())] for each in found])[which]
-        rows = listed_rows(table, structures, at, parameters)
-    sampler, samples = file.sample.chosen if rows is None else ("rows", len(rows))
-    design = samples if isinstance(samples, Saltelli) else None
-    varied, drawn = file.vary.model_extra or {}, file.randomize.model_extra or {}
-    axes = [read_axis(doc, name, form, parameters[name], grid=sampler == "grid") for name, form in varied.items()]
-    first = structures[0]
-    sweep = Sweep(
-        **{name: getattr(first, name) for name in ("setup", "run", "fixed", "pilot")},
-        **{name: getattr(file, name) for name in ("seed", "chunk", "plots", "keep")},
-        axes=tuple(axes),
-        sampler=sampler,
-        samples=(samples if design is None else design.points) or 0,
-        second_order=design is not None and design.second_order,
-        draws=tuple(read_draw(doc, name, form, parameters[name]) for name, form in drawn.items()),
-        repeats=file.randomize.repeats,
-        structures=structures,
-        rows=rows,
-        bodies=file.randomize.bodies,
-        comparison=file.compare,
-        save=None if file.save is None else read_saving(doc, file.save, first.setup),
-    )
-    check_together(doc, sweep)
-    return sweep if sweep.repeats == 1 else dataclasses.replace(sweep, draws=(*sweep.draws, *start_draws(sweep)))
+class SweptFields(WalkFields):
+    """What a sweep file has beside the fields that are declared by `Sweep`."""
+
+    what: ClassVar = "a field of a sweep"
+    sources: ClassVar = "'vary', 'set' or 'randomize'"
+    vary: Vary = Field(Vary.model_validate({}), description="varied structures and parameters")
+    rows: Annotated[Any, RowsForm()] = optional("exactly these variants, instead of vary: a table, or a list")
+    sample: Sampler = Field(Sampler(grid=None), description="grid, or a sampler and its number of variants")
+    randomize: Randomized = Field(Randomized.model_validate({}), description="what is drawn at random in each run")
+    save: SaveFields = optional("time series of some sensors beside the table")
+
+
+#: A file for `nermo-mjx sweep`.
+SweepFile: Final = create_model(
+    "SweepFile", __base__=SweptFields, __doc__="A file for `nermo-mjx sweep`.", **documented(Sweep)
+)
 
 
 def start_draws(sweep: Sweep) -> tuple[Draw, ...]:

@@ -14,7 +14,6 @@ DIR/summary.json, DIR/plots/      made from the table when it is complete
 from __future__ import annotations
 
 import dataclasses
-import math
 import shutil
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -126,21 +125,6 @@ def simulated_seconds(sweep: Sweep, rows: Sample) -> np.ndarray:
             "runs, or fewer of them."
         )
     return seconds
-
-
-def layout_of(seconds: np.ndarray, size: int, structure: np.ndarray | None = None) -> list[np.ndarray]:
-    """Rows of each chunk: rows of one chunk share structure and duration; chunks are of equal size (to one row).
-
-    Args:
-        seconds: how long each row is simulated, (n,) [s].
-        size: of a chunk, at most.
-        structure: of each row, (n,) int; one for all by default.
-    """
-    order = np.argsort(seconds, kind="stable")
-    if structure is None:
-        return np.array_split(order, math.ceil(len(order) / size))
-    each = (order[structure[order] == at] for at in np.unique(structure))
-    return [chunk for rows in each for chunk in np.array_split(rows, math.ceil(len(rows) / size))]
 
 
 def batch_values(walk: WalkSpec, rows: Rows, worlds: int) -> dict[str, np.ndarray]:
@@ -348,15 +332,15 @@ def claim(held: RunDirectory, sweep: Sweep, *, extend: bool = False) -> Sweep:
                 held.move_aside(name, FORMER)
             sweep = _with_files(held, sweep)
             held.write(path.name, sweep.to_yaml(folder).encode())
-        elif held.shard is None and begun.comparison != sweep.comparison:  # no row depends on it
-            again = dataclasses.replace(begun, comparison=sweep.comparison)
+        elif held.shard is None and begun.compare != sweep.compare:  # no row depends on it
+            again = dataclasses.replace(begun, compare=sweep.compare)
             held.write(path.name, again.to_yaml(folder).encode())
         values = dict[str, set[float]]()
         for walk in sweep.structures:
             own = walk.setup.defaults() | walk.constants
             for name in sweep.parameters:
                 values.setdefault(name, set()).update([own[name]] if unread(walk.setup, name) is None else [])
-        asked: Any = None if sweep.comparison is None else sweep.comparison.written()
+        asked: Any = None if sweep.compare is None else sweep.compare.written()
         read = SweepRecord(
             rows=sweep.variants * sweep.repeats,
             fields=sweep.walk_fields() | code_identity(sweep.setup),

@@ -33,7 +33,7 @@ from nermo_mjx.specs.fields import Fields, JsonSchema, Refused, optional, read
 from nermo_mjx.specs.reading import Document, FieldPath, SpecError, describe, read_text
 from nermo_mjx.specs.values import Checked, by_parameter, refuse_parameter
 from nermo_mjx.specs.walk import Pilot, SetupFields, WalkFields, WalkSpec, read_walk, unread
-from nermo_mjx.sweep.axes import Axis
+from nermo_mjx.sweep.sampling import Axis
 
 #: Combinations in one sweep: each is a simulator, and is checked before anything runs.
 MOST_STRUCTURES: Final = 1_000
@@ -437,11 +437,6 @@ class RowList:
         for column in self.values.values():
             total.update(np.ascontiguousarray(column, "<f8").tobytes())
         return total.hexdigest()[:16]
-
-    def is_product(self) -> bool:
-        """Whether these are every combination of their values, as a grid's."""
-        columns = [self.structure, *self.values.values()]
-        return math.prod(len(np.unique(column)) for column in columns) == len(self)
 
     def written(self, structures: Sequence[Structure]) -> list[dict[str, Any]]:
         """The rows as they stand in a sweep file."""

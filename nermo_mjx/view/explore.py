@@ -24,7 +24,7 @@ from nermo_mjx.rollout.own_metrics import headed
 from nermo_mjx.runs import DirectoryError, kind_of
 from nermo_mjx.runs.files import parquet_table
 from nermo_mjx.specs.reading import SpecError, read_file
-from nermo_mjx.sweep.figures import thinned
+from nermo_mjx.sweep.plots import thinned
 from nermo_mjx.sweep.spec import OBJECTIVES, sides_in
 from nermo_mjx.sweep.table import LEADING, Results, SweepRecord, meta
 from nermo_mjx.view.clip import COMPACT, Models, clip_of
