@@ -111,6 +111,18 @@ def test_examples_in_the_help_are_valid_commands() -> None:
         (["walk", "--cycles", "2", "--warmup", "2"], "--warmup is 2: it must be shorter than the run, 2."),
         (["walk", "--video", "walk.avi"], "a video ends in .mp4, .gif or .webp"),
         (["walk", "--video", "walk.mp4", "--camera", "moon"], "camera is 'moon': allowed is one of three_quarter"),
+        (["drive", "--robot", "mqtt://a", "--serve", "mqtt://a"], "Give --robot URL or --serve URL, not both."),
+        (["drive", "--rate", "30"], "--rate has no effect without --robot URL."),
+        (["drive", "--robot", "mqtt://a", "--loss", "0.5"], "--loss has no effect without --serve URL."),
+        (["drive", "--robot", "mqtt://a", "--headless", "--port", "8"], "--port has no effect without a page."),
+        (["drive", "--robot", "nermo_5"], "'nermo_5' is not one of 'nermo_lite', 'nermo_41'"),
+        (["drive", "--robot", "mqtt://a", "--robot", "ros://b"], "give one name and one address at most"),
+        (["drive", "--robot", "mqtt://a", "--headless", "--rate", "200"], "rate is 200 Hz: allowed is (0, 100], the"),
+        (["drive", "--robot", "tcp://me:secret@a", "--headless"], "robot is 'tcp://...@a': allowed is mqtt://HOST[:P"),
+        (["drive", "--serve", "mqtt://me:secret@a:99999"], "serve is 'mqtt://...@a:99999': allowed is mqtt://HOST[:"),
+        (["replay", "."], "Give --row N, a row of the table."),
+        (["servos", "--frequency", "0.8"], "Give --out FILE.csv, --send URL, or both."),
+        (["plot", "missing"], "missing: there is no such file or directory."),
         (["sweep"], "A sweep needs SPEC.yaml or --rows FILE, and --out DIR"),
         (["sweep", "missing.yaml", "--out", "runs"], "missing.yaml: there is no such file."),
         (["sweep", "a.yaml", "--out", "b", "--shard", "4/4"], "I from 0 to N - 1"),
@@ -123,7 +135,9 @@ def test_examples_in_the_help_are_valid_commands() -> None:
 )
 def test_wrong_use_is_exit_code_2_and_one_sentence(arguments: list[str], sentence: str) -> None:
     with CliRunner().isolated_filesystem():
-        assert sentence in " ".join(refused(*arguments).split())
+        said = " ".join(refused(*arguments).split())
+        assert sentence in said
+        assert "secret" not in said
 
 
 @pytest.mark.parametrize("command", ["render --out a.mp4", "view --out a.html", "plot --out plots", "play --xml a.xml"])
@@ -484,3 +498,30 @@ def test_compilation_is_named_only_while_nothing_moves(monkeypatch: pytest.Monke
             progress.share(0.1 * moves)
             time.sleep(0.3)
     assert (slow.getvalue(), quick.getvalue()) == (f"walk: {COMPILING}\n", "")
+
+
+def test_a_narrow_terminal_cuts_the_detail_and_not_the_time_left() -> None:
+    stream = Terminal()
+    with Progress("tune", "evaluations", stream=stream) as progress:
+        progress.share(0.0, 0, 10)
+        progress.share(0.5, 5, 10, "best -0.5, " + "speed 80 mm/s, " * 10)
+    text = re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", stream.getvalue())
+    assert re.search(r"50%, 5 of 10 evaluations, [\d.e+]+ evaluations/s, \d+ s left", text)
+
+
+@pytest.mark.parametrize(
+    ("second", "told"),
+    [(1.0, "1 evaluations/s, 8 s left"), (90.0, "1 min 30 s each, 12 min 0 s left")],
+    ids=["fast", "slow"],
+)
+def test_the_pace_leaves_compilation_out(monkeypatch: pytest.MonkeyPatch, second: float, told: str) -> None:
+    """A minute of compilation, and then the same time for each: eight are left after two."""
+    clock = iter([0.0, 0.0, 60.0, 60.0 + second])
+    monkeypatch.setattr("nermo_mjx.cli.progress.time.monotonic", lambda: next(clock))
+    stream = io.StringIO()
+    progress = Progress("tune", "evaluations", every=0.0, stream=stream)
+    progress.share(0.0, 0, 10)
+    progress._name_compilation()
+    progress.share(0.1, 1, 10)
+    progress.share(0.2, 2, 10)
+    assert stream.getvalue().splitlines()[-1] == f"tune: 20%, 2 of 10 evaluations, {told}"

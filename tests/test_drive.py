@@ -306,8 +306,6 @@ def test_the_command_prints_its_address_and_waits_for_a_page(tmp_path):
     assert "drive: http://127.0.0.1:" in answer.stderr
     assert json.loads(answer.stdout) == {"files": [], "seconds": 0.0, "factor": 1.0, "delay": None, "delay_95": None}
     assert not (tmp_path / "d.npz").exists()
-    wrong = call("replay", tmp_path)
-    assert (wrong.exit_code, "Give --row N" in wrong.stderr) == (2, True)
 
 
 @pytest.mark.browser

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 import wires
-from command import call, json_of
+from command import json_of
 
 from nermo_mjx import Setup, servo_table
 from nermo_mjx.hardware import connected, play
@@ -161,6 +161,3 @@ def test_the_command_sends_and_says_how_it_went(broker) -> None:
     send = ("--send", f"mqtt://127.0.0.1:{broker}", "--seconds", "0.19")
     sent = json_of("servos", "--channels", "published", *send)["sent"]
     assert sent["messages"] + sent["skipped"] == 6
-    refused = call("servos", "--frequency", "0.8")
-    assert refused.exit_code == 2
-    assert "Give --out FILE.csv, --send URL, or both." in refused.stderr

@@ -400,8 +400,8 @@ def kinds_of_files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[
         return lambda: robot_of(Recording.load(path))
 
     found: dict[str, tuple[Path, list[Any], Callable[[], Any]]] = {
-        "recording": (_copy(RECORDED, top / "walk.npz"), arrays, whole(top / "walk.npz")),
-        "policy": (_copy(POLICY, top / "policy.npz"), arrays, lambda: load_policy(top / "policy.npz")),
+        "recording": (Path(shutil.copyfile(RECORDED, top / "walk.npz")), arrays, whole(top / "walk.npz")),
+        "policy": (Path(shutil.copyfile(POLICY, top / "policy.npz")), arrays, lambda: load_policy(top / "policy.npz")),
         "batch of a landscape": (landscape / "batches" / "a-5-000000.npz", arrays, kind("landscape", landscape)),
         "run.json": (sweep / "run.json", text, lambda: (read_record(sweep), codes_of(sweep), last_command(sweep))),
         "sweep.json": (sweep / "sweep.json", text, lambda: two_tables(sweep, search)),
@@ -434,11 +434,6 @@ def _file(path: Path, data: Any) -> Path:
 
 def _text(path: Path, text: str) -> Path:
     path.write_text(text)
-    return path
-
-
-def _copy(source: Path, path: Path) -> Path:
-    path.write_bytes(source.read_bytes())
     return path
 
 
@@ -638,15 +633,7 @@ def test_whose_code_is_run_is_said_before(tmp_path: Path, canary: Path) -> None:
 
 def test_control_characters_of_a_stranger_are_escaped(tmp_path: Path) -> None:
     evil = "\x1b]0;owned\x07\x1b[2J\x9b2J\u202egnp.exe\r\nfigures  rm -rf ~"
-    stamp = {
-        "package": evil,
-        "sources": evil,
-        "model": evil,
-        "engine": evil,
-        "mujoco": evil,
-        "mujoco_mjx": evil,
-        "jax": evil,
-    }
+    stamp = dict.fromkeys(("package", "sources", "model", "engine", "mujoco", "mujoco_mjx", "jax"), evil)
     session = {"started": evil, "command": f"nermo-mjx {evil}", "machine": {"host": evil}, "versions": {"jax": evil}}
     record = {"kind": "sweep", "codes": {evil: stamp}, "sessions": [session]}
     for kind in KINDS:

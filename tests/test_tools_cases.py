@@ -18,9 +18,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 import search_fake
+from command import call
 
 from nermo_mjx import Run, Setup, Simulator, all_metrics, all_parameters, load_robot
-from nermo_mjx.cli import main
 from nermo_mjx.optimize import Tuning, run_search
 from nermo_mjx.optimize.run import costs_of
 from nermo_mjx.robot.quantity import ParameterError
@@ -69,9 +69,7 @@ def test_gaits_have_the_names_of_the_field(name: str, short: str) -> None:
     assert Setup(gait=name) == Setup(gait=short)
     assert Sweep.from_dict({"gait": name, "vary": {"frequency": [0.6]}}).setup.gait == short
     refused(Sweep.from_dict, f"field 'gait' lists {short} twice", {"vary": {"gait": [name, short]}})
-    from click.testing import CliRunner
-
-    done = CliRunner().invoke(main, ["walk", "--gait", name, "--cycles", "0.1", "--warmup", "0"])
+    done = call("walk", "--gait", name, "--cycles", "0.1", "--warmup", "0")
     assert done.exit_code == 0, done.output
     assert f"{name.replace('_', ' ')} at 0.67 Hz" in done.output
 
@@ -325,16 +323,8 @@ class Broker(threading.Thread):
 def test_a_broker_that_goes_away_is_noticed_and_the_password_unquoted() -> None:
     pytest.importorskip("paho.mqtt.client")
     broker = Broker(0.5)
-    words = [
-        "servos",
-        "--channels",
-        "published",
-        "--seconds",
-        "2",
-        "--send",
-        f"mqtt://us%40er:p%2Fss@127.0.0.1:{broker.port}",
-    ]
-    done = run_command(words)
+    url = f"mqtt://us%40er:p%2Fss@127.0.0.1:{broker.port}"
+    done = run_command(["servos", "--channels", "published", "--seconds", "2", "--send", url])
     assert done.returncode == 1, done.stderr
     sent, lost = map(int, re.search(r"broker is gone: (\d+) messages were sent, (\d+) were not", done.stderr).groups())
     assert sent > 3
@@ -394,12 +384,8 @@ def test_no_password_is_repeated(scheme: str, address: str) -> None:
 
 
 def run_command(words: list[str], **given: Any) -> Any:
-    return subprocess.run(
-        [sys.executable, "-m", "nermo_mjx", *words],
-        text=True,
-        check=False,
-        **{"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, **given},
-    )
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    return subprocess.run([sys.executable, "-m", "nermo_mjx", *words], text=True, check=False, **pipes | given)
 
 
 @pytest.mark.process
@@ -417,13 +403,11 @@ def test_a_full_disk_under_the_log_stops_nothing(tmp_path: Path, stream: str, co
 
 
 def test_a_name_that_is_not_utf8_is_refused(tmp_path: Path) -> None:
-    from click.testing import CliRunner
-
     from nermo_mjx.runs.files import make_writable
 
     name = b"gr\xf6\xdfe".decode(errors="surrogateescape")
     for words in (["sweep", "s.yaml", "--out", name], ["status", name]):
-        done = CliRunner().invoke(main, words)
+        done = call(*words)
         assert done.exit_code == 2
         assert r"'gr\udcf6\udcdfe' is not UTF-8: rename" in done.stderr
     with pytest.raises(RuntimeError, match="is not UTF-8"):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import json
 import re
 from pathlib import Path
@@ -14,7 +13,6 @@ from command import call, json_of
 from tune_fake import SPEC, FakeProblem, FakeWalker, speed
 
 from nermo_mjx.cli import jobs
-from nermo_mjx.cli.progress import Progress
 from nermo_mjx.optimize import Tuning
 from nermo_mjx.runs import codes_of, stamp
 
@@ -148,41 +146,6 @@ def test_what_could_not_be_made_is_a_sentence_and_no_failure(
     assert "apt-get install libosmesa6" in result.stderr
     assert "video" not in result.stdout
     assert fakes["walker"].batches == [], "nothing walks for a video that cannot be"
-
-
-# --- progress
-
-
-class Terminal(io.StringIO):
-    def isatty(self) -> bool:
-        return True
-
-
-def test_a_narrow_terminal_cuts_the_detail_and_not_the_time_left() -> None:
-    stream = Terminal()
-    with Progress("tune", "evaluations", stream=stream) as progress:
-        progress.share(0.0, 0, 10)
-        progress.share(0.5, 5, 10, "best -0.5, " + "speed 80 mm/s, " * 10)
-    text = re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", stream.getvalue())
-    assert re.search(r"50%, 5 of 10 evaluations, [\d.e+]+ evaluations/s, \d+ s left", text)
-
-
-@pytest.mark.parametrize(
-    ("second", "told"),
-    [(1.0, "1 evaluations/s, 8 s left"), (90.0, "1 min 30 s each, 12 min 0 s left")],
-    ids=["fast", "slow"],
-)
-def test_the_pace_leaves_compilation_out(monkeypatch: pytest.MonkeyPatch, second: float, told: str) -> None:
-    """A minute of compilation, and then the same time for each: eight are left after two."""
-    clock = iter([0.0, 0.0, 60.0, 60.0 + second])
-    monkeypatch.setattr("nermo_mjx.cli.progress.time.monotonic", lambda: next(clock))
-    stream = io.StringIO()
-    progress = Progress("tune", "evaluations", every=0.0, stream=stream)
-    progress.share(0.0, 0, 10)
-    progress._name_compilation()
-    progress.share(0.1, 1, 10)
-    progress.share(0.2, 2, 10)
-    assert stream.getvalue().splitlines()[-1] == f"tune: 20%, 2 of 10 evaluations, {told}"
 
 
 # --- landscape

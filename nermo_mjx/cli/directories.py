@@ -15,14 +15,13 @@ import click
 
 from nermo_mjx.cli import options
 from nermo_mjx.cli.choices import FORMATS, METRICS
-from nermo_mjx.cli.options import FileKind, names
-from nermo_mjx.cli.output import Failure, Outcome, WrongUse, columns, command, print_pairs, print_table, say
+from nermo_mjx.cli.options import FileKind, column
+from nermo_mjx.cli.output import Failure, Outcome, WrongUse, command, in_unit, print_pairs, print_table, say
 
 if TYPE_CHECKING:
     from nermo_mjx.plotting.files import Figures
     from nermo_mjx.runs.status import Status
     from nermo_mjx.sweep.comparing import Comparison
-    from nermo_mjx.sweep.sensitivity import Sensitivity
 
 
 @dataclasses.dataclass(frozen=True)
@@ -35,16 +34,16 @@ class Kind:
         figures: module and name of the function that names its figures: `figures(path, **options)` reads and checks,
             and returns `plotting.files.Figures`, of which each is made when it is written.
         status: the same of the function that says how far such a directory is.
-        options: keywords that `figures` takes, of those that the command `plot` has.
         tracked: whether run.json records which files the program wrote, so that no others are replaced.
+        options: keywords that `figures` takes, of those that the command `plot` has.
     """
 
     name: str
     called: str
     figures: str
     status: str = ""
-    options: tuple[str, ...] = ()
     tracked: bool = False
+    options: tuple[str, ...] = ()
 
     def load(self, place: str) -> Callable[..., Any]:
         """The function of a place, imported now."""
@@ -53,40 +52,22 @@ class Kind:
         return function
 
 
+_COLUMNS: Final = ("x", "y", "color", "notify")
+_IDENTIFIED: Final = "experiments.identification"
+_KINDS: Final = (
+    Kind("sweep", "a sweep", "sweep.plots:figures", "sweep.table:status", False, _COLUMNS),
+    Kind("search", "a search", "optimize.figures:search_figures", "optimize.directory:search_status", False, _COLUMNS),
+    Kind("tuning", "a tuning", "optimize.figures:tuning_figures", "optimize.directory:tuning_status"),
+    Kind("training", "a training", "learn.plots:figures", "learn.status:status"),
+    Kind("landscape", "a landscape", "optimize.landscape:figures", "optimize.landscape:status"),
+    Kind("experiments", "published experiments", "experiments.run:images", "experiments.run:status", True),
+    Kind("identification", "an identification", f"{_IDENTIFIED}:drawn", f"{_IDENTIFIED}:status", True),
+    Kind("comparison", "a comparison", "sweep.comparing:figures", "sweep.table:report_status", True),
+    Kind("sensitivity", "a sensitivity analysis", "sweep.sensitivity:figures", "sweep.table:report_status", True),
+    Kind("benchmarks", "benchmarks", "bench.results:figures", "bench.results:status", True),
+)
 #: Kinds of directories, by name.
-KINDS: Final = {
-    kind.name: kind
-    for kind in (
-        Kind("sweep", "a sweep", "sweep.plots:figures", "sweep.table:status", ("x", "y", "color", "notify")),
-        Kind(
-            "search",
-            "a search",
-            "optimize.figures:search_figures",
-            "optimize.directory:search_status",
-            ("x", "y", "color", "notify"),
-        ),
-        Kind("tuning", "a tuning", "optimize.figures:tuning_figures", "optimize.directory:tuning_status"),
-        Kind("training", "a training", "learn.plots:figures", "learn.status:status"),
-        Kind("landscape", "a landscape", "optimize.landscape:figures", "optimize.landscape:status"),
-        Kind("experiments", "published experiments", "experiments.run:images", "experiments.run:status", tracked=True),
-        Kind(
-            "identification",
-            "an identification",
-            "experiments.identification:drawn",
-            "experiments.identification:status",
-            tracked=True,
-        ),
-        Kind("comparison", "a comparison", "sweep.comparing:figures", "sweep.table:report_status", tracked=True),
-        Kind(
-            "sensitivity",
-            "a sensitivity analysis",
-            "sweep.sensitivity:figures",
-            "sweep.table:report_status",
-            tracked=True,
-        ),
-        Kind("benchmarks", "benchmarks", "bench.results:figures", "bench.results:status", tracked=True),
-    )
-}
+KINDS: Final = {kind.name: kind for kind in _KINDS}
 RECORDING: Final = Kind("recording", "a recording", "cli.view:figures", options=("notify",))
 
 
@@ -111,7 +92,7 @@ def kind_of_directory(path: Path) -> Kind:
 
 
 @command("status", reads=True)
-@click.argument("path", metavar="DIR", type=click.Path(path_type=Path))
+@click.argument("path", metavar="DIR", type=options.PATH)
 def status_command(path: Path) -> Outcome:
     """Show what DIR contains, its progress, what made it, and how to resume.
 
@@ -141,15 +122,8 @@ def status_command(path: Path) -> Outcome:
         again = status.command or "with the command that started it, not recorded here"
         print_pairs([*made, *_worked(sessions), *notes, (how, again)])
 
-    content = {
-        "kind": kind.name,
-        "rows": status.rows,
-        "rows_done": status.rows_done,
-        "code": [*codes] or status.code,
-        "engine": status.engine,
-        "complete": status.complete,
-    }
-    return Outcome(content, show)
+    content = {name: getattr(status, name) for name in ("rows", "rows_done", "engine", "complete")}
+    return Outcome({"kind": kind.name, **content, "code": [*codes] or status.code}, show)
 
 
 def _worked(sessions: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, str]]:
@@ -169,16 +143,11 @@ def _worked(sessions: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, str]]:
 
 @command("plot", reads=True)
 @click.argument("path", metavar="PATH", type=FileKind(".npz"))
-@click.option(
-    "--out",
-    metavar="DIR",
-    type=click.Path(file_okay=False, path_type=Path),
-    help="Where the figures go; by default PATH/plots.",
-)
+@options.text("--out", "DIR", "Where the figures go; by default PATH/plots.", type=options.FOLDER)
 @click.option("--format", "form", type=click.Choice(FORMATS), help="By default both.")
-@click.option("--x", metavar="NAME", shell_complete=options.columns, help="One figure of these columns: across,")
-@click.option("--y", metavar="NAME", shell_complete=options.columns, help="up (by default the speed),")
-@click.option("--color", metavar="NAME", shell_complete=options.columns, help="and as colours.")
+@column("--x", "One figure of these columns: across,")
+@column("--y", "up (by default the speed),")
+@column("--color", "and as colours.")
 def plot_command(path: Path, out: Path | None, form: str | None, **chosen: str | None) -> Outcome:
     """Redraw the figures of PATH from its tables; nothing is simulated.
 
@@ -247,41 +216,25 @@ def _drawing(kind: Kind, path: Path, folder: Path, notes: list[str]) -> Iterator
         os.close(held)
 
 
-FOLDER = click.Path(path_type=Path)
+_report_out = options.text(
+    "--out",
+    "DIR|FILE",
+    "A directory for table, JSON and figures, or FILE.csv or FILE.parquet for the table only.",
+    type=options.PATH,
+)
 
 
 @command("compare", reads=True)
-@click.argument("a", metavar="A", type=FOLDER)
-@click.argument("b", metavar="[B]", required=False, type=FOLDER)
-@click.option("--by", metavar="NAME", shell_complete=options.columns, help="Compare the values of a column in A.")
-@click.option("--base", metavar="VALUE", help="The baseline value; by default none, or the first.")
-@click.option(
-    "--for",
-    "groups",
-    metavar="NAME",
-    multiple=True,
-    shell_complete=options.columns,
-    help="An interval for each value of a column; repeatable: for each combination.",
-)
-@click.option("--where", metavar="NAME=VALUE", multiple=True, help="Only runs with this value of a column.")
-@click.option(
-    "--metric",
-    "drawn",
-    metavar="NAME",
-    multiple=True,
-    shell_complete=names(*METRICS),
-    help="Metric to show for the groups; by default the speed.",
-)
-@options.report_out
+@click.argument("a", metavar="A", type=options.PATH)
+@click.argument("b", metavar="[B]", required=False, type=options.PATH)
+@column("--by", "Compare the values of a column in A.")
+@options.text("--base", "VALUE", "The baseline value; by default none, or the first.")
+@column("--for", "An interval for each value of a column; repeatable: for each combination.", multiple=True)
+@options.text("--where", "NAME=VALUE", "Only runs with this value of a column.", multiple=True)
+@column("--metric", "Metric to show for the groups; by default the speed.", among=METRICS, multiple=True)
+@_report_out
 def compare_command(
-    a: Path,
-    b: Path | None,
-    by: str | None,
-    base: str | None,
-    groups: tuple[str, ...],
-    where: tuple[str, ...],
-    drawn: tuple[str, ...],
-    out: Path | None,
+    a: Path, b: Path | None, by: str | None, base: str | None, where: tuple[str, ...], out: Path | None, **chosen: Any
 ) -> Outcome:
     """Compare two sweeps, A and B, or with --by the values of a column of A.
 
@@ -299,19 +252,19 @@ def compare_command(
         raise click.UsageError("Give two directories A and B, or one and --by NAME.")
     if base is not None and by is None:
         raise click.UsageError("--base is a value of --by; for two directories, the first one is the base.")
-    chosen = {}
+    wanted = {}
     for text in where:
         name, equals, value = text.partition("=")
         if not equals:
             raise click.UsageError(f"--where {text}: expected NAME=VALUE, such as gait=trt.")
-        chosen[name.strip()] = value.strip()
+        wanted[name.strip()] = value.strip()
     from nermo_mjx.sweep.comparing import compare, figures_of
 
-    found = compare(a, b, by=by, base=base, groups=groups, where=chosen, drawn=drawn)
-    return report_of("comparison", found, figures_of, out, lambda: _print_comparison(found))
+    found = compare(a, b, by=by, base=base, groups=chosen["for"], where=wanted, drawn=chosen["metric"])
+    return _report("comparison", found, figures_of, out, lambda: _print_comparison(found))
 
 
-def report_of(
+def _report(
     kind: str, found: Any, figures: Callable[[Any], Figures], out: Path | None, show: Callable[[], None]
 ) -> Outcome:
     """The end of a command that found a table: it and its figures are written where `out` is given."""
@@ -327,25 +280,24 @@ def report_of(
 
 def _print_comparison(found: Comparison) -> None:
     """Tables for people: every metric over all variants, and the chosen ones by groups."""
-    from nermo_mjx.plotting.shown import shown
 
     def unit(row: Mapping[str, Any]) -> str:
-        return shown(row["metric"], row["metric_unit"], []).unit or "1"
+        return in_unit(row["metric"], row["metric_unit"])[1] or "1"
 
-    rest = columns("difference>, 95 % interval, relative>, variants>, ")
     for other in found.others:
-        numbers = [(found.base, "right"), (other, "right"), *rest]
+        numbers: list[Any] = [(found.base, "right"), (other, "right")]
+        numbers += ["difference>", "95 % interval", "relative>", "variants>", ""]
         rows = [[row["metric"], unit(row), *_cells(row)] for row in found.rows(other)]
-        print_table(f"{other} minus {found.base}", [*columns("metric, unit"), *numbers], rows)
+        print_table(f"{other} minus {found.base}", ["metric", "unit", *numbers], rows)
         for metric in found.drawn if found.groups else ():
             lines = [row for row in found.rows(other, grouped=True) if row["metric"] == metric]
             cells = []
             for row in lines:
                 failed = row["failed_base"], row["failed_other"]
-                group = [f"{each:.6g}" if isinstance(each, float) else str(each) for each in map(row.get, found.groups)]
+                group = [f"{each:.6g}" if isinstance(each, float) else each for each in map(row.get, found.groups)]
                 lost = "{} and {} fell or were lost".format(*failed) if any(failed) else ""
                 cells.append([*group, *_cells(row), lost])
-            heads = [*((name, "right") for name in found.groups), *numbers, ("", "left")]
+            heads: list[Any] = [*((name, "right") for name in found.groups), *numbers, ""]
             print_table(f"{metric} [{unit(lines[0])}]: {other} minus {found.base}" if lines else metric, heads, cells)
     for side, counts in found.status.items():
         click.echo(f"{side}: {', '.join(f'{count:,} {status}' for status, count in counts.items())}")
@@ -357,34 +309,18 @@ def _print_comparison(found: Comparison) -> None:
 def _cells(row: Mapping[str, Any]) -> list[str]:
     if not row["variants"]:
         return ["", "", "no run has it", "", "", "0", ""]
-    from nermo_mjx.plotting.shown import shown
-
-    values = [row[name] for name in ("base_mean", "other_mean", "difference", "low", "high")]
-    base, other, difference, low, high = shown(row["metric"], row["metric_unit"], values).values.tolist()
+    values = (row[name] for name in ("base_mean", "other_mean", "difference", "low", "high"))
+    (base, other, difference, low, high), _ = in_unit(row["metric"], row["metric_unit"], *values)
     interval = f"[{low:.3g}, {high:.3g}]" if math.isfinite(low) else ""
     relative = f"{row['relative']:+.1%}".replace("%", " %") if math.isfinite(row["relative"]) else ""
-    return [
-        f"{base:.4g}",
-        f"{other:.4g}",
-        f"{difference:+.3g}",
-        interval,
-        relative,
-        str(row["variants"]),
-        "*" if row["beyond_noise"] else "",
-    ]
+    means = [f"{base:.4g}", f"{other:.4g}", f"{difference:+.3g}"]
+    return [*means, interval, relative, str(row["variants"]), "*" if row["beyond_noise"] else ""]
 
 
 @command("sensitivity", reads=True)
-@click.argument("path", metavar="DIR", type=click.Path(path_type=Path))
-@click.option(
-    "--metric",
-    metavar="NAME",
-    default="speed",
-    show_default=True,
-    shell_complete=names(*METRICS),
-    help="Whose variance.",
-)
-@options.report_out
+@click.argument("path", metavar="DIR", type=options.PATH)
+@column("--metric", "Whose variance.", among=METRICS, default="speed", show_default=True)
+@_report_out
 def sensitivity_command(path: Path, metric: str, out: Path | None) -> Outcome:
     """Estimate each parameter's share of a metric's variance in a sweep.
 
@@ -399,24 +335,24 @@ def sensitivity_command(path: Path, metric: str, out: Path | None) -> Outcome:
     from nermo_mjx.sweep.sensitivity import figures_of, sensitivity
 
     found = sensitivity(path, metric)
-    return report_of("sensitivity", found, figures_of, out, lambda: _print_sensitivity(found))
 
+    def show() -> None:
+        from nermo_mjx.sweep.table import labelled
 
-def _print_sensitivity(found: Sensitivity) -> None:
-    from nermo_mjx.sweep.table import labelled
-
-    structures = labelled(found.table)
-    rows = [
-        [
-            *(line[name] for name in structures),
-            f"{line['parameter']} {line['second']}".strip(),
-            line["order"],
-            f"{line['index']:.3f}",
-            f"[{line['low']:.3f}, {line['high']:.3f}]",
+        structures = labelled(found.table)
+        rows = [
+            [
+                *(line[name] for name in structures),
+                f"{line['parameter']} {line['second']}".strip(),
+                line["order"],
+                f"{line['index']:.3f}",
+                f"[{line['low']:.3f}, {line['high']:.3f}]",
+            ]
+            for line in sorted(found.table.to_pylist(), key=lambda line: (line["order"], -line["index"]))
         ]
-        for line in sorted(found.table.to_pylist(), key=lambda line: (line["order"], -line["index"]))
-    ]
-    heads = [*((name, "left") for name in structures), *columns("parameter, order, index>, 95 % interval")]
-    print_table(f"{found.metric}: share of the variance", heads, rows)
-    for note in found.notes:
-        click.echo(note)
+        heads: list[Any] = [*((name, "left") for name in structures), "parameter", "order", "index>", "95 % interval"]
+        print_table(f"{found.metric}: share of the variance", heads, rows)
+        for note in found.notes:
+            click.echo(note)
+
+    return _report("sensitivity", found, figures_of, out, show)

@@ -5,8 +5,9 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import functools
+import importlib.util
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,8 +15,18 @@ import click
 
 from nermo_mjx.cli import options
 from nermo_mjx.cli.choices import EXPERIMENT_PROFILES, EXPERIMENTS
-from nermo_mjx.cli.options import FileKind, assigned
-from nermo_mjx.cli.output import Outcome, WrongUse, columns, command, is_json, is_quiet, print_pairs, print_table, say
+from nermo_mjx.cli.options import FileKind, assigned, flag, number
+from nermo_mjx.cli.output import (
+    Outcome,
+    WrongUse,
+    command,
+    in_unit,
+    is_given,
+    print_pairs,
+    print_places,
+    print_table,
+    say,
+)
 from nermo_mjx.cli.progress import Stages, duration
 
 if TYPE_CHECKING:
@@ -25,89 +36,95 @@ if TYPE_CHECKING:
     from nermo_mjx.optimize import LandscapeResult, Search, SearchResult, Tuning, TuningResult
     from nermo_mjx.optimize.run import Cost as SearchCost
     from nermo_mjx.optimize.run import MethodCost
-    from nermo_mjx.runs.job import Progress, Watch
-    from nermo_mjx.runs.workers import Workers
+    from nermo_mjx.runs.job import Progress
     from nermo_mjx.sweep import SweepResult
     from nermo_mjx.sweep.run import Forecast
 
 
 #: Arguments and options that several jobs have.
 _spec = click.argument("spec", metavar="SPEC.yaml", type=options.SPEC)
-_seed = options.number("--seed", "Seed, overriding the file.", click.IntRange(0, 2**32 - 1))
+_seed = number("--seed", "Seed, overriding the file.", click.IntRange(0, 2**32 - 1))
 _plots = click.option("--plots/--no-plots", default=None, help="Draw figures regardless of the file.")
-_dry_run = click.option("--dry-run", is_flag=True, help="Estimate the cost on this machine; write nothing.")
+_dry_run = flag("--dry-run", "Estimate the cost on this machine; write nothing.")
+_on_workers = options.grouped(options.workers, options.accept_new_code)
+_on_engine = options.grouped(options.engine, _on_workers)
+_tensorboard = "Log each {} to TensorBoard, in DIR."
 
 
 @contextlib.contextmanager
 def _working(
-    name: str,
     unit: str,
-    workers: str = "local",
-    address: str | None = None,
+    how: dict[str, Any],
+    *,
     compiles: Callable[[str], bool] | None = None,
     details: Callable[[Progress], str] = lambda _: "",
-) -> Iterator[tuple[Watch, Workers]]:
-    """While a job works: its display, see `Stages`, and its workers."""
+) -> Iterator[dict[str, Any]]:
+    """While the present command's job works.
+
+    Args:
+        unit: what it counts.
+        how: the options that its function takes, and those that say where it works.
+        compiles, details: see `Stages`.
+
+    Yields:
+        What its function takes: the options, what is told of its progress, and the workers.
+    """
     from nermo_mjx.runs.job import Watch
 
-    shown = Stages(name, unit, compiles or (lambda _: workers == "local"), details)
-    with options.crew(workers, address, shown.say) as crew, shown:
-        yield Watch(shown.show, shown.say), crew
+    kind, address = how.pop("workers", None), how.pop("ray_address", None)
+    name = click.get_current_context().info_name or ""
+    with contextlib.ExitStack() as stack:
+        shown = Stages(name, unit, compiles or (lambda _: kind != "ray"), details)
+        if kind == "ray":
+            if importlib.util.find_spec("ray") is None:
+                sentence = "--workers ray needs Ray: install nermo-mjx with its extra ray, or ray itself, by pip."
+                raise click.UsageError(sentence)
+            from nermo_mjx.runs.ray_workers import RayWorkers
+
+            how["workers"] = stack.enter_context(RayWorkers(address, shown.say))
+        elif address is not None:
+            raise click.UsageError("--ray-address is given without --workers ray.")
+        stack.enter_context(shown)
+        yield how | {"watch": Watch(shown.show, shown.say)}
 
 
-def _print_places(out: Path, places: Mapping[str, str | Path | None]) -> None:
-    """Where the files are, by what they are: names in `out`, or whole paths; those that were not made are left out."""
-    print_pairs((name, place and out / place) for name, place in places.items())
+def _fields(how: dict[str, Any], *names: str) -> dict[str, Any]:
+    """Options that stand for fields of the file, taken out of the others, as far as they are given."""
+    return {name: value for name in names if (value := how.pop(name)) is not None}
 
 
-class Shard(click.ParamType):
-    """I/N, with I from 0 to N - 1."""
+def _content(result: Any, *names: str) -> dict[str, Any]:
+    return {name: getattr(result, name) for name in names}
 
-    name = "I/N"
 
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, int]:
-        part, slash, parts = str(value).partition("/")
-        if not (slash and part.isdecimal() and parts.isdecimal() and int(part) < int(parts)):
-            self.fail(f"{value!r} is not I/N with I from 0 to N - 1, such as 0/4.", param, ctx)
-        return int(part), int(parts)
+def _shard(text: str) -> tuple[int, int]:
+    """I and N of I/N."""
+    part, slash, parts = text.partition("/")
+    if not (slash and part.isdecimal() and parts.isdecimal() and int(part) < int(parts)):
+        raise click.BadParameter(f"{text!r} is not I/N with I from 0 to N - 1, such as 0/4.")
+    return int(part), int(parts)
 
 
 @command("sweep")
 @click.argument("spec", metavar="SPEC.yaml", required=False, type=options.SPEC)
-@click.option("--out", metavar="DIR", type=click.Path(file_okay=False, path_type=Path), help="Results directory.")
-@options.engine
-@options.number("--seed", "Seed, overriding the file.", click.IntRange(0))
-@options.number("--chunk", "Runs simulated and stored together.", click.IntRange(1))
-@click.option("--shard", type=Shard(), help="Run part I of N, from 0; all parts write to the same DIR.")
-@click.option(
+@options.text("--out", "DIR", "Results directory.", type=options.FOLDER)
+@number("--seed", "Seed, overriding the file.", click.IntRange(0))
+@number("--chunk", "Runs simulated and stored together.", click.IntRange(1))
+@options.text("--shard", "I/N", "Run part I of N, from 0; all parts write to the same DIR.", type=_shard)
+@options.text(
     "--rows",
-    metavar="FILE",
+    "FILE",
+    "Exactly these variants, instead of vary; SPEC.yaml is then optional.",
     type=FileKind(".csv", ".parquet", exists=True, dir_okay=False),
-    help="Exactly these variants, instead of vary; SPEC.yaml is then optional.",
 )
-@click.option("--extend", is_flag=True, help="Add rows to DIR: more values, repeats, structures or Sobol points.")
-@click.option(
-    "--use",
-    multiple=True,
-    metavar="DIR2",
-    type=click.Path(path_type=Path),
-    help="Reuse rows from DIR2 instead of running them.",
-)
-@options.workers
-@options.accept_new_code
-@click.option("--tensorboard", is_flag=True, help="Log each chunk to TensorBoard, in DIR.")
-@click.option("--dry-run", is_flag=True, help="Estimate the cost in time, disk and memory; write nothing.")
-@click.option("--list-parameters", is_flag=True, help="List what vary, set and randomize can name.")
+@flag("--extend", "Add rows to DIR: more values, repeats, structures or Sobol points.")
+@options.text("--use", "DIR2", "Reuse rows from DIR2 instead of running them.", multiple=True, type=options.PATH)
+@flag("--tensorboard", _tensorboard.format("chunk"))
+@flag("--dry-run", "Estimate the cost in time, disk and memory; write nothing.")
+@flag("--list-parameters", "List what vary, set and randomize can name.")
+@_on_engine
 def sweep_command(
-    spec: Path | None,
-    out: Path | None,
-    seed: int | None,
-    workers: str,
-    ray_address: str | None,
-    rows: Path | None,
-    dry_run: bool,
-    list_parameters: bool,
-    **how: Any,
+    spec: Path | None, out: Path | None, rows: Path | None, dry_run: bool, list_parameters: bool, **how: Any
 ) -> Outcome:
     """Run every variant of a sweep file.
 
@@ -132,33 +149,32 @@ def sweep_command(
         return _list_parameters(spec)
     if (spec is None and rows is None) or (out is None and not dry_run):
         raise click.UsageError("A sweep needs SPEC.yaml or --rows FILE, and --out DIR (or use --list-parameters).")
-    if dry_run and workers != "local":
+    if dry_run and how["workers"] != "local":
         raise click.UsageError("--dry-run estimates for this machine: leave out --workers.")
     from nermo_mjx.sweep import Sweep, run_sweep
     from nermo_mjx.sweep.run import forecast
 
     sweep = Sweep.from_rows(rows, spec) if rows is not None else Sweep.from_file(str(spec))
-    sweep = sweep if seed is None else dataclasses.replace(sweep, seed=seed)
+    sweep = dataclasses.replace(sweep, **_fields(how, "seed"))
     if dry_run or out is None:
         cost = forecast(sweep, out, **{name: how[name] for name in ("engine", "chunk", "shard", "extend", "use")})
         return Outcome(dataclasses.asdict(cost), lambda: _print_forecast(cost))
-    for name, places in {} if is_quiet() else sweep.partly_read().items():
+    for name, places in {} if is_given("quiet") else sweep.partly_read().items():
         read = f"{len(places)} of {len(sweep.structures)} structures"
         say(f"{name} is varied in {read}: the others do not read it.")
-    with _working("sweep", "runs", workers, ray_address) as (watch, crew):
-        result = run_sweep(sweep, out, **how, watch=watch, workers=crew)
-    return Outcome(sweep_fields(out, result), lambda: print_sweep(result))
+    with _working("runs", how) as given:
+        result = run_sweep(sweep, out, **given)
+    return Outcome(_sweep_content(out, result), lambda: _print_sweep(result))
 
 
 def _print_forecast(cost: Forecast) -> None:
     rate = f"{cost.steps_per_second:,.0f} steps/s; " if math.isfinite(cost.steps_per_second) else ""
     left = f", of which {cost.rows_left:,} are left to be run" if cost.rows_left < cost.rows else ""
-    batches = f"{cost.batches:,} batches to be run, of {cost.structures:,} structures"
     took = "not known" if math.isnan(cost.seconds) else f"{duration(cost.seconds)}, and what compiling takes"
     print_pairs(
         [
             ("rows", f"{cost.rows:,}{left}"),
-            ("chunks", f"{cost.chunks:,}; {batches}"),
+            ("chunks", f"{cost.chunks:,}; {cost.batches:,} batches to be run, of {cost.structures:,} structures"),
             ("engine", cost.engine),
             ("rate", f"{rate}{cost.rate_from}"),
             ("time", took if cost.rows_left else "none: all rows are there"),
@@ -169,13 +185,17 @@ def _print_forecast(cost: Forecast) -> None:
     )
 
 
-def sweep_fields(out: Path, result: SweepResult) -> dict[str, Any]:
-    """For `--json`."""
+def _sweep_content(out: Path, result: SweepResult) -> dict[str, Any]:
     names = ("complete", "chunks_run", "plots", "recordings", "rows_done", "missing", "summary")
-    return {"out": out} | {name: getattr(result, name) for name in names}
+    return {"out": out} | _content(result, *names)
 
 
-def print_sweep(result: SweepResult) -> None:
+def _with_unit(name: str, unit: str, value: float) -> str:
+    (number,), unit = in_unit(name, unit, value)
+    return "–" if math.isnan(number) else f"{number + 0.0:.4g} {unit}".rstrip()
+
+
+def _print_sweep(result: SweepResult) -> None:
     """A directory's contents in readable form."""
     summary = result.summary
     if not result.complete:
@@ -184,29 +204,27 @@ def print_sweep(result: SweepResult) -> None:
     counts = ", ".join(f"{count:,} {status}" for status, count in summary["status"].items())
     effort = f"{summary['steps_per_second']:,.0f} steps/s on the engine {summary['engine']}"
     click.echo(f"{summary['rows']:,} runs ({counts}) in {duration(summary['wall_seconds'])}, {effort}")
-    from nermo_mjx.plotting.shown import shown
     from nermo_mjx.runs.rows import part_files
     from nermo_mjx.sweep.table import Results, meta
 
     schema, rows = Results(part_files(result.out)).schema, []
 
-    def value(name: str, number: float | str) -> str:
-        if isinstance(number, str):
-            return f"{name} {number}"
-        each = shown(name, meta(schema.field(name))["unit"], number)
-        return f"{name} {each.shown(float(each.values))}"
+    def unit(name: str) -> str:
+        return meta(schema.field(name))["unit"]
 
     for name, best in summary["best"].items():
         if best is not None:
-            at = ", ".join(value(*each) for each in best["parameters"].items())
-            of_best = shown(name, meta(schema.field(name))["unit"], [best["mean"], best["std"]])
-            spread = f" ± {of_best.values[1]:.2g}" if best["runs"] > 1 and math.isfinite(best["std"]) else ""
-            rows.append([name, best["side"], f"{of_best.values[0]:.4g}{spread}", of_best.unit, at])
+            at = [
+                f"{key} {value if isinstance(value, str) else _with_unit(key, unit(key), value)}"
+                for key, value in best["parameters"].items()
+            ]
+            (mean, std), shown = in_unit(name, unit(name), best["mean"], best["std"])
+            spread = f" ± {std:.2g}" if best["runs"] > 1 and math.isfinite(std) else ""
+            rows.append([name, best["side"], f"{mean:.4g}{spread}", shown, ", ".join(at)])
     if rows:
-        print_table("Best variants", columns("metric, best is, value>, , at"), rows)
-    places: dict[str, str | Path | None] = {"table": "results", "summary": "summary.json"}
-    places |= {name: f"{name}.parquet" for name in ("comparison", "sensitivity") if name in summary}
-    _print_places(result.out, places | {"plots": "plots" if result.plots else None})
+        print_table("Best variants", "metric, best is, value>, , at", rows)
+    places = {name: f"{name}.parquet" for name in ("comparison", "sensitivity") if name in summary}
+    print_places(result.out, table="results", summary="summary.json", **places, plots=result.plots and "plots")
     if result.recordings:
         print_pairs([("kept", f"{len(result.recordings)} recordings in {result.recordings[0].parent}")])
 
@@ -224,22 +242,21 @@ def _list_parameters(spec: Path | None) -> Outcome:
     }
 
     def show() -> None:
+        headings = "name, default>, allowed, meaning"
         rows = [[name, f"{about.default:.5g}", about.allowed(), about.doc] for name, about in gathered(parameters)]
-        print_table("Parameters of a sweep (SI units, radians)", columns("name, default>, allowed, meaning"), rows)
+        print_table("Parameters of a sweep (SI units, radians)", headings, rows)
         rows = [[name, each["default"], ", ".join(each["allowed"]), each["doc"]] for name, each in structures.items()]
-        headings = columns("name, default>, allowed, meaning")
         print_table("Structures, which vary and rows can name, too", headings, rows)
 
-    fields = ("default", "unit", "low", "high", "doc")
-    listed = {name: {field: getattr(about, field) for field in fields} for name, about in parameters.items()}
+    listed = {name: _content(about, "default", "unit", "low", "high", "doc") for name, about in parameters.items()}
     return Outcome({"parameters": listed, "structures": structures}, show)
 
 
 @command("merge", reads=True)
 @options.out
-@click.argument("sources", metavar="DIR DIR...", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.argument("sources", metavar="DIR DIR...", nargs=-1, required=True, type=options.PATH)
 @options.accept_new_code
-def merge_command(sources: tuple[Path, ...], out: Path, accept_new_code: bool) -> Outcome:
+def merge_command(sources: tuple[Path, ...], out: Path, **how: Any) -> Outcome:
     """Merge the rows of several sweeps into one directory.
 
     The sweeps may differ in what they vary, and in their repeats; what is
@@ -250,43 +267,30 @@ def merge_command(sources: tuple[Path, ...], out: Path, accept_new_code: bool) -
     Examples:
       nermo-mjx merge runs/slow runs/fast --out runs/both
     """
-    with _working("merge", "runs", compiles=lambda _: False) as (watch, _):
+    with _working("runs", how, compiles=lambda _: False) as given:
         from nermo_mjx.sweep import merge_sweeps
 
-        result = merge_sweeps(sources, out, accept_new_code=accept_new_code, watch=watch)
+        result = merge_sweeps(sources, out, **given)
 
     def show() -> None:
-        print_sweep(result)
+        _print_sweep(result)
         if not result.complete:
             taken = " ".join(f"--use {source}" for source in sources)
             click.echo(f"To run the rest: nermo-mjx sweep {out / 'sweep.yaml'} --out {out} {taken}")
 
-    return Outcome(sweep_fields(out, result), show)
+    return Outcome(_sweep_content(out, result), show)
 
 
 @command("search")
 @options.out
 @_spec
-@options.engine
-@options.number("--budget", "Number of evaluations, overriding the file.", click.IntRange(1, 10_000_000))
-@options.number("--batch", "Points evaluated together, overriding the file.", click.IntRange(4, 100_000))
+@number("--budget", "Number of evaluations, overriding the file.", click.IntRange(1, 10_000_000))
+@number("--batch", "Points evaluated together, overriding the file.", click.IntRange(4, 100_000))
 @_seed
 @_plots
 @_dry_run
-@options.workers
-@options.accept_new_code
-def search_command(
-    spec: Path,
-    out: Path,
-    engine: str,
-    budget: int | None,
-    seed: int | None,
-    dry_run: bool,
-    workers: str,
-    ray_address: str | None,
-    accept_new_code: bool,
-    **chosen: Any,
-) -> Outcome:
+@_on_engine
+def search_command(spec: Path, out: Path, budget: int | None, seed: int | None, dry_run: bool, **how: Any) -> Outcome:
     """Search for the best parameters that a search file allows.
 
     A single objective is optimized by CMA-ES, several by NSGA-II for their
@@ -303,20 +307,18 @@ def search_command(
     from nermo_mjx.optimize import Search, run_search
     from nermo_mjx.optimize.run import cost_of
 
-    search = Search.from_file(spec)
-    search = dataclasses.replace(search, **{name: value for name, value in chosen.items() if value is not None})
+    search = dataclasses.replace(Search.from_file(spec), **_fields(how, "batch", "plots"))
     if budget is not None:
         search = dataclasses.replace(search, evaluations=budget, simulated_seconds=None)
     if seed is not None:
         search = dataclasses.replace(search, sweep=dataclasses.replace(search.sweep, seed=seed))
     if dry_run:
-        cost = cost_of(search, engine)
+        cost = cost_of(search, how["engine"])
         return Outcome({"cost": dataclasses.asdict(cost)}, lambda: _print_search_cost(cost))
-    details = functools.partial(_search_so_far, search)
-    with _working("search", "evaluations", workers, ray_address, details=details) as (watch, crew):
-        result = run_search(search, out, engine=engine, watch=watch, workers=crew, accept_new_code=accept_new_code)
-    names = ("out", "best", "evaluations_run", "recordings", "plots")
-    return Outcome({name: getattr(result, name) for name in names}, lambda: _print_search(result))
+    with _working("evaluations", how, details=functools.partial(_search_so_far, search)) as given:
+        result = run_search(search, out, **given)
+    content = _content(result, "out", "best", "evaluations_run", "recordings", "plots")
+    return Outcome(content, lambda: _print_search(result))
 
 
 def _search_so_far(search: Search, done: Progress) -> str:
@@ -325,42 +327,35 @@ def _search_so_far(search: Search, done: Progress) -> str:
         return f"{done.numbers['cells']:,.0f} cells"
     if (cost := done.best) is None:
         return ""
-    from nermo_mjx.plotting.shown import shown
     from nermo_mjx.rollout import METRICS
 
     term = search.aim.objective.terms[0]
     if len(search.aim.objective.terms) > 1 or term.aim == "hold":
         return f"best {cost:.4g}"
     value = cost * term.scale / term.weight * (-1.0 if term.aim == "maximize" else 1.0)
-    quantity = shown(term.metric, METRICS[term.metric].unit, value)
-    return f"best {term.metric} {quantity.shown(float(quantity.values))}"
+    return f"best {term.metric} {_with_unit(term.metric, METRICS[term.metric].unit, value)}"
 
 
 def _print_search(result: SearchResult) -> None:
-    from nermo_mjx.plotting.shown import shown
     from nermo_mjx.rollout import METRICS
 
     best, search, rows = result.best, result.search, []
-    for kind, names in (("parameters", search.names), ("metrics", search.aim.metrics)):
-        for name in names:
-            about: Any = search.sweep.parameters[name] if kind == "parameters" else METRICS[name]
-            quantity = shown(name, about.unit, best[kind][name])
-            rows.append([name, f"{float(quantity.values) + 0.0:.4g}", quantity.unit])
+    units = {("parameters", name): search.sweep.parameters[name].unit for name in search.names}
+    units |= {("metrics", name): METRICS[name].unit for name in search.aim.metrics}
+    for (kind, name), unit in units.items():
+        (number,), shown = in_unit(name, unit, best[kind][name])
+        rows.append([name, f"{number + 0.0:.4g}", shown])
     middle = "In the middle of the front" if search.aim.pareto else "Best"
-    print_table(f"{middle}: row {best['row']}", columns(", best>, "), rows)
+    print_table(f"{middle}: row {best['row']}", ", best>, ", rows)
     effort = f"{best['evaluations']:,} evaluations, {duration(best['simulated_seconds'])} simulated"
     click.echo(f"{effort}; {best['failed']:,} fell" if best["failed"] else effort)
     if "front" in best:
         click.echo(f"{len(best['front']):,} points on the front, hypervolume {best['hypervolume']:.1%}")
     if "cells" in best:
         click.echo(f"{best['filled']:,} of {best['cells']:,} cells filled, QD score {best['qd_score']:.4g}")
-    made = {
-        "atlas": search.aim.measures and "atlas.parquet",
-        "records": result.recordings and "recordings",
-        "plots": result.plots and "plots",
-    }
-    places = {"table": "results", "best": "best.json", "sweep": "best.yaml"}
-    _print_places(result.out, places | {name: place for name, place in made.items() if place})
+    made = {"atlas": search.aim.measures and "atlas.parquet", "records": result.recordings and "recordings"}
+    places = {"table": "results", "best": "best.json", "sweep": "best.yaml"} | made
+    print_places(result.out, **places, plots=result.plots and "plots")
 
 
 def _print_search_cost(cost: SearchCost) -> None:
@@ -376,17 +371,14 @@ def _print_search_cost(cost: SearchCost) -> None:
 @command("tune")
 @options.out
 @_spec
-@options.number("--iterations", "Number of steps, overriding the file.", click.IntRange(1, 1_000_000))
-@options.number("--starts", "Number of points tuned in parallel, overriding the file.", click.IntRange(1, 100_000))
+@number("--iterations", "Number of steps, overriding the file.", click.IntRange(1, 1_000_000))
+@number("--starts", "Number of points tuned in parallel, overriding the file.", click.IntRange(1, 100_000))
 @_seed
 @_plots
 @click.option("--video/--no-video", default=None, help="Render start and best regardless of the file.")
-@click.option("--dry-run", is_flag=True, help="Estimate the cost of each method on this machine; write nothing.")
-@options.workers
-@options.accept_new_code
-def tune_command(
-    spec: Path, out: Path, dry_run: bool, workers: str, ray_address: str | None, accept_new_code: bool, **chosen: Any
-) -> Outcome:
+@flag("--dry-run", "Estimate the cost of each method on this machine; write nothing.")
+@_on_workers
+def tune_command(spec: Path, out: Path, dry_run: bool, **how: Any) -> Outcome:
     """Tune the parameters that a tuning file names.
 
     The file's method says how: by exact gradients, by finite differences, or
@@ -410,28 +402,25 @@ def tune_command(
     from nermo_mjx.optimize.run import costs_of
 
     tuning = Tuning.from_file(spec)
-    changed = {name: value for name, value in chosen.items() if value is not None}
-    if "starts" in changed and tuning.method.name == "cma":
+    if how["starts"] is not None and tuning.method.name == "cma":
         raise WrongUse("--starts is not used by the method cma: give method: {cma: {population: N}} in the file.")
-    tuning = dataclasses.replace(tuning, **changed)
+    tuning = dataclasses.replace(tuning, **_fields(how, "iterations", "starts", "seed", "plots", "video"))
     # A resumed tuning keeps the method with which it started.
-    begins = not (is_json() or is_quiet() or (out / "history.parquet").exists())
+    begins = not (is_given("as_json") or is_given("quiet") or (out / "history.parquet").exists())
     costs = costs_of(tuning) if dry_run or begins else []
     sentences = [_cost_of_method(each, "instead of it, " if i else "") for i, each in enumerate(costs)]
     if dry_run:
-        shown = {"costs": [dataclasses.asdict(each) for each in costs]}
-        return Outcome(shown, lambda: click.echo("\n".join(sentences)))
+        content = {"costs": [dataclasses.asdict(each) for each in costs]}
+        return Outcome(content, lambda: click.echo("\n".join(sentences)))
     for sentence in sentences:
         say(sentence)
-    details, compiles = functools.partial(_tuning_so_far, tuning), lambda what: what in ("tune", "landscape")
-    with _working("tune", "evaluations", workers, ray_address, compiles, details) as (watch, crew):
-        result = run_tuning(tuning, out, watch=watch, accept_new_code=accept_new_code, workers=crew)
+    details = functools.partial(_tuning_so_far, tuning)
+    with _working("evaluations", how, compiles=lambda what: what in ("tune", "landscape"), details=details) as given:
+        result = run_tuning(tuning, out, **given)
         for note in result.pictures.notes:
-            watch.warn(note)
-    pictures = result.pictures
-    content = {name: getattr(result, name) for name in ("out", "iterations_run", "start", "best")}
-    content |= {"plots": list(pictures.plots), "video": pictures.video, "notes": list(pictures.notes)}
-    return Outcome(content, lambda: _print_tuning(result))
+            given["watch"].warn(note)
+    content = _content(result, "out", "iterations_run", "start", "best")
+    return Outcome(content | _content(result.pictures, "plots", "video", "notes"), lambda: _print_tuning(result))
 
 
 def _cost_of_method(cost: MethodCost, begin: str) -> str:
@@ -448,7 +437,7 @@ def _tuning_so_far(tuning: Tuning, done: Progress) -> str:
     parts = [f"best {done.best:.4g}"]
     for name in tuning.objective.metrics[:3]:
         if name in done.numbers:
-            (number,), unit = _in_unit(tuning, name, done.numbers[name])
+            (number,), unit = in_unit(name, tuning.objective_metrics[name].unit, done.numbers[name])
             parts.append(f"{name} {number:.4g} {unit}".rstrip())
     return ", ".join(parts)
 
@@ -456,10 +445,10 @@ def _tuning_so_far(tuning: Tuning, done: Progress) -> str:
 def _print_tuning(result: TuningResult) -> None:
     best, tuning = result.best, result.tuning
     verified = best.get("verified")
-    headings = columns(", start>, best>, change>")
-    headings += [(f"{point}, {verified['engine']}", "right") for point in ("start", "best")] if verified else []
+    engines = [f"{point}, {verified['engine']}" for point in ("start", "best")] if verified else []
+    headings: list[Any] = ["", "start>", "best>", "change>", *((each, "right") for each in engines), ""]
     where = f" of start {best['start']}" if tuning.starts > 1 else ""
-    print_table(f"Iteration {best['iteration']}{where} is the best", [*headings, ("", "left")], _tuning_rows(result))
+    print_table(f"Iteration {best['iteration']}{where} is the best", headings, _tuning_rows(result))
     wall = result.history.column("wall_seconds")[-1].as_py()
     effort = f"{duration(best['simulated_seconds'])} simulated, gradients at their cost, in {duration(wall)}"
     if verified:  # what the columns of the engine c mean
@@ -476,27 +465,26 @@ def _print_tuning(result: TuningResult) -> None:
     if not result.start["ok"]:
         click.echo("From the given start, the robot did not complete the walk.")
     places = {"best": "best.json", "history": "history.parquet", "sweep": "tuned.yaml"}
-    made = {"plots": "plots" if result.pictures.plots else None, "video": result.pictures.video}
-    _print_places(result.out, places | made)
+    print_places(result.out, **places, plots=result.pictures.plots and "plots", video=result.pictures.video)
 
 
-def _tuning_rows(result: TuningResult) -> list[list[str]]:
+def _tuning_rows(result: TuningResult) -> Iterator[list[str]]:
     """Every parameter, every metric of the objective, and the objective itself: before, after, change, and verified."""
-    start, best, tuning, rows = result.start, result.best, result.tuning, []
+    best, tuning = result.best, result.tuning
+    points = [result.start, best, *(best["verified"][point] or {} for point in ("start", "best") if "verified" in best)]
     kinds = dict.fromkeys(tuning.names, "parameters") | dict.fromkeys(tuning.objective.metrics, "metrics")
     for name, kind in (kinds | {"objective": ""}).items():
-        points = [start, best, *(best["verified"][point] for point in ("start", "best") if "verified" in best)]
-        values = [((point or {}).get(kind, {}) if kind else point or {}).get(name) for point in points]
+        values = [(point.get(kind, {}) if kind else point).get(name) for point in points]
         numbers = [math.nan if value is None else value for value in values]
-        change = _shortest(tuning, name, numbers[1] - numbers[0])
-        (*numbers, change), unit = (
-            _in_unit(tuning, name, *numbers, change) if kind else ([*numbers, change], "lower is better")
-        )
-        texts = [f"{number + 0.0:.4g}" if math.isfinite(number) else "-" for number in numbers]
-        texts[2:] = ["" if value is None else text for value, text in zip(values[2:], texts[2:], strict=True)]
-        texts.insert(2, f"{change + 0.0:+.3g}" if math.isfinite(change) else "-")
-        rows.append([name, *texts, unit])
-    return rows
+        numbers.insert(2, _shortest(tuning, name, numbers[1] - numbers[0]))
+        unit = "lower is better"
+        if kind:
+            about = tuning.parameters.get(name) or tuning.objective_metrics[name]
+            numbers, unit = in_unit(name, about.unit, *numbers)
+        texts = [f"{number + 0.0:{'+.3g' if i == 2 else '.4g'}}" for i, number in enumerate(numbers)]
+        texts = [text if math.isfinite(number) else "-" for number, text in zip(numbers, texts, strict=True)]
+        texts[3:] = ["" if value is None else text for value, text in zip(values[2:], texts[3:], strict=True)]
+        yield [name, *texts, unit]
 
 
 def _shortest(tuning: Tuning, name: str, change: float) -> float:
@@ -507,24 +495,15 @@ def _shortest(tuning: Tuning, name: str, change: float) -> float:
     return change - period * round(change / period)
 
 
-def _in_unit(tuning: Tuning, name: str, *values: float) -> tuple[list[float], str]:
-    """Values of a parameter or metric as figures show them, and the unit."""
-    from nermo_mjx.plotting.shown import shown
-
-    about = tuning.parameters.get(name) or tuning.objective_metrics[name]
-    quantity = shown(name, about.unit, values)
-    return quantity.values.tolist(), quantity.unit
-
-
 @command("landscape")
 @options.out
 @_spec
-@options.number("--points", "Points per line.", click.IntRange(5, 100_000), default=41)
-@options.number(
+@number("--points", "Points per line.", click.IntRange(5, 100_000), default=41)
+@number(
     "--span", "Length of the lines, as a fraction of the bounds.", click.FloatRange(0, 1, min_open=True), default=1.0
 )
 @options.accept_new_code
-def landscape_command(spec: Path, out: Path, points: int, span: float, accept_new_code: bool) -> Outcome:
+def landscape_command(spec: Path, out: Path, **how: Any) -> Outcome:
     """Measure whether the gradients of a tuning file can be trusted.
 
     Follows a line along each tuned parameter through the given start, and
@@ -537,9 +516,9 @@ def landscape_command(spec: Path, out: Path, points: int, span: float, accept_ne
     """
     from nermo_mjx.optimize import run_landscape
 
-    with _working("landscape", "walks") as (watch, _):
-        result = run_landscape(spec, out, points=points, span=span, watch=watch, accept_new_code=accept_new_code)
-    content = {"out": result.out, "evaluated": result.evaluated, **result.content}
+    with _working("walks", how) as given:
+        result = run_landscape(spec, out, **given)
+    content = _content(result, "out", "evaluated") | result.content
     return Outcome(content, lambda: _print_landscape(result))
 
 
@@ -547,36 +526,27 @@ def _print_landscape(result: LandscapeResult) -> None:
     from nermo_mjx.optimize.landscape import HEADINGS, rows_of, sentences
 
     content = result.content
-    print_table("Exact slopes beside secants", list(HEADINGS), rows_of(content))
+    print_table("Exact slopes beside secants", HEADINGS, rows_of(content))
     for sentence in sentences(content):
         click.echo(sentence)
     kept = "" if result.evaluated else ", kept from before"
     click.echo(f"\n{content['evaluations']} walks with gradients in {duration(content['wall_seconds'])}{kept}")
-    _print_places(result.out, {"report": "report.md", "plots": "plots", "table": "landscape.parquet"})
+    print_places(result.out, report="report.md", plots="plots", table="landscape.parquet")
 
 
 @command("train")
 @options.out
 @_spec
-@options.engine
-@options.number("--steps", "Number of control steps, overriding the file.", click.IntRange(1))
-@options.number("--worlds", "Number of parallel worlds, overriding the file.", click.IntRange(1, 1_000_000))
+@number("--steps", "Number of control steps, overriding the file.", click.IntRange(1))
+@number("--worlds", "Number of parallel worlds, overriding the file.", click.IntRange(1, 1_000_000))
 @_seed
 @_plots
-@click.option("--onnx", is_flag=True, help="Also write policy.onnx; needs the extra onnx.")
-@click.option("--tensorboard", is_flag=True, help="Log each iteration to TensorBoard, in DIR.")
+@flag("--onnx", "Also write policy.onnx; needs the extra onnx.")
+@flag("--tensorboard", _tensorboard.format("iteration"))
 @_dry_run
+@options.engine
 @options.accept_new_code
-def train_command(
-    spec: Path,
-    out: Path,
-    engine: str,
-    onnx: bool,
-    tensorboard: bool,
-    dry_run: bool,
-    accept_new_code: bool,
-    **chosen: Any,
-) -> Outcome:
+def train_command(spec: Path, out: Path, onnx: bool, dry_run: bool, **how: Any) -> Outcome:
     """Train a policy as described in a training file.
 
     Writes the policy, which walk and sweep files accept as a controller,
@@ -591,7 +561,7 @@ def train_command(
     """
     from nermo_mjx.learn.spec import Training, changed
 
-    training = changed(Training.from_file(spec), **{key: each for key, each in chosen.items() if each is not None})
+    training = changed(Training.from_file(spec), **_fields(how, "steps", "worlds", "seed", "plots"))
     if onnx:
         from nermo_mjx.learn.onnx import check_onnx
 
@@ -599,27 +569,22 @@ def train_command(
     if dry_run:
         from nermo_mjx.learn.cost import cost_of
 
-        cost = cost_of(training, engine)
+        cost = cost_of(training, how["engine"])
         return Outcome({"cost": dataclasses.asdict(cost)}, lambda: _print_training_cost(cost))
-    with _working("train", "steps", details=_training_so_far) as (watch, _):
+    with _working("steps", how, details=_training_so_far) as given:
         from nermo_mjx.learn.run import run_training
         from nermo_mjx.runs.job import Progress
+
+        watch, exported = given.pop("watch"), None
 
         def tell(done: TrainingProgress) -> None:
             share = min(1.0, done.steps / done.total)
             watch.progress(Progress(share, done.steps, done.total, numbers=done.numbers))
 
-        result = run_training(
-            training,
-            out,
-            engine=engine,
-            progress=tell,
-            warn=watch.warn,
-            accept_new_code=accept_new_code,
-            tensorboard=tensorboard,
-            evaluating=lambda share: watch.progress(Progress(share, what="evaluation")),
-        )
-        exported = None
+        def evaluating(share: float) -> None:
+            watch.progress(Progress(share, what="evaluation"))
+
+        result = run_training(training, out, progress=tell, warn=watch.warn, evaluating=evaluating, **given)
         if onnx and result.policy is not None:
             from nermo_mjx.learn.onnx import export
             from nermo_mjx.learn.policy import load_policy
@@ -627,14 +592,8 @@ def train_command(
 
             exported = result.policy.with_suffix(".onnx")
             replace_file(exported, export(load_policy(result.policy)))
-    content = {
-        "out": result.out,
-        **result.summary,
-        "iterations_run": result.iterations_run,
-        "policy": result.policy,
-        "onnx": exported,
-        "plots": result.plots,
-    }
+    content = {"out": result.out} | result.summary | _content(result, "iterations_run", "policy")
+    content |= {"onnx": exported, "plots": result.plots}
     return Outcome(content, lambda: _print_training(result, exported))
 
 
@@ -645,27 +604,14 @@ def _training_so_far(done: Progress) -> str:
 
 
 def _print_training(result: TrainingResult, exported: Path | None) -> None:
-    summary = result.summary
-    rows = []
+    summary, rows = result.summary, []
     for scene, about in summary["scenes"].items():
         for who, name in (("policy", "policy"), ("alone", "controller alone")):
-            numbers = about[who]
-            rows.append(
-                [
-                    scene,
-                    name,
-                    f"{100 * numbers['success']:.0f}",
-                    f"{1e3 * numbers['speed']:.1f}",
-                    f"{numbers['cost_of_transport']:.3g}",
-                    f"{numbers['electrical_cost_of_transport']:.3g}",
-                ]
-            )
+            found = about[who]
+            costs = [f"{found[cost]:.3g}" for cost in ("cost_of_transport", "electrical_cost_of_transport")]
+            rows.append([scene, name, f"{100 * found['success']:.0f}", f"{1e3 * found['speed']:.1f}", *costs])
     if rows:
-        headings = [
-            *columns("scene, walks, success [%]>, speed [mm/s]>"),
-            ("cost of transport, mechanical", "right"),
-            ("electrical", "right"),
-        ]
+        headings = ["scene", "walks", "success [%]>", "speed [mm/s]>", "cost of transport, mechanical>", "electrical>"]
         print_table(f"On {result.training.evaluation.bodies:,} unseen bodies and starts", headings, rows)
     cpu = summary["environment_cpu"] + summary["learner_cpu"]
     click.echo(
@@ -674,8 +620,8 @@ def _print_training(result: TrainingResult, exported: Path | None) -> None:
     )
     if result.training.validation:
         click.echo(f"policy after {summary['policy_steps']:,} steps, the best of all checkpoints in its walks")
-    places = {"policy": result.policy, "onnx": exported, "history": result.out / "history.parquet"}
-    _print_places(result.out, places | {"plots": "plots" if result.plots else None})
+    places = {"policy": result.policy, "onnx": exported, "history": "history.parquet"}
+    print_places(result.out, **places, plots=result.plots and "plots")
 
 
 def _print_training_cost(cost: TrainingCost) -> None:
@@ -690,39 +636,25 @@ def _print_training_cost(cost: TrainingCost) -> None:
     click.echo(cost.rate_from)
 
 
-ALL = "all"
-
-
 @command("experiment")
 @options.out
-@click.argument("name", type=click.Choice((*EXPERIMENTS, ALL)))
+@click.argument("name", type=click.Choice((*EXPERIMENTS, "all")))
 @options.choice("--profile", ("all", *EXPERIMENT_PROFILES), "Set-up: as published, as described, as built.")
-@options.number("--repeats", "Starts of each case; by default 3, or 1 with --quick.", click.IntRange(1))
-@options.number("--seed", "Seed of the shifts between repeats.", click.IntRange(0), default=0)
-@options.number(
-    "--bodies", "Also run this many identified bodies: for what share of them does a line hold?", click.IntRange(1)
-)
-@click.option("--quick", is_flag=True, help="Quick run: fewer cases, no videos; a minute.")
-@click.option("--no-video", is_flag=True, help="Render no videos.")
-@click.option("--again", is_flag=True, help="Rerun, and replace the results in DIR.")
-@click.option(
+@number("--repeats", "Starts of each case; by default 3, or 1 with --quick.", click.IntRange(1))
+@number("--seed", "Seed of the shifts between repeats.", click.IntRange(0), default=0)
+@number("--bodies", "Also run this many identified bodies: for what share of them does a line hold?", click.IntRange(1))
+@flag("--quick", "Quick run: fewer cases, no videos; a minute.")
+@flag("--no-video", "Render no videos.")
+@flag("--again", "Rerun, and replace the results in DIR.")
+@options.text(
     "--controller",
-    metavar="FILE.npz",
-    help="A policy, in place of the published controller; for straight-line, turning and maze.",
+    "FILE.npz",
+    "A policy, in place of the published controller; for straight-line, turning and maze.",
 )
-@options.workers
-@options.accept_new_code
 @options.set_option("A parameter of the body, such as contact.friction; repeatable.")
-@options.engine
+@_on_engine
 def experiment_command(
-    name: str,
-    out: Path,
-    profile: str,
-    no_video: bool,
-    workers: str,
-    ray_address: str | None,
-    assignments: tuple[str, ...],
-    **how: Any,
+    name: str, out: Path, profile: str, no_video: bool, assignments: tuple[str, ...], **how: Any
 ) -> Outcome:
     """Run a published experiment, or all of them, and compare.
 
@@ -741,7 +673,7 @@ def experiment_command(
       nermo-mjx experiment all --bodies 64 --out runs/published
       nermo-mjx experiment maze --controller policy.npz --out runs/learned
     """
-    with _working("experiment", "", workers, ray_address, lambda what: "," not in what) as (watch, crew):
+    with _working("", how, compiles=lambda what: "," not in what) as given:
         from nermo_mjx.experiments.run import run_experiments
         from nermo_mjx.robot.quantity import quantities
         from nermo_mjx.rollout.setup import WorldParameters
@@ -749,16 +681,8 @@ def experiment_command(
         # Their ranges are checked with the other settings.
         values = assigned(assignments, dict(quantities(WorldParameters)))
         profiles = EXPERIMENT_PROFILES if profile == "all" else (profile,)
-        result = run_experiments(
-            EXPERIMENTS if name == ALL else [name],
-            out,
-            profiles=profiles,
-            values=values,
-            video=not no_video,
-            watch=watch,
-            workers=crew,
-            **how,
-        )
+        names = EXPERIMENTS if name == "all" else [name]
+        result = run_experiments(names, out, profiles=profiles, values=values, video=not no_video, **given)
     run = {each.name: {"kept": each.kept} for each in result.results}
     return Outcome({"out": result.out, "run": run, **result.report}, lambda: _print_experiments(result))
 
@@ -771,7 +695,7 @@ def _print_experiments(result: ExperimentsResult) -> None:
     for each in result.results:
         lines = [cells(line) for line in content["lines"] if line["experiment"] == each.name]
         rows = [[text if len(text) <= widest else f"{text[: widest - 1]}…" for text in line] for line in lines]
-        print_table(CATALOGUE[each.name].title, list(HEADINGS), rows)
+        print_table(CATALOGUE[each.name].title, HEADINGS, rows)
     for each in result.results:
         about, summary = content["experiments"][each.name], content["summary"]["by_experiment"][each.name]
         took = f"{about['worlds']} runs in {duration(about['wall_seconds'])}, engine {about['engine']}"
@@ -781,11 +705,9 @@ def _print_experiments(result: ExperimentsResult) -> None:
     click.echo("Only predicted lines count as evidence.")
     for sentence in content["differences"]:
         click.echo(sentence)
-    made = {
-        name: name if any(getattr(each, name) for each in result.results) else None
-        for name in ("plots", "recordings", "videos")
-    }
-    _print_places(result.out, {"report": "report.md", "tables": "results", **made})
+    folders = ("plots", "recordings", "videos")
+    made = {name: name for name in folders if any(getattr(each, name) for each in result.results)}
+    print_places(result.out, report="report.md", tables="results", **made)
 
 
 def _counted(summary: dict[str, Any]) -> str:
@@ -796,18 +718,16 @@ def _counted(summary: dict[str, Any]) -> str:
 
 @command("identify")
 @options.out
-@options.number("--samples", "Candidates of the first, space-filling search.", click.IntRange(1), default=64)
-@options.number("--generations", "Generations of the second search, from its best.", click.IntRange(1), default=25)
-@options.number("--population", "Candidates per generation.", click.IntRange(4), default=12)
-@options.number("--bodies", "Bodies of the ensemble, 8 or more; 0 for none.", click.IntRange(0), default=256)
-@options.number("--sweeps", "Sampling rounds of the ensemble, at most.", click.IntRange(1), default=5)
-@options.number("--tolerance", "Largest objective of a body of the ensemble.", options.POSITIVE, default=0.5)
-@options.number("--seed", "Seed of all searches.", click.IntRange(0), default=0)
+@number("--samples", "Candidates of the first, space-filling search.", click.IntRange(1), default=64)
+@number("--generations", "Generations of the second search, from its best.", click.IntRange(1), default=25)
+@number("--population", "Candidates per generation.", click.IntRange(4), default=12)
+@number("--bodies", "Bodies of the ensemble, 8 or more; 0 for none.", click.IntRange(0), default=256)
+@number("--sweeps", "Sampling rounds of the ensemble, at most.", click.IntRange(1), default=5)
+@number("--tolerance", "Largest objective of a body of the ensemble.", options.POSITIVE, default=0.5)
+@number("--seed", "Seed of all searches.", click.IntRange(0), default=0)
 @options.choice("--profile", ("exact", "as_published"), "Set-up of the walks.")
-@options.workers
-@options.accept_new_code
-@options.engine
-def identify_command(out: Path, workers: str, ray_address: str | None, engine: str, **settings: Any) -> Outcome:
+@_on_engine
+def identify_command(out: Path, **how: Any) -> Outcome:
     """Identify the body's parameters that the publication does not give.
 
     Fits servo gain and damping, and damping of the joints, within physical
@@ -826,16 +746,16 @@ def identify_command(out: Path, workers: str, ray_address: str | None, engine: s
     """
     from nermo_mjx.experiments.identification import run_identification
 
-    with _working("identify", "", workers, ray_address) as (watch, crew):
-        content = run_identification(out, engine=engine, **settings, watch=watch, workers=crew)
+    with _working("", how) as given:
+        content = run_identification(out, **given)
     return Outcome({"out": out, **content}, lambda: _print_identification(content, out))
 
 
 def _print_identification(content: dict[str, Any], out: Path) -> None:
     from nermo_mjx.experiments.identification import PARAMETER_HEADINGS, TARGET_HEADINGS, parameter_rows, target_rows
 
-    print_table("Published speeds", list(TARGET_HEADINGS), target_rows(content))
-    print_table("Parameters", list(PARAMETER_HEADINGS), parameter_rows(content))
+    print_table("Published speeds", TARGET_HEADINGS, target_rows(content))
+    print_table("Parameters", PARAMETER_HEADINGS, parameter_rows(content))
     objective = content["objective"]
     took = f"{content['candidates']} candidates in {duration(content['wall_seconds'])}, engine {content['engine']}"
     lines = [("objective", f"{objective['start']:.3f} before, {objective['end']:.3f} after ({took})")]

@@ -50,17 +50,16 @@ class CommandGroup(click.Group):
         out, errors = (_Lossy(stream or io.StringIO()) for stream in (sys.stdout, sys.stderr))
         with contextlib.redirect_stdout(out), contextlib.redirect_stderr(errors):
             try:
-                try:
-                    return super().main(*args, **kwargs)
-                finally:
-                    out.flush()
-                    errors.flush()
+                return super().main(*args, **kwargs)
             except SystemExit as ending:
+                out.flush()
                 if out.lost is None or ending.code:
                     raise
-                sentence = f"nermo-mjx: done, but standard output cannot be written: {out.lost.strerror}."
-                click.echo(sentence, err=True)
+                click.echo(f"nermo-mjx: done, but standard output cannot be written: {out.lost.strerror}.", err=True)
                 raise SystemExit(1) from None
+            finally:
+                out.flush()
+                errors.flush()
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """As click does it, for texts that files, tables and pages can hold."""
@@ -107,8 +106,7 @@ class CommandGroup(click.Group):
 
 
 class _Lossy:
-    """A standard stream that escapes control characters, and loses what a full disk does not take, but remembers that
-    it did.
+    """A standard stream that escapes control characters; what a full disk does not take is lost, and remembered.
 
     A reader that is gone ends the command, as everywhere.
     """
@@ -180,7 +178,7 @@ class Outcome:
     """
 
     content: Any
-    show: Callable[[], None] = lambda: None
+    show: Callable[[], object] = lambda: None
     files: Sequence[Path] = ()
     failure: str = ""
     always: bool = False
@@ -190,23 +188,26 @@ class Outcome:
 COMMANDS: Final[list[click.Command]] = []
 
 
-def command(name: str, *, reads: bool = False) -> Callable[[Callable[..., Outcome | None]], click.Command]:
+def command(name: str, *, reads: bool = False, prints: bool = False) -> Callable[[Callable[..., Any]], click.Command]:
     """A command of a function that does the work, and returns how it ended; its `--json` and `--quiet` are added.
 
-    Its docstring is the help, whose examples come after the options. Prints of libraries go to standard error.
+    Its docstring is the help; the epilog begins with the first list in it that has a heading. What libraries print goes
+    to standard error.
 
     Args:
         name: as it is typed.
         reads: it runs no Python that files name.
+        prints: the function prints by itself, and returns nothing; there are no such options.
     """
 
-    def make(function: Callable[..., Outcome | None]) -> click.Command:
+    def make(function: Callable[..., Any]) -> click.Command:
+        text, *lists = re.split(r"\n\n(?=(?:Examples|Cases):\n)", inspect.getdoc(function) or "")
+        declared = list(getattr(function, "__click_params__", ()))
+
         @functools.wraps(function)
         def run(as_json: bool, quiet: bool, **chosen: Any) -> None:
             with contextlib.redirect_stdout(sys.stderr):
-                outcome = function(**chosen)
-            if outcome is None:
-                return
+                outcome: Outcome = function(**chosen)
             if as_json:
                 from nermo_mjx.runs.text import plain
 
@@ -218,74 +219,74 @@ def command(name: str, *, reads: bool = False) -> Callable[[Callable[..., Outcom
             if outcome.failure:
                 raise Failure(outcome.failure)
 
-        decorated: Any = only_reading()(run) if reads else run
-        quietly = click.Option(["--quiet", "-q"], is_flag=True, help="Print errors only, no progress or summary.")
-        about = "Print one JSON object on standard output, nothing else."
-        as_json = click.Option(["--json", "as_json"], is_flag=True, help=about)
-        decorated.__click_params__ = [quietly, as_json, *getattr(function, "__click_params__", ())]
-        return plain_command(name)(decorated)
+        decorated: Any = only_reading()(run) if reads else function if prints else run
+        if not prints:
+            quietly = click.Option(["--quiet", "-q"], is_flag=True, help="Print errors only, no progress or summary.")
+            about = "Print one JSON object on standard output, nothing else."
+            declared = [quietly, click.Option(["--json", "as_json"], is_flag=True, help=about), *declared]
+        decorated.__click_params__ = declared
+        COMMANDS.append(click.command(name, help=text, epilog="\n\n".join(f"\b\n{each}" for each in lists))(decorated))
+        return COMMANDS[-1]
 
     return make
 
 
-def plain_command(name: str) -> Callable[[Callable[..., None]], click.Command]:
-    """A command that prints by itself; the epilog begins with the first list in its docstring that has a heading."""
-
-    def make(function: Callable[..., None]) -> click.Command:
-        text, *lists = re.split(r"\n\n(?=(?:Examples|Cases):\n)", inspect.getdoc(function) or "")
-        made = click.command(name, help=text, epilog="\n\n".join(f"\b\n{each}" for each in lists))(function)
-        COMMANDS.append(made)
-        return made
-
-    return make
-
-
-def _chosen(name: str) -> bool:
+def is_given(option: str) -> bool:
+    """Whether the present command was given a flag, such as "quiet" or "as_json"."""
     context = click.get_current_context(silent=True)
-    return context is not None and bool(context.params.get(name))
-
-
-def is_quiet() -> bool:
-    """Whether the present command was given --quiet."""
-    return _chosen("quiet")
-
-
-def is_json() -> bool:
-    """Whether it was given --json."""
-    return _chosen("as_json")
+    return context is not None and bool(context.params.get(option))
 
 
 def say(sentence: str) -> None:
     """Print a sentence about the present command's work on standard error, unless it is quiet."""
-    if not is_quiet():
+    if not is_given("quiet"):
         click.echo(f"{click.get_current_context().info_name}: {sentence}", err=True)
 
 
 def print_pairs(pairs: Iterable[tuple[str, Any]]) -> None:
     """Lines of a name and a text; those without a text are left out."""
-    lines = [(name, text) for name, text in pairs if text is not None]
+    lines = [(name, text) for name, text in pairs if text]
     width = max([8, *(len(name) for name, _ in lines)])
     for name, text in lines:
         click.echo(f"{name:<{width}} {one_line(str(text))}")
 
 
-def columns(headings: str) -> list[tuple[str, str]]:
-    """Columns of `print_table`, separated by ", "; those whose heading ends with > have their texts on the right."""
-    return [(each.removesuffix(">"), "right" if each.endswith(">") else "left") for each in headings.split(", ")]
+def print_places(out: Path, **places: Any) -> None:
+    """Where the files are, by what they are: names in `out`, or whole paths; those that were not made are left out."""
+    print_pairs((name, place and out / place) for name, place in places.items())
 
 
-def print_table(title: str, columns: list[tuple[str, str]], rows: list[list[str]]) -> None:
-    """A table for people; columns are (heading, "left" or "right"). Without a terminal, lines are never wrapped."""
+def in_unit(name: str, unit: str, *values: float) -> tuple[list[float], str]:
+    """Values in SI units as people read them, and their unit, which is empty for pure numbers."""
+    from nermo_mjx.plotting.shown import shown
+
+    quantity = shown(name, unit, values)
+    return quantity.values.tolist(), quantity.unit
+
+
+def print_table(title: str, headings: str | Iterable[str | tuple[str, str]], rows: Iterable[Sequence[Any]]) -> None:
+    """A table for people. Without a terminal, lines are never wrapped.
+
+    Args:
+        title: above it.
+        headings: of its columns, or a text of them separated by ", "; each is (heading, "left" or "right"), or a
+            heading, which ends with > where texts are on the right.
+        rows: a text for each column.
+    """
     from rich.box import SIMPLE_HEAD
     from rich.console import Console
     from rich.table import Table
     from rich.text import Text
 
+    columns = [
+        (each.removesuffix(">"), "right" if each.endswith(">") else "left") if isinstance(each, str) else each
+        for each in (headings.split(", ") if isinstance(headings, str) else headings)
+    ]
     table = Table(box=SIMPLE_HEAD, pad_edge=False, show_edge=False, show_header=any(heading for heading, _ in columns))
     for heading, side in columns:
         table.add_column(Text(one_line(heading)), justify="right" if side == "right" else "left")
     for row in rows:
-        table.add_row(*(Text(one_line(cell)) for cell in row))
+        table.add_row(*(Text(one_line(str(cell))) for cell in row))
     console = Console(file=sys.stdout, width=None if sys.stdout.isatty() else 200, highlight=False)
     with console.capture() as capture:
         console.print(Text(one_line(title), style="bold"))

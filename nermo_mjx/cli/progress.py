@@ -10,7 +10,7 @@ from typing import IO, TYPE_CHECKING, Any
 
 import click
 
-from nermo_mjx.cli.output import is_quiet
+from nermo_mjx.cli.output import is_given
 
 if TYPE_CHECKING:
     from nermo_mjx.runs.job import Progress as JobProgress
@@ -43,7 +43,7 @@ class Progress:
         stream: IO[str] | None = None,
     ) -> None:
         self._what, self._unit, self._every, self._stream = what, unit, every, stream or sys.stderr
-        self._quiet = is_quiet() if quiet is None else quiet
+        self._quiet = is_given("quiet") if quiet is None else quiet
         self._bar: Any = None
         self._timer = threading.Timer(PATIENCE, self._name_compilation)
         self._timer.daemon = True
@@ -158,7 +158,7 @@ class Stages:
     def say(self, sentence: str) -> None:
         """A sentence on a line of its own."""
         self.__exit__()
-        if not is_quiet():
+        if not is_given("quiet"):
             click.echo(f"{self._name}: {sentence}", err=True)
 
 

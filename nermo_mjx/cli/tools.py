@@ -14,7 +14,8 @@ from click.shell_completion import get_completion_class
 
 from nermo_mjx.cli import options
 from nermo_mjx.cli.choices import BENCH_CASES, ENGINES, GRADIENT_MODES
-from nermo_mjx.cli.output import Failure, Outcome, columns, command, plain_command, print_table, say
+from nermo_mjx.cli.options import number
+from nermo_mjx.cli.output import Failure, Outcome, command, print_table, say
 from nermo_mjx.cli.progress import Progress
 
 if TYPE_CHECKING:
@@ -22,10 +23,7 @@ if TYPE_CHECKING:
 
 
 @command("model")
-@options.robot
-@options.scene
-@options.tail
-@options.physics
+@options.body
 @options.file("--xml", ".xml", "Write one self-contained MJCF file.")
 def model_command(xml: Path | None, **config: Any) -> Outcome:
     """Summarize the assembled robot, or write it as one MJCF file.
@@ -44,21 +42,32 @@ def model_command(xml: Path | None, **config: Any) -> Outcome:
         except OSError as error:
             raise Failure(f"{xml}: the MJCF cannot be written ({error.strerror}).") from None
         summary["xml"] = str(xml)
-    return Outcome(summary, lambda: _print_model(summary), [] if xml is None else [xml])
+
+    def show() -> None:
+        what = f"{summary['robot']} with {summary['tail']} tail in scene {summary['scene']}"
+        click.echo(f"{what}, time step {summary['timestep']:g} s")
+        counts = [("degrees of freedom", summary["degrees_of_freedom"])]
+        counts += [(part, len(summary[part])) for part in ("bodies", "joints", "actuators", "tendons", "sensors")]
+        print_table("Parts", ", number>", [*counts, ("contact pairs", summary["contact_pairs"])])
+        print_table("Names", ", ", [[part, ", ".join(summary[part])] for part in ("actuators", "tendons")])
+        rows = [[row["body"], row["group"], f"{1e3 * row['mass']:.2f}"] for row in summary["masses"]]
+        rows += [["", "", ""]] + [["all", group, f"{1e3 * mass:.2f}"] for group, mass in summary["mass"].items()]
+        print_table("Masses", "body, counts to, mass [g]>", rows)
+
+    return Outcome(summary, show, [] if xml is None else [xml])
 
 
 def summarize(robot: Robot) -> dict[str, Any]:
     """Names of the parts, and the masses before and behind the spine."""
     from nermo_mjx.robot.scene import scene_name
 
-    model = robot.model
-    masses = robot.mass_table()
+    model, config, masses = robot.model, robot.config, robot.mass_table()
     groups = {group: sum(float(row["mass"]) for row in masses if row["group"] == group) for group in ("front", "rear")}
     return {
-        "robot": robot.config.robot,
-        "scene": scene_name(str(robot.config.scene)),
-        "tail": robot.config.tail,
-        "physics": robot.config.physics,
+        "robot": config.robot,
+        "scene": scene_name(str(config.scene)),
+        "tail": config.tail,
+        "physics": config.physics,
         "timestep": model.opt.timestep,
         "degrees_of_freedom": model.nv,
         "bodies": [model.body(i).name for i in range(1, model.nbody)],
@@ -72,20 +81,6 @@ def summarize(robot: Robot) -> dict[str, Any]:
     }
 
 
-def _print_model(summary: dict[str, Any]) -> None:
-    what = f"{summary['robot']} with {summary['tail']} tail in scene {summary['scene']}"
-    click.echo(f"{what}, time step {summary['timestep']:g} s")
-    counts = [("degrees of freedom", str(summary["degrees_of_freedom"]))]
-    counts += [(part, str(len(summary[part]))) for part in ("bodies", "joints", "actuators", "tendons", "sensors")]
-    counts.append(("contact pairs", str(summary["contact_pairs"])))
-    print_table("Parts", columns(", number>"), [list(row) for row in counts])
-    names = [[part, ", ".join(summary[part])] for part in ("actuators", "tendons")]
-    print_table("Names", columns(", "), names)
-    rows = [[row["body"], row["group"], f"{1e3 * row['mass']:.2f}"] for row in summary["masses"]]
-    rows += [["", "", ""]] + [["all", group, f"{1e3 * mass:.2f}"] for group, mass in summary["mass"].items()]
-    print_table("Masses", columns("body, counts to, mass [g]>"), rows)
-
-
 #: Where the fields of each command's file are declared.
 FILES: Final = {
     "sweep": "sweep.spec:SweepFile",
@@ -97,7 +92,7 @@ FILES: Final = {
 }
 
 
-@plain_command("schema")
+@command("schema", prints=True)
 @click.argument("kind", type=click.Choice(list(FILES)))
 @options.file("--out", ".json", "File for the schema, instead of standard output.")
 def schema_command(kind: str, out: Path | None) -> None:
@@ -130,15 +125,10 @@ def schema_command(kind: str, out: Path | None) -> None:
 @command("bench")
 @click.argument("cases", nargs=-1, type=click.Choice(BENCH_CASES), metavar="[CASE]...")
 @options.choice("--engine", ENGINES[1:], "Repeatable; c and mjx by default.", default=None, multiple=True)
-@options.number("--worlds", "Size of the batch; repeatable.", click.IntRange(1), multiple=True)
+@number("--worlds", "Size of the batch; repeatable.", click.IntRange(1), multiple=True)
 @options.choice("--mode", GRADIENT_MODES, "How gradients are computed; repeatable.", default=None, multiple=True)
-@options.number("--cycles", "Gait cycles to differentiate; repeatable.", options.POSITIVE, multiple=True)
-@click.option(
-    "--into",
-    metavar="DIR",
-    type=click.Path(file_okay=False, path_type=Path),
-    help="Append to DIR/results.jsonl, and draw its page and plots.",
-)
+@number("--cycles", "Gait cycles to differentiate; repeatable.", options.POSITIVE, multiple=True)
+@options.text("--into", "DIR", "Append to DIR/results.jsonl, and draw its page and plots.", type=options.FOLDER)
 def bench_command(cases: tuple[str, ...], into: Path | None, **given: tuple[Any, ...]) -> Outcome:
     """Measure throughput, compile time and memory on this machine.
 
@@ -186,28 +176,27 @@ def bench_command(cases: tuple[str, ...], into: Path | None, **given: tuple[Any,
                 draw_page(held.out, written.write)
             if written.aside:
                 say(written.sentence())
-    return Outcome(result, lambda: _print_bench(result))
 
+    def show() -> None:
+        from nermo_mjx.bench.results import failure_of, table_of
 
-def _print_bench(result: dict[str, Any]) -> None:
-    from nermo_mjx.bench.results import failure_of, table_of
-
-    if result["hardware"]:
-        click.echo("hardware: " + ", ".join(f"{key} {value}" for key, value in result["hardware"].items()))
-    for line in result["cases"]:
-        if failure := failure_of(line):
+        if result["hardware"]:
+            click.echo("hardware: " + ", ".join(f"{key} {value}" for key, value in result["hardware"].items()))
+        for failure in filter(None, map(failure_of, result["cases"])):
             click.echo(failure)
-    for case in dict.fromkeys(line["case"] for line in result["cases"]):
-        headings, rows = table_of(case, [line for line in result["cases"] if line["case"] == case])
-        if rows:
-            print_table(case.capitalize(), headings, rows)
+        for case in dict.fromkeys(line["case"] for line in result["cases"]):
+            headings, rows = table_of(case, [line for line in result["cases"] if line["case"] == case])
+            if rows:
+                print_table(case.capitalize(), headings, rows)
+
+    return Outcome(result, show)
 
 
 SHELLS = ("bash", "zsh", "fish")
 _PROGRAM, _VARIABLE = "nermo-mjx", "_NERMO_MJX_COMPLETE"
 
 
-@plain_command("completion")
+@command("completion", prints=True)
 @click.argument("shell", type=click.Choice(SHELLS))
 @click.pass_context
 def completion_command(context: click.Context, shell: str) -> None:

@@ -15,7 +15,7 @@ import click
 from nermo_mjx.cli import options
 from nermo_mjx.cli.choices import OVERLAYS
 from nermo_mjx.cli.directories import kind_of_directory
-from nermo_mjx.cli.options import FileKind
+from nermo_mjx.cli.options import FileKind, flag, number
 from nermo_mjx.cli.output import Outcome, WrongUse, command, say
 from nermo_mjx.cli.progress import Progress
 
@@ -46,7 +46,7 @@ def load_recording(path: Path) -> Recording:
 
 
 def figures(path: Path, *, notify: Callable[[str], None]) -> Figures:
-    """The figures of a recording's file; arguments and errors as for `view.plots.figures.figures_of` and above."""
+    """The figures of a recording's file; errors as for `load_recording` and `view.figures.figures_of`."""
     from nermo_mjx.view.figures import figures_of
 
     return figures_of(load_recording(path), notify)
@@ -64,10 +64,10 @@ def figures(path: Path, *, notify: Callable[[str], None]) -> Figures:
     metavar="NAME",
     help="gait: footfall; servos: their angles; support: support polygon and centre of mass. Repeatable.",
 )
-@options.number("--fps", "Frames per second.", click.IntRange(1, 240), default=30)
-@options.number("--width", "Pixels of one robot's picture.", click.IntRange(16, 7680), default=640)
-@options.number("--height", "Pixels of one robot's picture.", click.IntRange(16, 4320), default=480)
-@options.number("--speed", "1 is real time, 0.25 a quarter of it.", options.POSITIVE, default=1.0)
+@number("--fps", "Frames per second.", click.IntRange(1, 240), default=30)
+@number("--width", "Pixels of one robot's picture.", click.IntRange(16, 7680), default=640)
+@number("--height", "Pixels of one robot's picture.", click.IntRange(16, 4320), default=480)
+@number("--speed", "1 is real time, 0.25 a quarter of it.", options.POSITIVE, default=1.0)
 def render_command(recordings: tuple[Path, ...], out: Path, **drawn: Any) -> Outcome:
     """Render a recording of `walk --record` as a video; several are shown side by side, synchronized.
 
@@ -123,10 +123,10 @@ def render_video(recordings: Sequence[Recording], path: Path, names: Sequence[st
 
 @command("play", reads=True)
 @click.argument("recording", metavar="FILE.npz", type=options.RECORDING)
-@options.number("--speed", "1 is real time, 0.25 a quarter of it.", options.POSITIVE, default=1.0)
-@click.option("--once", is_flag=True, help="Stop at the end instead of looping.")
+@number("--speed", "1 is real time, 0.25 a quarter of it.", options.POSITIVE, default=1.0)
+@flag("--once", "Stop at the end instead of looping.")
 @options.file("--xml", ".xml", "Write MJCF with the recording as keyframes instead.")
-@options.number("--rate", "Keyframes per second.", options.POSITIVE, default=25.0)
+@number("--rate", "Keyframes per second.", options.POSITIVE, default=25.0)
 def play_command(recording: Path, speed: float, once: bool, xml: Path | None, rate: float) -> Outcome:
     """Play a recording in MuJoCo's viewer; it needs a display.
 
@@ -154,13 +154,8 @@ def play_command(recording: Path, speed: float, once: bool, xml: Path | None, ra
 @click.argument("path", metavar="PATH", type=FileKind(".npz"))
 @click.argument("other", metavar="[OTHER.npz]", required=False, type=options.RECORDING)
 @options.file("--out", ".html", "Write the page to this file.")
-@options.number(
-    "--recordings",
-    "For a directory: maximum number of recordings in the page; by default 50.",
-    click.IntRange(0),
-    metavar="N",
-)
-@click.option("--no-open", is_flag=True, help="Do not open a browser.")
+@number("--recordings", "For a directory: maximum number of recordings in the page; by default 50.", click.IntRange(0))
+@flag("--no-open", "Do not open a browser.")
 def view_command(path: Path, other: Path | None, out: Path | None, recordings: int | None, no_open: bool) -> Outcome:
     """View a recording, a sweep, a search or a training in the browser.
 
@@ -186,7 +181,7 @@ def view_command(path: Path, other: Path | None, out: Path | None, recordings: i
             f"{path} does not exist: allowed is a recording FILE.npz, or the directory of a sweep or search."
         )
     notes: list[str] = []
-    page, amounts = _directory(path, other, recordings, notes) if path.is_dir() else _recording(path, other, recordings)
+    page, amounts = _page(path, other, recordings, notes)
     file = page.save(out or Path(tempfile.mkdtemp(prefix="nermo-mjx-")) / f"{path.resolve().stem}.html")
     opened = not no_open and _has_browser() and webbrowser.open(file.resolve().as_uri())
     for note in notes:
@@ -197,26 +192,24 @@ def view_command(path: Path, other: Path | None, out: Path | None, recordings: i
     return Outcome(content, lambda: click.echo(sentence), always=out is None and not opened)
 
 
-def _recording(path: Path, other: Path | None, recordings: int | None) -> tuple[Page, dict[str, Any]]:
-    from nermo_mjx.view import show
-
-    if recordings is not None:
-        raise WrongUse(f"--recordings is for the page of a directory, but {path} is a recording.")
-    for each in (path, *([] if other is None else [other])):
-        load_recording(each)  # refuses what cannot be shown, and says which file that is
-    page = show(path, other)
-    return page, {"samples": page.samples}
-
-
-def _directory(path: Path, other: Path | None, recordings: int | None, notes: list[str]) -> tuple[Page, dict[str, Any]]:
+def _page(path: Path, other: Path | None, recordings: int | None, notes: list[str]) -> tuple[Page, dict[str, Any]]:
+    """The page of a recording or a directory, and how much it shows."""
     from nermo_mjx.runs import kind_of
+    from nermo_mjx.view import show
     from nermo_mjx.view.explore import KINDS, MOST_RECORDINGS, explore
+    from nermo_mjx.view.trained import trained
 
+    page: Page
+    if not path.is_dir():
+        if recordings is not None:
+            raise WrongUse(f"--recordings is for the page of a directory, but {path} is a recording.")
+        for each in (path, *([] if other is None else [other])):
+            load_recording(each)  # refuses what cannot be shown, and says which file that is
+        page = show(path, other)
+        return page, {"samples": page.samples}
     if other is not None:
         raise WrongUse(f"{path} is a directory: it has its own page; show {other} with a separate command.")
     if kind_of(path) == "training":
-        from nermo_mjx.view.trained import trained
-
         page = trained(path)
         return page, {"samples": page.samples}
     if kind_of(path) not in KINDS:

@@ -1,4 +1,4 @@
-"""The commands that walk the robot, or only its controller: walk, replay of a row, a table of servo angles."""
+"""The commands that walk the robot, or only its controller: walk, drive, replay of a row, a table of servo angles."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ import math
 import webbrowser
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
 from nermo_mjx.cli import options
 from nermo_mjx.cli.choices import ENGINES, PILOTS, ROBOTS
-from nermo_mjx.cli.options import assigned
-from nermo_mjx.cli.output import Failure, Outcome, WrongUse, columns, command, is_quiet, print_table, say
+from nermo_mjx.cli.options import assigned, number, text
+from nermo_mjx.cli.output import Failure, Outcome, WrongUse, command, is_given, print_table, say
 from nermo_mjx.cli.progress import Progress
 from nermo_mjx.cli.view import check_video, load_recording, save_run
 
@@ -34,50 +34,15 @@ PARAMETER_OPTIONS = {
     "turn_rate": "pilot.turn_rate",
     "offset_compensation": "spine.offset_compensation",
 }
-SETUP_OPTIONS = (
-    "robot",
-    "scene",
-    "tail",
-    "physics",
-    "gait",
-    "spine",
-    "steering",
-    "profile",
-    "trajectory",
-    "head",
-    "tail_motion",
-    "controller",
-    "metrics",
-)
 DEFAULT_CYCLES, DEFAULT_WARMUP = 8.0, 2.0
 
 
-@dataclasses.dataclass(frozen=True)
-class Plan:
-    """One run: its static choices, its length, the values the user gave, and all parameters with their defaults."""
+class Plan(NamedTuple):
+    """One run: its static choices, its length, and the values of parameters that the user gave."""
 
     setup: Setup
     run: Run
     values: Mapping[str, float]
-    parameters: Mapping[str, float]
-
-    @property
-    def theory(self) -> float:
-        """Speed of feet that neither slip nor lag, strides lengthened by the spine (5.21, 5.33) [m/s, simulated].
-
-        NaN for custom controllers.
-        """
-        import numpy as np
-
-        from nermo_mjx.experiments import theory
-
-        if self.setup.controller is not None:
-            return float("nan")
-        values = {name: np.asarray(value) for name, value in self.parameters.items()}
-        # Only the bend at the moment when the diagonal pairs switch lengthens a stride.
-        extends = "stride_extension" in self.setup.spine.split("+")
-        values["spine.amplitude"] = values["spine.amplitude"] * extends * np.cos(values["spine.phase"])
-        return float(theory.speed(values))
 
 
 def plan(
@@ -93,31 +58,30 @@ def plan(
 ) -> Plan:
     """Join and check the options; raises `WrongUse` or `ParameterError`."""
     from nermo_mjx.control.spine_modes import mode_names
-    from nermo_mjx.robot.quantity import values_of
     from nermo_mjx.rollout import Setup, all_parameters
     from nermo_mjx.specs.walk import unread
 
     pilot = pilot or ("straight" if options["turn_rate"] is None else "open_loop")
-    chosen = {name: options[name] for name in SETUP_OPTIONS if options.get(name) is not None}
+    fields = {field.name for field in dataclasses.fields(Setup)}
+    chosen = {name: value for name, value in options.items() if name in fields and value is not None}
     chosen["spine"] = "+".join(mode_names(chosen["spine"])) or "none"
     setup = Setup(pilot=pilot, schedule=tuple(map(_switch, switches)), **chosen)
-    known = all_parameters(setup)
+    parameters = all_parameters(setup)
     values: dict[str, float] = {} if seed is None else _shifted_start(seed)
     for option, name in PARAMETER_OPTIONS.items():
         if options[option] is None:
             continue
         flag = f"--{option.replace('_', '-')}"
-        if name not in known:
+        if name not in parameters:
             raise WrongUse(f"{flag} sets {name}, which is not a parameter of {setup.controller}.")
         if needed := unread(setup, name):
             choice, wanted = needed
             raise WrongUse(f"{flag} has no effect with --{choice} {getattr(setup, choice)}: add --{choice} {wanted}.")
         values[name] = options[option]
-    values |= assigned(assignments, known)
+    values |= assigned(assignments, parameters)
     for name, value in values.items():
-        known[name].check(name, value)
-    parameters = {name: float(value) for name, value in values_of(setup.world(values))}
-    return Plan(setup, _length(cycles, duration, warmup), values, parameters)
+        parameters[name].check(name, value)
+    return Plan(setup, _length(cycles, duration, warmup), values)
 
 
 def _switch(text: str) -> Switch:
@@ -129,9 +93,8 @@ def _switch(text: str) -> Switch:
     pairs = dict(part.partition("=")[::2] for part in parts)
     words = {name: pairs.pop(name) for name in ("gait", "steering", "spine", "head", "tail_motion") if name in pairs}
     try:
-        return Switch(
-            float(at), float(pairs.pop("blend", 1.0)), **words, values={k: float(v) for k, v in pairs.items()}
-        )
+        blend = float(pairs.pop("blend", 1.0))
+        return Switch(float(at), blend, **words, values={name: float(value) for name, value in pairs.items()})
     except ValueError as error:
         about = f" {error}" if isinstance(error, ParameterError) else ""
         raise WrongUse(f"--switch {text}: expected AT,NAME=X such as 2.5,gait=lat,frequency=0.8.{about}") from None
@@ -170,35 +133,44 @@ LINES = (
 )
 
 
-def print_walk(report: dict[str, Any], plan: Plan) -> None:
-    """Print a report of what `walk` had planned."""
+def print_walk(report: dict[str, Any]) -> None:
+    """Print a report of a walk: what was done, metrics beside the theory, orientation, and how it ended."""
+    import numpy as np
+
+    from nermo_mjx.experiments import theory
     from nermo_mjx.robot import GAIT_NAMES
     from nermo_mjx.rollout.metrics import Ending
 
-    metrics, setup = report["metrics"], report["setup"]
-    gait = GAIT_NAMES.get(setup["gait"], setup["gait"]).replace("_", " ") if "gait" in setup else ""
-    how = setup["controller"] or f"{gait} at {report['parameters']['frequency']:g} Hz, spine {setup['spine']}"
-    what = f"{how}, {setup['tail']} tail, engine {report['engine']}"
+    metrics, setup, parameters = report["metrics"], report["setup"], report["parameters"]
     lines = [("speed", metrics.get("speed"), "mm/s", 1e3)]
-    if math.isfinite(theory := plan.theory):
-        lines.append(("speed in theory", theory, "mm/s", 1e3))
+    if setup["controller"]:
+        how = setup["controller"]
+    else:
+        gait = GAIT_NAMES.get(setup["gait"], setup["gait"]).replace("_", " ")
+        how = f"{gait} at {parameters['frequency']:g} Hz, spine {setup['spine']}"
+        # Feet that neither slip nor lag (5.21), strides lengthened by the spine (5.33), whose bend counts only at the
+        # moment when the diagonal pairs switch.
+        values = {name: np.asarray(value) for name, value in parameters.items()}
+        extends = "stride_extension" in setup["spine"].split("+")
+        values["spine.amplitude"] = values["spine.amplitude"] * extends * np.cos(values["spine.phase"])
+        lines.append(("speed in theory", float(theory.speed(values)), "mm/s", 1e3))
     lines += [(title, metrics[name], unit, factor) for name, title, unit, factor in LINES if name in metrics]
     rows = [[title, _number(value, factor), unit] for title, value, unit, factor in lines]
-    rows += [[own.name, f"{metrics[own.name]:.4g}", own.unit] for own in plan.setup.own_metrics]
-    headings = columns(", >, ")
-    if (ratio := report["parameters"].get("tracking.clock_ratio", 1.0)) != 1.0:
+    rows += [[name, f"{metrics[name]:.4g}", unit] for name, unit in report.get("units", {}).items()]
+    headings = ", >, "
+    if (ratio := parameters.get("tracking.clock_ratio", 1.0)) != 1.0:
         # Seconds of the controller's clock, in which frequencies are given, before simulated ones.
         scaled = {"mm/s": ratio, "s": 1.0 / ratio}
         of_clock = [_number(value, factor * scaled.get(unit, 1.0)) for _, value, unit, factor in lines]
         rows = [[row[0], first, *row[1:]] for row, first in itertools.zip_longest(rows, of_clock, fillvalue="")]
-        headings = columns(", controller's clock>, simulated>, ")
-    print_table(f"Nermo walked: {what}", headings, rows)
+        headings = ", controller's clock>, simulated>, "
+    print_table(f"Nermo walked: {how}, {setup['tail']} tail, engine {report['engine']}", headings, rows)
     parts, degrees = ("mean", "std", "min", "max"), math.degrees(1.0)
     angles = [
         [angle, *(_number(metrics.get(f"{angle}_{part}"), degrees) for part in parts)]
         for angle in ("roll", "pitch", "yaw")
     ]
-    print_table("Orientation [degrees]", columns(", mean>, std>, min>, max>"), angles)
+    print_table("Orientation [degrees]", ", mean>, std>, min>, max>", angles)
     ending = Ending[metrics["status"]]
     if ending is not Ending.ok:
         click.echo(ending.value)
@@ -211,28 +183,24 @@ def _number(value: float | None, factor: float) -> str:
     return f"{value:.1f}" if abs(value) >= 10 else f"{value:.2f}"
 
 
+def _switch_option(about: str) -> Any:
+    return click.option("--switch", "switches", multiple=True, metavar="AT,NAME=X...", help=about)
+
+
 @command("walk")
 @options.gait
 @options.controller
-@click.option("--metrics", multiple=True, metavar="FILE.py[:NAME]", help="Custom metrics; repeatable.")
+@text("--metrics", "FILE.py[:NAME]", "Custom metrics; repeatable.", multiple=True)
 @options.choice("--pilot", PILOTS, "Default: straight, or open_loop with --turn-rate.", default=None)
-@options.number("--cycles", "Duration in gait cycles, by default 8.", options.POSITIVE)
-@options.number("--duration", "Duration in seconds, instead of --cycles.", options.POSITIVE)
-@options.number("--warmup", "Unmeasured start, in the same unit; by default 2.", click.FloatRange(0))
-@options.robot
-@options.scene
-@options.tail
-@options.physics
+@number("--cycles", "Duration in gait cycles, by default 8.", options.POSITIVE)
+@number("--duration", "Duration in seconds, instead of --cycles.", options.POSITIVE)
+@number("--warmup", "Unmeasured start, in the same unit; by default 2.", click.FloatRange(0))
+@options.body
 @options.set_any
-@click.option(
-    "--switch",
-    "switches",
-    multiple=True,
-    metavar="AT,NAME=X...",
-    help="From AT seconds on another gait, spine, steering, head, tail_motion or parameter; blend=X cycles; "
-    "repeatable.",
+@_switch_option(
+    "From AT seconds on another gait, spine, steering, head, tail_motion or parameter; blend=X cycles; repeatable."
 )
-@options.number("--seed", "Shift the start slightly, like the repeats of a sweep.", click.IntRange(0))
+@number("--seed", "Shift the start slightly, like the repeats of a sweep.", click.IntRange(0))
 @options.engine
 @options.produced
 def walk_command(engine: str, record: Path | None, video: Path | None, camera: str, **chosen: Any) -> Outcome:
@@ -250,15 +218,15 @@ def walk_command(engine: str, record: Path | None, video: Path | None, camera: s
     """
     from nermo_mjx.rollout import Simulator
 
-    wanted = plan(**chosen)
-    check_video(wanted.setup, video, camera)
+    setup, run, values = plan(**chosen)
+    check_video(setup, video, camera)
     with Progress("walk", compiles=True) as progress:
-        simulator = Simulator(wanted.setup, engine=engine)
-        result = simulator.run(wanted.values, wanted.run, record=bool(record or video), progress=progress.share)
+        simulator = Simulator(setup, engine=engine)
+        result = simulator.run(values, run, record=bool(record or video), progress=progress.share)
     if result.trace is not None:
         save_run(result.recording(), record, video, camera)
     report = result.about()
-    return Outcome(report, lambda: print_walk(report, wanted), [file for file in (record, video) if file])
+    return Outcome(report, lambda: print_walk(report), [file for file in (record, video) if file])
 
 
 def _address(context: click.Context, parameter: click.Parameter, given: tuple[str, ...]) -> tuple[str, str | None]:
@@ -295,61 +263,49 @@ DRIVE_NEEDS = {
 @options.physics
 @options.set_any
 @options.file("--record", ".npz", "Save what was driven; after a reset what follows goes to FILE-2.npz, ...")
-@options.number("--port", "Of the page; by default any that is free.", click.IntRange(1, 65535))
-@options.number("--seconds", "Duration; by default until Ctrl-C.", options.POSITIVE)
+@number("--port", "Of the page; by default any that is free.", click.IntRange(1, 65535))
+@number("--seconds", "Duration; by default until Ctrl-C.", options.POSITIVE)
 @click.option("--browser/--no-browser", default=True, help="Open the page, or only print its address.")
-@click.option(
+@text(
     "--robot",
+    "NAME|URL",
+    f"{' or '.join(ROBOTS)}, and the address of a real one: mqtt://HOST[:PORT] of a broker, or ros://HOST[:PORT] of a "
+    "rosbridge.",
     multiple=True,
-    metavar="NAME|URL",
     callback=_address,
     shell_complete=options.names(*ROBOTS),
-    help=f"{' or '.join(ROBOTS)}, and the address of a real one: mqtt://HOST[:PORT] of a broker, or "
-    "ros://HOST[:PORT] of a rosbridge.",
 )
-@click.option("--serve", metavar="URL", help="Be a simulated robot that is driven from there.")
-@click.option(
+@text("--serve", "URL", "Be a simulated robot that is driven from there.")
+@text(
     "--channels",
+    "FILE.yaml",
+    "Channel, direction, zero and limits of each servo, as for `servos`.",
     default="published",
     show_default=True,
-    metavar="FILE.yaml",
     type=options.SPEC,
-    help="Channel, direction, zero and limits of each servo, as for `servos`.",
 )
-@options.number(
-    "--rate", "Commands per second; by default that of the channels, or of the controller.", options.POSITIVE
-)
-@options.number(
+@number("--rate", "Commands per second; by default that of the channels, or of the controller.", options.POSITIVE)
+@number(
     "--watchdog",
     "Seconds without messages after which the robot holds still.",
     click.FloatRange(0, 5, min_open=True),
     default=0.25,
 )
-@click.option("--headless", is_flag=True, help="Drive a robot without a page, from now on.")
-@click.option("--switch", "switches", multiple=True, metavar="AT,NAME=X...", help="As for `walk`; repeatable.")
-@options.number(
+@options.flag("--headless", "Drive a robot without a page, from now on.")
+@_switch_option("As for `walk`; repeatable.")
+@number(
     "--delay",
     "With --serve: each message takes about this long, each way [ms].",
     click.FloatRange(0, 10_000),
     default=0.0,
 )
-@options.number(
-    "--loss", "With --serve: share of messages that get lost, each way.", click.FloatRange(0, 1), default=0.0
-)
+@number("--loss", "With --serve: share of messages that get lost, each way.", click.FloatRange(0, 1), default=0.0)
 def drive_command(
-    record: Path | None,
-    port: int | None,
-    seconds: float | None,
-    browser: bool,
-    pilot: str | None,
     robot: tuple[str, str | None],
     serve: str | None,
     headless: bool,
-    delay: float,
-    loss: float,
-    channels: Path,
-    rate: float | None,
-    watchdog: float,
+    record: Path | None,
+    seconds: float | None,
     **chosen: Any,
 ) -> Outcome:
     """Drive the robot in the browser while it walks: keyboard, gamepad, sliders.
@@ -389,9 +345,12 @@ def drive_command(
     from nermo_mjx.live.wire import RobotDriving, SimulatedRobot
     from nermo_mjx.runs.files import make_writable
 
-    default = "open_loop" if chosen["controller"] is None else None
-    wanted = plan(pilot=pilot or default, robot=model, **chosen)
-    setup, values, about, files = wanted.setup, dict(wanted.values), dict[str, Any](), list[Path]()
+    port, browser, channels, rate, watchdog, delay, loss = (
+        chosen.pop(name) for name in ("port", "browser", "channels", "rate", "watchdog", "delay", "loss")
+    )
+    chosen["pilot"] = chosen["pilot"] or ("open_loop" if chosen["controller"] is None else None)
+    setup, _, values = plan(robot=model, **chosen)
+    about, files, robots = dict[str, Any](), list[Path](), None
     if not there["a page"]:
         say("Ctrl-C ends it")
     if record is not None:
@@ -401,11 +360,10 @@ def drive_command(
             address(serve, "serve")
             about = SimulatedRobot(setup, values, channels, delay / 1e3, loss).run(serve, seconds)
         else:
-            kept, robots = record is not None, None
-            with Progress("drive", quiet=headless or is_quiet(), compiles=True):
+            with Progress("drive", quiet=headless or is_given("quiet"), compiles=True):
                 if url is not None:
-                    robots = RobotDriving(setup, values, url, channels, rate, watchdog, record=kept)
-                driving = robots or Driving(setup, values, record=kept)
+                    robots = RobotDriving(setup, values, url, channels, rate, watchdog, record=record is not None)
+                driving = robots or Driving(setup, values, record=record is not None)
             with robots.reach() if robots else contextlib.nullcontext():
                 if robots and headless:
                     robots.run(seconds)
@@ -425,27 +383,19 @@ def drive_command(
 
     def show() -> None:
         for name, value in about.items() if url or serve else ():
-            text = ", ".join(f"{each} {what}" for what, each in value.items()) if isinstance(value, dict) else value
-            click.echo(f"{name}: {f'{text:.4g}' if isinstance(text, float) else text}")
+            words = ", ".join(f"{each} {what}" for what, each in value.items()) if isinstance(value, dict) else value
+            click.echo(f"{name}: {f'{words:.4g}' if isinstance(words, float) else words}")
 
     return Outcome(about, show, files, f"{about['ended'].rstrip('.')}." if about.get("ended") else "")
 
 
 @command("replay")
-@click.argument("out", metavar="DIR|FILE.npz", type=click.Path(path_type=Path))
-@options.number("--row", "Row of the table, from 0; not with a FILE.npz.", int, metavar="N")
+@click.argument("out", metavar="DIR|FILE.npz", type=options.PATH)
+@number("--row", "Row of the table, from 0; not with a FILE.npz.", int, metavar="N")
 @options.choice("--engine", ENGINES, "By default the directory's own.", default=None)
 @options.produced
 @options.file("--sweep", ".yaml", "Write a sweep file that walks as was driven, of a FILE.npz.")
-def replay_command(
-    out: Path,
-    row: int | None,
-    engine: str | None,
-    record: Path | None,
-    video: Path | None,
-    sweep: Path | None,
-    camera: str,
-) -> Outcome:
+def replay_command(out: Path, row: int | None, engine: str | None, sweep: Path | None, **saved: Any) -> Outcome:
     """Rerun one row of a sweep's or a search's directory on its own, or a
     recorded drive.
 
@@ -466,7 +416,7 @@ def replay_command(
     if out.suffix == ".npz":
         if row is not None or engine is not None:
             raise WrongUse("--row and --engine belong to a directory: a recorded drive has neither.")
-        return _replay_drive(out, record, video, sweep, camera)
+        return _replay_drive(out, sweep, saved)
     if row is None or sweep is not None:
         raise WrongUse("Give --row N, a row of the table." if row is None else "--sweep belongs to a recorded drive.")
     from nermo_mjx.optimize.directory import find_evaluation
@@ -475,24 +425,23 @@ def replay_command(
     from nermo_mjx.sweep.replay import find_row, replay_row, report_of
 
     found = (find_evaluation if (out / "search.yaml").exists() else find_row)(out, row)
-    wanted = Plan(found.walk.setup, found.walk.run, found.values, found.parameters)
-    files = [file for file in (record, video) if file]
+    files = [file for file in (saved["record"], saved["video"]) if file]
     for path in files:
         make_writable(path.parent)
-    check_video(wanted.setup, video, camera)
+    check_video(found.walk.setup, saved["video"], saved["camera"])
     with Progress("replay", compiles=True) as progress:
         replay = replay_row(found, engine, progress.share)
     report = report_of(found, replay)
     if files:
         if not len(replay.history.time):
             raise Failure(f"row {row} diverged in its first tick: there is nothing to record or to show.")
-        save_run(dataclasses.replace(replay.recording(), metadata=plain(report)), record, video, camera)
+        save_run(dataclasses.replace(replay.recording(), metadata=plain(report)), **saved)
 
     def show() -> None:
         values = "".join(f", {name} {label}" for name, label in found.walk.labels.items())
         values += "".join(f", {name} {value:.4g}" for name, value in found.values.items())
         click.echo(f"Row {found.row} of {found.out}: variant {report['variant']}, repeat {report['repeat']}{values}\n")
-        print_walk(report, wanted)
+        print_walk(report)
         for flag, what in (("fell", "fell"), ("diverged", "lost its numbers")):
             if report["metrics"][flag]:
                 click.echo(f"It {what} at {replay.metrics['failure_time']:.2f} s, of {found.span[1]:.2f} s.")
@@ -501,7 +450,7 @@ def replay_command(
     return Outcome(report, show, files)
 
 
-def _replay_drive(path: Path, record: Path | None, video: Path | None, sweep: Path | None, camera: str) -> Outcome:
+def _replay_drive(path: Path, sweep: Path | None, saved: Mapping[str, Any]) -> Outcome:
     """Drive a recording again, and compare."""
     from nermo_mjx.live.driving import as_sweep, difference, replayed
     from nermo_mjx.recording import RecordingError, write_whole
@@ -515,53 +464,44 @@ def _replay_drive(path: Path, record: Path | None, video: Path | None, sweep: Pa
             again = replayed(recording)
     except RecordingError as error:
         raise WrongUse(f"{path}: {error}") from None
-    save_run(again, record, video, camera)
+    save_run(again, **saved)
     differs, samples = difference(recording, again), f"{len(again.time):,} samples"
-    sentence = (
-        f"All {samples} equal the recording's, to the last bit."
-        if differs is None
-        else f"Of {samples} those from {differs:.2f} s on differ from the recording's."
-    )
+    sentence = f"All {samples} equal the recording's, to the last bit."
+    if differs is not None:
+        sentence = f"Of {samples} those from {differs:.2f} s on differ from the recording's."
     content = {"recording": path, "samples": len(again.time), "equal": differs is None, "differs_from": differs}
     return Outcome(content, lambda: click.echo(sentence))
 
 
 @command("servos")
 @options.gait
-@options.number("--rate", "Rows per second; by default that of the channels, or 50.", options.POSITIVE)
-@options.number("--cycles", "Whole gait cycles, by default 1.", click.IntRange(1))
-@click.option(
+@number("--rate", "Rows per second; by default that of the channels, or 50.", options.POSITIVE)
+@number("--cycles", "Whole gait cycles, by default 1.", click.IntRange(1))
+@text(
     "--channels",
-    metavar="FILE.yaml",
+    "FILE.yaml",
+    "Channel, direction, zero and limits of each servo; published: the author's order, whole degrees at 30 Hz.",
     type=options.SPEC,
-    help="Channel, direction, zero and limits of each servo; published: the author's order, whole degrees at 30 Hz.",
 )
 @options.robot
 @options.tail
 @options.set_any
-@click.option(
+@text(
     "--recording",
-    metavar="FILE.npz",
+    "FILE.npz",
+    "Instead of a gait: what was commanded in a recorded walk, such as that of a policy.",
     type=options.RECORDING,
-    help="Instead of a gait: what was commanded in a recorded walk, such as that of a policy.",
 )
 @options.file("--out", ".csv", "File for the table.")
-@click.option(
+@text(
     "--send",
-    metavar="URL",
-    help="Send the angles to the robot in real time: mqtt://HOST[:PORT], or ws://HOST[:PORT] of a rosbridge.",
+    "URL",
+    "Send the angles to the robot in real time: mqtt://HOST[:PORT], or ws://HOST[:PORT] of a rosbridge.",
 )
-@click.option("--topic", default="q_values", show_default=True, metavar="NAME", help="MQTT or ROS topic.")
-@options.number("--seconds", "Duration of sending; by default until Ctrl-C.", options.POSITIVE)
+@text("--topic", "NAME", "MQTT or ROS topic.", default="q_values", show_default=True)
+@number("--seconds", "Duration of sending; by default until Ctrl-C.", options.POSITIVE)
 def servos_command(
-    rate: float | None,
-    channels: Path | None,
-    recording: Path | None,
-    out: Path | None,
-    send: str | None,
-    topic: str,
-    seconds: float | None,
-    **chosen: Any,
+    recording: Path | None, out: Path | None, send: str | None, seconds: float | None, **chosen: Any
 ) -> Outcome:
     """Write the servo angles of a gait as CSV, ready to be played in a loop, or
     send them to the robot.
@@ -597,12 +537,13 @@ def servos_command(
     from nermo_mjx.hardware.live import SendError, connected, play
     from nermo_mjx.runs.files import replace_file
 
+    topic, how = chosen.pop("topic"), {name: chosen.pop(name) for name in ("rate", "channels")}
     if recording is None:
         cycles = chosen.pop("cycles") or 1
-        wanted = plan(pilot="open_loop", scene="flat", physics="reference", **chosen)
-        table = servo_table(wanted.setup, wanted.values, rate=rate, cycles=cycles, channels=channels)
-        words = [f"{name} {getattr(wanted.setup, name)}" for name in ("gait", "spine", "steering")]
-        words += [f"{name} {value:g}" for name, value in {"frequency": table.frequency, **wanted.values}.items()]
+        setup, _, values = plan(pilot="open_loop", scene="flat", physics="reference", **chosen)
+        table = servo_table(setup, values, cycles=cycles, **how)
+        words = [f"{name} {getattr(setup, name)}" for name in ("gait", "spine", "steering")]
+        words += [f"{name} {value:g}" for name, value in {"frequency": table.frequency, **values}.items()]
     else:
         from nermo_mjx.view import robot_of
 
@@ -611,7 +552,7 @@ def servos_command(
             if name not in used:
                 raise WrongUse(f"{flag} has no effect with --recording, whose walk is over: leave one of them out.")
         loaded, words = load_recording(recording), [f"walk {recording.name}"]
-        table = recorded_table(loaded, robot_of(loaded), rate=rate, channels=channels)
+        table = recorded_table(loaded, robot_of(loaded), **how)
     if out is not None:
         try:
             out.parent.mkdir(parents=True, exist_ok=True)
@@ -625,42 +566,26 @@ def servos_command(
                 sent = play(table, robot, seconds)
         except SendError as error:  # nobody there is a failure, and not wrong use
             raise Failure(str(error)) from None
-    lows, highs = table.angles.min(axis=0), table.angles.max(axis=0)
-    servos = [
-        {"servo": name, "channel": channel.number, "low_deg": low, "high_deg": high, "speed_deg_per_s": speed}
-        for name, channel, low, high, speed in zip(table.names, table.channels, lows, highs, table.speed, strict=True)
-    ]
-    content: dict[str, Any] = {
-        "out": out,
-        "rows": len(table.time),
-        "rate": table.rate,
-        "cycles": table.cycles,
-        "frequency": table.frequency,
-        "servo_speed_deg_per_s": table.servo_speed,
-    }
+    numbers = [channel.number for channel in table.channels]
+    columns = zip(table.names, numbers, table.angles.min(axis=0), table.angles.max(axis=0), table.speed, strict=True)
+    keys = ("servo", "channel", "low_deg", "high_deg", "speed_deg_per_s")
+    servos = [dict(zip(keys, column, strict=True)) for column in columns]
+    content: dict[str, Any] = {"out": out, "rows": len(table.time)}
+    content |= {name: getattr(table, name) for name in ("rate", "cycles", "frequency")}
+    content |= {"servo_speed_deg_per_s": table.servo_speed, "servos": servos}
     content |= {} if sent is None else {"sent": dataclasses.asdict(sent)}
 
     def show() -> None:
         if table.too_fast:
             say(table.too_fast)
-        rows = [
-            [
-                str(each["channel"]),
-                each["servo"],
-                f"{each['low_deg']:.1f}",
-                f"{each['high_deg']:.1f}",
-                f"{each['speed_deg_per_s']:.0f}",
-            ]
-            for each in servos
-        ]
-        headings = columns("channel>, servo, from [deg]>, to [deg]>, fastest [deg/s]>")
-        print_table(f"{table.how_many}, {len(table.time)} rows, {table.rate:.6g} rows/s", headings, rows)
+        shapes = "{channel}|{servo}|{low_deg:.1f}|{high_deg:.1f}|{speed_deg_per_s:.0f}"
+        rows = [shapes.format(**each).split("|") for each in servos]
+        title = f"{table.how_many}, {len(table.time)} rows, {table.rate:.6g} rows/s"
+        print_table(title, "channel>, servo, from [deg]>, to [deg]>, fastest [deg/s]>", rows)
         if out is not None:
             click.echo(f"wrote {out}")
         if sent is not None:
-            click.echo(
-                f"sent {sent.messages} messages in {sent.seconds:.1f} s, {sent.skipped} skipped; the latest was "
-                f"{1e3 * sent.latest:.1f} ms late"
-            )
+            late = f"the latest was {1e3 * sent.latest:.1f} ms late"
+            click.echo(f"sent {sent.messages} messages in {sent.seconds:.1f} s, {sent.skipped} skipped; {late}")
 
-    return Outcome({**content, "servos": servos}, show)
+    return Outcome(content, show)

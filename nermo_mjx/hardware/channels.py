@@ -18,7 +18,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Final
 
@@ -27,7 +27,6 @@ from jaxtyping import Float
 from pydantic import Field, create_model
 
 from nermo_mjx.robot import SERVOS
-from nermo_mjx.robot.parameters import servo_range
 from nermo_mjx.specs.fields import Fields, optional, read
 from nermo_mjx.specs.reading import read_file, read_mapping
 from nermo_mjx.specs.values import Finite, Whole
@@ -106,17 +105,6 @@ class Channels:
     def given(self, degrees: Float[np.ndarray, ...]) -> Float[np.ndarray, ...]:
         """Angles as sent to the servos [deg]."""
         return degrees if self.whole_degrees is None else WHOLE[self.whole_degrees](degrees) + 0.0
-
-
-def default_channels(servos: Sequence[str], routing: str = "type3") -> Channels:
-    """A robot's servos in their order, in the controller's own angles, with the model's limits."""
-    limits = [tuple(math.degrees(end) for end in servo_range(servo, routing)) for servo in servos]
-    return Channels(
-        tuple(
-            Channel(servo, i, low=low, high=high)
-            for i, (servo, (low, high)) in enumerate(zip(servos, limits, strict=True))
-        )
-    )
 
 
 def read_channels(source: str | os.PathLike[str] | Mapping[str, Any]) -> Channels:

@@ -17,9 +17,10 @@ from nermo_mjx.control.controller import Controller
 from nermo_mjx.control.head_and_tail import COUNTER_ROLL, COUNTER_YAW, GAZE
 from nermo_mjx.control.parameters import ControlParameters
 from nermo_mjx.control.spine_modes import mode_names
-from nermo_mjx.hardware.channels import Channels, default_channels, read_channels
+from nermo_mjx.hardware.channels import Channel, Channels, read_channels
 from nermo_mjx.recording import Recording
 from nermo_mjx.robot import ModelParameters, ParameterError, Robot, Sensors
+from nermo_mjx.robot.parameters import servo_range
 from nermo_mjx.robot.quantity import quantities, replace_quantities
 from nermo_mjx.rollout import Setup
 
@@ -43,27 +44,37 @@ class ServoTable:
     """Servo angles of whole gait cycles, or of a recorded walk.
 
     Attributes:
-        names: servos, in the order of their channels.
-        time: of each row, from 0, on the controller's clock [s].
+        channels: of the servos, in the order of the columns.
         angles: (rows, servos), before rounding [deg].
         rate: rows per second [Hz]; adjusted slightly from the requested one, so that the cycles are whole numbers of
-        rows.
+            rows.
+        servo_speed: `servo.speed` of the model at its supply voltage [deg/s]; commands are not limited to it.
         cycles: gait cycles in the table; None for a recorded walk.
         frequency: of the gait [Hz]; None for a recorded walk.
-        channels: of the servos.
-        speed: highest speed of each servo, (servos,) [deg/s].
-        servo_speed: `servo.speed` of the model at its supply voltage [deg/s]; commands are not limited to it.
     """
 
-    names: tuple[str, ...]
-    time: Float[np.ndarray, " rows"]
+    channels: Channels
     angles: Float[np.ndarray, "rows servos"]
     rate: float
-    cycles: int | None
-    frequency: float | None
-    channels: Channels
-    speed: Float[np.ndarray, " servos"]
     servo_speed: float
+    cycles: int | None = None
+    frequency: float | None = None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The servos, in the order of their channels."""
+        return tuple(channel.servo for channel in self.channels)
+
+    @property
+    def time(self) -> Float[np.ndarray, " rows"]:
+        """Of each row, from 0, on the controller's clock [s]."""
+        return np.arange(len(self.angles)) / self.rate
+
+    @property
+    def speed(self) -> Float[np.ndarray, " servos"]:
+        """Highest speed of each servo [deg/s]."""
+        rows = np.concatenate([self.angles, self.angles[:1]]) if self.periodic else self.angles
+        return np.abs(np.diff(rows, axis=0)).max(axis=0) * self.rate
 
     @property
     def given(self) -> Float[np.ndarray, "rows servos"]:
@@ -170,10 +181,8 @@ def servo_table(
     setup.check(world)
     params, phase = world.control, float(np.asarray(world.start.phase))
     robot = setup.load()
-    servos = robot.servos
     connected = channels_of(channels, robot)
-    rate = next(each for each in (rate, connected.rate, DEFAULT_RATE) if each is not None)
-    check_rate(rate)
+    rate = _rate_of(connected, rate)
     if isinstance(cycles, bool) or int(cycles) != cycles or cycles < 1:
         raise ParameterError(
             f"cycles is {cycles!r}: allowed is a whole number from 1 on, so that the table is periodic."
@@ -186,28 +195,36 @@ def servo_table(
     if rows < 4 * cycles:
         raise ParameterError(f"rate is {rate:g} Hz: a gait cycle of {1 / frequency:g} s needs at least four rows.")
     angles = _steady(setup, params, phase, rows, cycles, rate)
-    columns = sent_angles(connected, servos, np.degrees(angles))
-    time = np.arange(rows) / rate
-    check_limits(connected, columns, time)
-    steps = np.abs(np.diff(np.concatenate([columns, columns[:1]]), axis=0))
-    fastest = math.degrees(float(world.model.servo.top_speed))
-    return ServoTable(
-        tuple(channel.servo for channel in connected),
-        time,
-        columns,
-        rate,
-        cycles,
-        frequency,
-        connected,
-        steps.max(axis=0) * rate,
-        fastest,
-    )
+    return _table(connected, robot, angles, rate, world.model, cycles, frequency)
 
 
-def check_rate(rate: float) -> None:
-    """Raise `ParameterError` if no table can have this many rows per second."""
+def _rate_of(channels: Channels, rate: float | None) -> float:
+    """Rows per second [Hz]; raises `ParameterError` if no table can have as many."""
+    rate = next(each for each in (rate, channels.rate, DEFAULT_RATE) if each is not None)
     if not 0.0 < rate <= HIGHEST_RATE:
         raise ParameterError(f"rate is {rate:g} Hz: allowed is (0, {HIGHEST_RATE:g}].")
+    return rate
+
+
+def _table(channels: Channels, robot: Robot, angles: np.ndarray, rate: float, model: Any, *gait: Any) -> ServoTable:
+    """The table of the controller's angles (rows, n_servos) [rad] of a robot with these parameters of the model.
+
+    Raises:
+        ParameterError: an angle is beyond its servo's limit.
+    """
+    columns = sent_angles(channels, robot.servos, np.degrees(angles))
+    for channel, column in zip(channels, columns.T, strict=True):
+        for beyond, word, limit in (
+            (column < channel.low - 1e-6, "below", channel.low),
+            (column > channel.high + 1e-6, "above", channel.high),
+        ):
+            if beyond.any():
+                row = int(np.argmax(np.where(beyond, np.abs(column - limit), 0.0)))
+                raise ParameterError(
+                    f"{channel.servo} would go to {column[row]:.1f} deg at {row / rate:.3f} s, {word} its limit of "
+                    f"{limit:.1f} deg: take a shorter stride, or another zero or direction of the servo."
+                )
+    return ServoTable(channels, columns, rate, math.degrees(float(model.servo.top_speed)), *gait)
 
 
 def _steady(
@@ -218,16 +235,17 @@ def _steady(
     ratio = float(np.asarray(params.tracking.clock_ratio))
     within = max(1, math.ceil(CONTROL_RATE * ratio / rate - 1e-9))
     ticks_rate = within * rate / ratio
-    made, servos = setup.make_controller(), setup.load().servos
+    made, robot = setup.make_controller(), setup.load()
     assert isinstance(made, Controller)
     controller = dataclasses.replace(made, control_rate=ticks_rate, pilot_rate=ticks_rate)
     # In double precision, so that the phase is exact after many cycles.
     with jax.enable_x64(True):
         exact = jax.tree.map(lambda leaf: jnp.asarray(leaf, float), params)
-        state = _begin(made, servos, exact, phase)  # the rate does not affect it
+        still = robot.sensors(jnp.zeros(robot.model.nsensordata))  # which an open loop ignores
+        state = _begin(made, exact, still, phase)  # the rate does not affect it
         before = None
         for _ in range(max(2, math.ceil(_PATIENCE / cycles))):
-            state, angles = _run(controller, servos, exact, state, rows, within)
+            state, angles = _run(controller, robot.servos, exact, state, still, rows, within)
             found = np.asarray(angles)
             if before is not None and np.abs(found - before).max() < _ALIKE:
                 return found
@@ -235,18 +253,23 @@ def _steady(
     raise ParameterError("the controller does not settle into a periodic gait with these parameters.")
 
 
-@jax.jit(static_argnums=(0, 1))
-def _begin(controller: Controller, servos: tuple[str, ...], params: ControlParameters, phase: float) -> Any:
+@jax.jit(static_argnums=0)
+def _begin(controller: Controller, params: ControlParameters, sensors: Sensors, phase: float) -> Any:
     """The state at the start, compiled: op by op it would take seconds."""
-    return controller.init(params, _still(len(servos)), phase)
+    return controller.init(params, sensors, phase)
 
 
-@jax.jit(static_argnums=(0, 1, 4, 5))
+@jax.jit(static_argnums=(0, 1, 5, 6))
 def _run(
-    controller: Controller, servos: tuple[str, ...], params: ControlParameters, state: Any, rows: int, within: int
+    controller: Controller,
+    servos: tuple[str, ...],
+    params: ControlParameters,
+    state: Any,
+    sensors: Sensors,
+    rows: int,
+    within: int,
 ) -> tuple[Any, Any]:
     """The next rows: each is the current angles, followed by `within` ticks."""
-    sensors = _still(len(servos))
 
     def tick(state: Any, _: None) -> tuple[Any, None]:
         return controller.update(params, state, sensors)[0], None
@@ -256,22 +279,6 @@ def _run(
         return jax.lax.scan(tick, state, None, length=within)[0], angles
 
     return jax.lax.scan(row, state, None, length=rows)
-
-
-def _still(n_servos: int) -> Sensors:
-    """Placeholder sensor readings, which an open loop ignores."""
-    shapes = {
-        "orientation": 4,
-        "servo_angle": n_servos,
-        "servo_velocity": n_servos,
-        "servo_torque": n_servos,
-        "knee_angle": 4,
-        "foot_force": 4,
-        "foot_position": (4, 3),
-        "foot_velocity": (4, 3),
-        "tail_force": (),
-    }
-    return Sensors(**{f.name: jnp.zeros(shapes.get(f.name, 3)) for f in dataclasses.fields(Sensors)})
 
 
 def sent_angles(
@@ -288,36 +295,24 @@ def sent_angles(
 
 
 def channels_of(channels: Channels | Mapping[str, Any] | str | os.PathLike[str] | None, robot: Robot) -> Channels:
-    """The channels of a robot's servos as they are given; raises `ParameterError` for a servo that it has not."""
+    """The channels of a robot's servos as they are given; by default in its own order and angles, with its limits.
+
+    Raises:
+        ParameterError: a servo that it has not.
+    """
     if channels is None:
-        return default_channels(robot.servos, robot.config.routing)
+        limits = [np.degrees(servo_range(servo, robot.config.routing)).tolist() for servo in robot.servos]
+        return Channels(tuple(Channel(robot.servos[i], i, low=low, high=high) for i, (low, high) in enumerate(limits)))
     connected = channels if isinstance(channels, Channels) else read_channels(channels)
     for channel in connected:
         if channel.servo not in robot.servos and channel.missing is None:
-            whose, remedy = (
-                (f"the robot with tail {robot.config.tail!r}", "take the articulated tail")
-                if channel.servo == "tail"
-                else (f"the robot {robot.config.robot!r}", "take 'nermo_41'")
-            )
+            whose, remedy = f"the robot {robot.config.robot!r}", "take 'nermo_41'"
+            if channel.servo == "tail":
+                whose, remedy = f"the robot with tail {robot.config.tail!r}", "take the articulated tail"
             raise ParameterError(
                 f"{channel.servo} is no servo of {whose}: {remedy}, leave the servo out, or give it what is 'missing'."
             )
     return connected
-
-
-def check_limits(channels: Channels, angles: np.ndarray, time: np.ndarray) -> None:
-    """Raise `ParameterError` if an angle [deg] is beyond its servo's limit at a time [s]."""
-    for channel, column in zip(channels, angles.T, strict=True):
-        for beyond, word, limit in (
-            (column < channel.low - 1e-6, "below", channel.low),
-            (column > channel.high + 1e-6, "above", channel.high),
-        ):
-            if beyond.any():
-                at = int(np.argmax(np.where(beyond, np.abs(column - limit), 0.0)))
-                raise ParameterError(
-                    f"{channel.servo} would go to {column[at]:.1f} deg at {time[at]:.3f} s, {word} its limit of "
-                    f"{limit:.1f} deg: take a shorter stride, or another zero or direction of the servo."
-                )
 
 
 def recorded_table(
@@ -344,22 +339,17 @@ def recorded_table(
     if recording.ctrl.shape[1] != len(robot.servos):
         raise ParameterError(f"recording has {recording.ctrl.shape[1]} servos, and the robot has {len(robot.servos)}.")
     connected = channels_of(channels, robot)
-    rate = next(each for each in (rate, connected.rate, DEFAULT_RATE) if each is not None)
-    check_rate(rate)
+    rate = _rate_of(connected, rate)
     rows = math.floor(recording.duration * rate + 1e-6) + 1
     if rows < 2:
         raise ParameterError(f"rate is {rate:g} Hz: a recording of {recording.duration:g} s has one row then.")
     time = np.arange(rows) / rate
     commanded = [np.interp(recording.time[0] + time, recording.time, column) for column in recording.ctrl.T]
-    angles = sent_angles(connected, robot.servos, np.degrees(np.stack(commanded, axis=-1)))
-    check_limits(connected, angles, time)
-    fastest = np.abs(np.diff(angles, axis=0)).max(axis=0) * rate
     known = dict(quantities(ModelParameters))
     given = {
         name: float(value)
         for name, value in (recording.metadata.get("parameters") or {}).items()
         if name.startswith("servo.") and name in known
     }
-    possible = math.degrees(float(replace_quantities(ModelParameters(), given).servo.top_speed))
-    names = tuple(channel.servo for channel in connected)
-    return ServoTable(names, time, angles, rate, None, None, connected, fastest, possible)
+    model = replace_quantities(ModelParameters(), given)
+    return _table(connected, robot, np.stack(commanded, axis=-1), rate, model)
