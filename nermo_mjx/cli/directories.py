@@ -66,7 +66,7 @@ KINDS: Final = {
             ("x", "y", "color", "notify"),
         ),
         Kind("tuning", "a tuning", "optimize.figures:tuning_figures", "optimize.directory:tuning_status"),
-        Kind("training", "a training", "learn.plots:figures", "learn.status:status"),
+        Kind("training", "a training", "learn.plots:figures", "learn.directory:status"),
         Kind("landscape", "a landscape", "optimize.landscape:figures", "optimize.landscape:status"),
         Kind("experiments", "published experiments", "experiments.run:images", "experiments.run:status", tracked=True),
         Kind(

@@ -20,8 +20,8 @@ from nermo_mjx.cli.progress import Stages, duration
 
 if TYPE_CHECKING:
     from nermo_mjx.experiments.run import ExperimentsResult
-    from nermo_mjx.learn.cost import Cost as TrainingCost
-    from nermo_mjx.learn.run import TrainingProgress, TrainingResult
+    from nermo_mjx.learn.run import Cost as TrainingCost
+    from nermo_mjx.learn.run import TrainingResult
     from nermo_mjx.optimize import LandscapeResult, Search, SearchResult, Tuning, TuningResult
     from nermo_mjx.optimize.run import Cost as SearchCost
     from nermo_mjx.optimize.run import MethodCost
@@ -593,36 +593,23 @@ def train_command(
 
     training = changed(Training.from_file(spec), **{key: each for key, each in chosen.items() if each is not None})
     if onnx:
-        from nermo_mjx.learn.onnx import check_onnx
+        from nermo_mjx.learn.policy import check_onnx
 
         check_onnx()
     if dry_run:
-        from nermo_mjx.learn.cost import cost_of
+        from nermo_mjx.learn.run import cost_of
 
         cost = cost_of(training, engine)
         return Outcome({"cost": dataclasses.asdict(cost)}, lambda: _print_training_cost(cost))
     with _working("train", "steps", details=_training_so_far) as (watch, _):
         from nermo_mjx.learn.run import run_training
-        from nermo_mjx.runs.job import Progress
-
-        def tell(done: TrainingProgress) -> None:
-            share = min(1.0, done.steps / done.total)
-            watch.progress(Progress(share, done.steps, done.total, numbers=done.numbers))
 
         result = run_training(
-            training,
-            out,
-            engine=engine,
-            progress=tell,
-            warn=watch.warn,
-            accept_new_code=accept_new_code,
-            tensorboard=tensorboard,
-            evaluating=lambda share: watch.progress(Progress(share, what="evaluation")),
+            training, out, engine=engine, watch=watch, accept_new_code=accept_new_code, tensorboard=tensorboard
         )
         exported = None
         if onnx and result.policy is not None:
-            from nermo_mjx.learn.onnx import export
-            from nermo_mjx.learn.policy import load_policy
+            from nermo_mjx.learn.policy import export, load_policy
             from nermo_mjx.runs.files import replace_file
 
             exported = result.policy.with_suffix(".onnx")
