@@ -292,12 +292,9 @@ def test_the_published_clock_makes_0_8_hz_two_cycles_a_second():
 # -- spine ---------------------------------------------------------------------------------------------------------
 
 
-def test_the_spine_rests_without_a_mode_and_without_steering():
-    np.testing.assert_array_equal(walk(published_controller(), control_parameters(frequency=0.8))[1].spine, 0.0)
-
-
-def test_stride_extension_is_a_cosine_of_the_phase():
+def test_stride_extension_is_a_cosine_of_the_phase_and_without_a_mode_the_spine_rests():
     """q_sp = A cos(2 pi phase + psi), (5.33)."""
+    np.testing.assert_array_equal(walk(published_controller(), control_parameters(frequency=0.8))[1].spine, 0.0)
     params = control_parameters(**{"spine.amplitude": 0.3, "spine.phase": -0.4})
     states, servo = walk(published_controller(spine="stride_extension"), params)
     np.testing.assert_allclose(servo.spine, 0.3 * np.cos(2 * np.pi * np.asarray(states.phase) - 0.4), atol=1e-6)
@@ -543,11 +540,8 @@ def test_an_arc_starts_in_the_posture_of_its_guidance(steering, side):
     assert side * float(start.turn_rate) > 0.4
     assert after.turn_rate == pytest.approx(float(start.turn_rate), abs=1e-6)
     assert after.spine == pytest.approx(float(start.spine), abs=1e-6)
-
-
-def test_the_published_pilot_has_no_guidance():
-    params = control_parameters(profile="as_published", **{"pilot.radius": 0.5})
-    assert program(published_controller(pilot="arc"), "init")(params, sensors_at()).turn_rate == 0.0
+    published = control_parameters(profile="as_published", **{"pilot.radius": 0.5})  # which has no guidance
+    assert program(controller, "init")(published, sensors_at()).turn_rate == 0.0
 
 
 # -- the program ---------------------------------------------------------------------------------------------------

@@ -104,7 +104,9 @@ def test_a_gradient_goes_through_the_gaze() -> None:
 
     def neck(gain: jax.Array, sensors: Sensors) -> jax.Array:
         params = replace_quantities(ControlParameters(), {"head.gain": gain})
-        return sum(named_head("gaze").update(params, head_and_tail.begin(sensors, ROBOT), sensors, PACE, 0.01)[1])
+        return sum(
+            named_head("gaze").update(params, named_head("gaze").init(params, (), sensors), sensors, PACE, 0.01)[1]
+        )
 
     for torso in (Rotation.identity(), TILTED[0]):
         slopes = jax.grad(neck, argnums=(0, 1))(jnp.asarray(1.0), sensors_at(torso))

@@ -12,9 +12,8 @@ import numpy as np
 import pytest
 from learn_toy import PointMass
 
+from nermo_mjx.learn.algorithms import PPO, ShortHorizon
 from nermo_mjx.learn.experience import RESET, Experience, Scores, Statistics, advantages, finite_backwards, scanned
-from nermo_mjx.learn.ppo import PPO
-from nermo_mjx.learn.short_horizon import ShortHorizon
 
 pytestmark = pytest.mark.compiles
 QUICK = PPO(hidden=(16, 16))

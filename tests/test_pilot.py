@@ -47,6 +47,9 @@ def test_the_arc_bends_to_its_direction_and_guidance_is_added_before_the_limit(d
     np.testing.assert_allclose(arc(given, place).curvature, direction * 2.0)
     turns = [float(steer(given, jnp.float32(error), jnp.float32(0.0), 0.6)) for error in (0.0, 0.02, -0.1)]
     assert turns == pytest.approx([0.6, 0.4, 0.8])
+    angle = np.linspace(0, np.pi / 2, 7)
+    on_it = np.stack([direction * 0.5 * (1 - np.cos(angle)), -0.5 * np.sin(angle), 0 * angle], axis=-1)
+    np.testing.assert_allclose(arc(given, jnp.asarray(on_it)).error, 0.0, atol=1e-7)
 
 
 def test_the_arc_has_a_finite_gradient_at_its_centre():
@@ -71,37 +74,23 @@ def test_a_table_is_interpolated_or_held():
     steps = pilot.tabulated([0.0, 1.0, 2.0], 0.1, [0.0, -1.0, 1.0], hold=True)
     turns = [float(steps(jnp.float32(time))[1]) for time in (-1.0, 0.0, 0.99, 1.0, 1.5, 2.0, 9.0)]
     assert turns == [0.0, 0.0, 0.0, -1.0, -1.0, 1.0, 1.0]
-
-
-def test_a_table_is_compared_by_value():
-    """So that two equal controllers share a compiled program."""
+    # Compared by value, so that two equal controllers share a compiled program.
     one, other = pilot.tabulated([0, 1], 0.1, 0.0), pilot.tabulated(np.arange(2.0), 0.1, [0, 0])
     assert (one, hash(one)) == (other, hash(other))
 
 
-@pytest.mark.parametrize("path", [straight, arc])
-def test_the_error_grows_to_the_left_of_the_tangent(path):
-    """The oracle is the slope of the error: it points to the left of the way ahead, which is -y at the origin."""
-    params, place = pilot_of(radius=0.7, direction=-1.0), jnp.asarray([0.1, -0.3, 0.05])
+@pytest.mark.parametrize(("path", "direction"), [(straight, 1.0), (arc, 1.0), (arc, -1.0)])
+@pytest.mark.parametrize("radius", [0.5, 0.7])
+def test_the_tangent_points_along_the_path_and_the_error_grows_to_its_left(path, direction, radius):
+    """At the origin every path heads -y; a quarter of a circle on, it heads to the side it bends to.
+
+    The oracle for the error is its slope: it points to the left of the way ahead.
+    """
+    params, place = pilot_of(radius=radius, direction=direction), jnp.asarray([0.1, -0.3, 0.05])
     np.testing.assert_allclose(path(params, jnp.zeros(3)).tangent, [0.0, -1.0], atol=1e-6)
+    if path is arc:
+        quarter = jnp.array([radius * direction, -radius, 0.05])
+        np.testing.assert_allclose(path(params, quarter).tangent, [direction, 0.0], atol=1e-6)
     slope = jax.jit(jax.grad(lambda point: path(params, point).error))(place)
     ahead = path(params, place).tangent
     np.testing.assert_allclose(slope[:2], [-ahead[1], ahead[0]], atol=1e-5)
-
-
-@pytest.mark.parametrize("direction", [-1.0, 1.0])
-def test_a_point_on_the_arc_has_no_error(direction):
-    angle = np.linspace(0, np.pi / 2, 7)
-    place = np.stack([direction * 0.5 * (1 - np.cos(angle)), -0.5 * np.sin(angle), 0 * angle], axis=-1)
-    point = arc(pilot_of(radius=0.5, direction=direction), jnp.asarray(place))
-    np.testing.assert_allclose(point.error, 0.0, atol=1e-7)
-
-
-@pytest.mark.parametrize(("path", "direction"), [(straight, 1.0), (arc, 1.0), (arc, -1.0)])
-def test_the_tangent_points_along_the_path(path, direction):
-    """At the origin every path heads -y; a quarter of a circle on, it heads to the side it bends to."""
-    params = Pilot(radius=0.5, direction=direction)
-    np.testing.assert_allclose(path(params, jnp.zeros(3)).tangent, [0.0, -1.0], atol=1e-6)
-    if path is arc:
-        quarter = jnp.array([0.5 * direction, -0.5, 0.05])
-        np.testing.assert_allclose(path(params, quarter).tangent, [direction, 0.0], atol=1e-6)

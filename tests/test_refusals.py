@@ -21,7 +21,7 @@ from nermo_mjx.control.schedule import Switch
 from nermo_mjx.hardware import connected
 from nermo_mjx.kinematics import leg
 from nermo_mjx.learn import Environment, Modulation, Residual, Task, Term, Training
-from nermo_mjx.learn.short_horizon import ShortHorizon
+from nermo_mjx.learn.algorithms import ShortHorizon
 from nermo_mjx.learn.task import chosen_terms
 from nermo_mjx.physics import resolve_engine
 from nermo_mjx.physics.engine import choose_devices

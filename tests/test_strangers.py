@@ -31,7 +31,7 @@ from tune_fake import SPEC as TUNE
 
 from nermo_mjx import trust
 from nermo_mjx.cli.directories import KINDS
-from nermo_mjx.control import loading
+from nermo_mjx.control import protocol
 from nermo_mjx.experiments import identification
 from nermo_mjx.experiments.cases import Outcome
 from nermo_mjx.experiments.report import table_of
@@ -89,7 +89,7 @@ def canary(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     log = tmp_path / "run by mistake"
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
-    loading._imported.cache_clear()
+    protocol._imported.cache_clear()
     (tmp_path / "own.py").write_text(CANARY.format(log=str(log)))
     return log
 
@@ -153,7 +153,7 @@ def directories(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[str, Pa
         shutil.move(made / name, tmp_path / name)
     assert log.read_text().startswith("run")
     log.unlink()
-    loading._imported.cache_clear()
+    protocol._imported.cache_clear()
     return request.param, tmp_path / "a", tmp_path / "b", log
 
 
@@ -200,7 +200,7 @@ def test_a_file_that_is_not_that_of_the_table_is_not_run_either(directories: tup
         merge_sweeps([a, b], a.with_name("both"))
     assert call("status", a).exit_code == 0
     assert not log.exists()
-    with trust.only_reading(), pytest.raises(loading.ParameterError, match="does not run"):
+    with trust.only_reading(), pytest.raises(protocol.ParameterError, match="does not run"):
         own_metrics.load_metrics(str(a / "metrics.py") if own == "metrics" else "json:loads")
 
 

@@ -24,14 +24,15 @@ from learn_toy import PointMass
 from nermo_mjx import ParameterError, Run, Setup, Simulator, show
 from nermo_mjx.cli import main
 from nermo_mjx.learn import PPO, Environment, Policy, Residual, Task, Training, load_policy, run_training
-from nermo_mjx.learn.directory import Directory
+from nermo_mjx.learn.directory import Directory, status
+from nermo_mjx.learn.environment import Mixture, divided
 from nermo_mjx.learn.evaluation import Draws, Evaluator, summary_of
 from nermo_mjx.learn.experience import collector
-from nermo_mjx.learn.mixture import Mixture, divided
+from nermo_mjx.learn.policy import export
 from nermo_mjx.learn.run import _KEY, Choice, successes
-from nermo_mjx.learn.status import status
 from nermo_mjx.runs import RunDirectory
 from nermo_mjx.runs.files import WrongDirectory
+from nermo_mjx.runs.job import Watch
 
 pytestmark = pytest.mark.compiles
 SHIPPED = sorted((Path(__file__).parents[1] / "sweeps").glob("train_*.yaml"))
@@ -115,11 +116,11 @@ def test_a_killed_training_ends_with_the_same_numbers(tmp_path, done):
     for stop in (2, 5):
 
         def kill(progress, stop=stop):
-            if progress.steps >= stop * 32:
+            if progress.done >= stop * 32:
                 raise RuntimeError("killed")
 
         with pytest.raises(RuntimeError, match="killed"):
-            train(tmp_path, progress=kill)
+            train(tmp_path, watch=Watch(progress=kill))
     result = train(tmp_path)
     assert result.iterations_run == 4
     assert bits(result) == bits(done)
@@ -320,20 +321,15 @@ def test_a_training_ends_when_its_validation_is_enough(tmp_path, monkeypatch):
     assert status(tmp_path / "whole").complete
     assert run_training(SPEC | fields, tmp_path / "whole", environment=point).iterations_run == 0
 
+    keep = Directory.keep
+
     def stopped(self, learned, curves):
-        raise KeyboardInterrupt
+        keep(self, learned, curves)
+        if len(curves) >= 6:
+            raise KeyboardInterrupt
 
     with monkeypatch.context() as killed:  # behind the second checkpoint, before its policy walks
-        first = Directory.keep
-        killed.setattr(
-            Directory,
-            "keep",
-            lambda self, learned, curves: (
-                first(self, learned, curves)
-                if len(curves) < 6
-                else (first(self, learned, curves), stopped(self, learned, curves))
-            ),
-        )
+        killed.setattr(Directory, "keep", stopped)
         with pytest.raises(KeyboardInterrupt):
             run_training(SPEC | fields, tmp_path / "killed", environment=point)
     again = run_training(SPEC | fields, tmp_path / "killed", environment=point)
@@ -479,8 +475,6 @@ def test_walk_takes_a_policy(policy, tmp_path):
 def test_onnx_acts_as_the_policy_does(policy):
     pytest.importorskip("onnx")
     runtime = pytest.importorskip("onnxruntime")
-    from nermo_mjx.learn.onnx import export
-
     session = runtime.InferenceSession(export(policy[0]), providers=["CPUExecutionProvider"])
     seen = np.random.default_rng(0).normal(size=(5, len(policy[0].observer.names))).astype(np.float32)
     (action,) = session.run(None, {"observation": seen})

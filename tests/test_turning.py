@@ -1,5 +1,7 @@
 """Speed law, turning curve, stride shares and the radii of theory, against the thesis' figures."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -46,17 +48,19 @@ def test_the_stride_gives_the_commanded_speed_until_it_saturates(gait, frequency
         stride = turning.stride_length(parameters, Stance(), speed)
         assert turning.body_speed(parameters, stride) == pytest.approx(speed)
     assert turning.stride_length(parameters, Stance(), 2 * most) == pytest.approx(0.06)
-
-
-def test_the_normalised_stride_scales_the_saturated_stride():
-    gait = Gait(stride=np.float32(0.8))
-    assert turning.stride_length(gait, Stance(), 1.0) == pytest.approx(0.048)
+    shorter = dataclasses.replace(parameters, stride=np.float32(0.8))
+    assert turning.stride_length(shorter, Stance(), 2 * most) == pytest.approx(0.048)
 
 
 @pytest.mark.parametrize(("rate", "shares"), [(1.0, [0, 1, 0, 1]), (-1.0, [1, 0, 1, 0]), (0.0, [1, 1, 1, 1])])
 def test_full_input_stops_the_inner_legs(rate, shares):
-    """Positive turns left, so the left legs FL and RL are the inner ones."""
+    """Positive turns left, so the left legs FL and RL are the inner ones; not so where the legs do not turn.
+
+    Erratum 4: t = 0 is not a^0 = 1.
+    """
     np.testing.assert_allclose(stride_shares(turning_of(), jnp.float32(rate)), shares, atol=1e-6)
+    for still in (turning_of(0.0), turning_of(leg=0.0)):
+        np.testing.assert_array_equal(stride_shares(still, jnp.float32(rate)), jnp.ones(4))
 
 
 @settings(max_examples=50, deadline=None)
@@ -76,13 +80,7 @@ def test_the_turning_curve_is_the_signed_power(exponent):
     np.testing.assert_allclose(curve, np.sign(rate) * np.abs(rate) ** exponent, rtol=1e-5)
 
 
-def test_exponent_zero_turns_leg_modulation_off():
-    """Erratum 4: t = 0 is not a^0 = 1."""
-    np.testing.assert_array_equal(stride_shares(turning_of(0.0), jnp.float32(1.0)), jnp.ones(4))
-
-
-def test_the_leg_share_switches_the_legs_and_the_spine_share_the_spine():
-    np.testing.assert_array_equal(stride_shares(turning_of(leg=0.0), jnp.float32(1.0)), jnp.ones(4))
+def test_the_spine_share_switches_the_spine():
     assert turning.spine_share(turning_of(spine=0.0), jnp.float32(1.0)) == 0.0
     assert turning.spine_share(turning_of(spine=1.0), jnp.float32(-0.4)) == pytest.approx(-0.4)
 
@@ -95,15 +93,15 @@ def test_the_turning_curve_has_finite_derivatives(rate, exponent):
     assert np.isfinite(slopes).all()
 
 
-def test_the_smallest_leg_based_radius_is_the_published_one():
-    """turning.simulation.min_radius_no_slip_theory_trt.lb: 0.151 m, given to three digits."""
-    radius = smallest_radius(jnp.float32(0.06), Stance(), jnp.float32(0.0), ROBOT)
-    assert radius == pytest.approx(0.151, abs=5e-4)
+def test_the_smallest_radii_are_the_published_ones():
+    """turning.simulation.min_radius_no_slip_theory_trt: of the legs (lb) 0.151 m, given to three digits.
 
-
-def test_the_smallest_mix_based_radius_is_smaller_and_within_a_tenth_of_the_published_one():
-    """min_radius_no_slip_theory_trt.mb is 0.134 m. The feet's diagonal gives 0.145 m; see `foot_diagonals`."""
-    left, right = (smallest_radius(jnp.float32(0.06), Stance(), jnp.float32(t), ROBOT) for t in (0.1, -0.1))
+    With the spine (mb) it is 0.134 m; the feet's diagonal gives 0.145 m, see `foot_diagonals`.
+    """
+    straight, left, right = (
+        smallest_radius(jnp.float32(0.06), Stance(), jnp.float32(theta), ROBOT) for theta in (0.0, 0.1, -0.1)
+    )
+    assert straight == pytest.approx(0.151, abs=5e-4)
     assert left == pytest.approx(float(right), rel=1e-4)
     assert left == pytest.approx(0.134, rel=0.1)
     assert left < 0.151
@@ -129,10 +127,7 @@ def test_the_spine_based_radii_are_those_of_a_bent_line():
     shoulder, hip = turning.spine_radius(jnp.float32(0.1), 0.07, 0.0)
     assert shoulder == pytest.approx(float(hip) * np.cos(0.4), rel=1e-5)
     assert hip == pytest.approx(0.07 / np.sin(0.4), rel=1e-5)
-
-
-def test_the_spine_lengths_add_up_to_the_robot():
-    """l_sp1 + l_sp2 is the distance from shoulder to hip axis, 0.0615 + 0.0604 (Table A.5)."""
+    # l_sp1 + l_sp2 is the distance from shoulder to hip axis (Table A.5).
     assert sum(turning.spine_lengths(ROBOT)) == pytest.approx(0.0615 + 0.0604, abs=1e-4)
 
 
@@ -165,6 +160,8 @@ def test_left_and_right_paths_need_opposite_turn_rates_and_a_straight_one_none(s
     assert (np.diff(rates) >= 0).all()
     np.testing.assert_array_equal(turn_rates_for(params, -CURVATURES), -rates)
     np.testing.assert_array_equal(turn_rates_for(params, 1 / np.float32([np.inf, -np.inf])), 0.0)
+    rigid = steered("leg", **{"turning.leg": 0.0})  # no turn rate turns without legs and spine
+    np.testing.assert_array_equal(turn_rates_for(rigid, CURVATURES), 0.0)
 
 
 def bent_robots_curvature(theta_v):
@@ -211,11 +208,6 @@ def test_the_expected_curvature_of_the_legs_is_that_of_least_slip_and_the_spines
     spine, mix = (path_curvature(steered(name), full) for name in ("spine", "mix"))
     assert spine[0] == -spine[1] > 0.0
     np.testing.assert_allclose(mix, path_curvature(steered("leg"), full) + spine, rtol=1e-6)
-
-
-def test_no_turn_rate_turns_without_legs_and_spine():
-    params = steered("leg", **{"turning.leg": 0.0})
-    np.testing.assert_array_equal(turn_rates_for(params, CURVATURES), 0.0)
 
 
 @jax.jit

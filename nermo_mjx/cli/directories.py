@@ -58,7 +58,7 @@ _KINDS: Final = (
     Kind("sweep", "a sweep", "sweep.plots:figures", "sweep.table:status", False, _COLUMNS),
     Kind("search", "a search", "optimize.figures:search_figures", "optimize.directory:search_status", False, _COLUMNS),
     Kind("tuning", "a tuning", "optimize.figures:tuning_figures", "optimize.directory:tuning_status"),
-    Kind("training", "a training", "learn.plots:figures", "learn.status:status"),
+    Kind("training", "a training", "learn.plots:figures", "learn.directory:status"),
     Kind("landscape", "a landscape", "optimize.landscape:figures", "optimize.landscape:status"),
     Kind("experiments", "published experiments", "experiments.run:images", "experiments.run:status", True),
     Kind("identification", "an identification", f"{_IDENTIFIED}:drawn", f"{_IDENTIFIED}:status", True),

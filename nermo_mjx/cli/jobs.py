@@ -31,8 +31,8 @@ from nermo_mjx.cli.progress import Stages, duration
 
 if TYPE_CHECKING:
     from nermo_mjx.experiments.run import ExperimentsResult
-    from nermo_mjx.learn.cost import Cost as TrainingCost
-    from nermo_mjx.learn.run import TrainingProgress, TrainingResult
+    from nermo_mjx.learn.run import Cost as TrainingCost
+    from nermo_mjx.learn.run import TrainingResult
     from nermo_mjx.optimize import LandscapeResult, Search, SearchResult, Tuning, TuningResult
     from nermo_mjx.optimize.run import Cost as SearchCost
     from nermo_mjx.optimize.run import MethodCost
@@ -563,31 +563,20 @@ def train_command(spec: Path, out: Path, onnx: bool, dry_run: bool, **how: Any) 
 
     training = changed(Training.from_file(spec), **_fields(how, "steps", "worlds", "seed", "plots"))
     if onnx:
-        from nermo_mjx.learn.onnx import check_onnx
+        from nermo_mjx.learn.policy import check_onnx
 
         check_onnx()
     if dry_run:
-        from nermo_mjx.learn.cost import cost_of
+        from nermo_mjx.learn.run import cost_of
 
         cost = cost_of(training, how["engine"])
         return Outcome({"cost": dataclasses.asdict(cost)}, lambda: _print_training_cost(cost))
     with _working("steps", how, details=_training_so_far) as given:
         from nermo_mjx.learn.run import run_training
-        from nermo_mjx.runs.job import Progress
 
-        watch, exported = given.pop("watch"), None
-
-        def tell(done: TrainingProgress) -> None:
-            share = min(1.0, done.steps / done.total)
-            watch.progress(Progress(share, done.steps, done.total, numbers=done.numbers))
-
-        def evaluating(share: float) -> None:
-            watch.progress(Progress(share, what="evaluation"))
-
-        result = run_training(training, out, progress=tell, warn=watch.warn, evaluating=evaluating, **given)
+        exported, result = None, run_training(training, out, **given)
         if onnx and result.policy is not None:
-            from nermo_mjx.learn.onnx import export
-            from nermo_mjx.learn.policy import load_policy
+            from nermo_mjx.learn.policy import export, load_policy
             from nermo_mjx.runs.files import replace_file
 
             exported = result.policy.with_suffix(".onnx")

@@ -2,10 +2,9 @@
 
 from nermo_mjx.control.controller import Controller, ControllerState, check, control_parameters, published_controller
 from nermo_mjx.control.head_and_tail import HeadAngles, HeadLike, Pace, TailLike
-from nermo_mjx.control.loading import load_controller
 from nermo_mjx.control.parameters import ControlParameters, published_values
 from nermo_mjx.control.pilot import Drive, External, Follow, OpenLoop, PilotLike, Walk, tabulated
-from nermo_mjx.control.protocol import ControllerLike, leg_servos
+from nermo_mjx.control.protocol import ControllerLike, leg_servos, load_controller
 from nermo_mjx.control.spine_modes import SagittalLike, SagittalModes, SpineLike, SpineModes
 from nermo_mjx.control.stepping import GaitLike, Stepping, Steps
 

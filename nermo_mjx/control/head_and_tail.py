@@ -12,12 +12,11 @@ the neck alone.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from typing import Any, Final, NamedTuple, Protocol, TypeVar, runtime_checkable
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
 
 from nermo_mjx.kinematics.body import attitude, turned_back
 from nermo_mjx.kinematics.spine import joint_angle, yaw
@@ -69,12 +68,6 @@ def body_heading(sensors: Sensors, geometry: Geometry) -> Scalar:
     """Heading of the body [rad], in (-pi, pi]: a bent spine turns torso and hip to opposite sides of it."""
     bend = yaw(joint_angle(sensors.servo_angle[SERVOS.index("spine")], geometry))
     return attitude(sensors.orientation)[2] - 0.5 * bend
-
-
-def begin(sensors: Sensors, geometry: Geometry) -> Course:
-    """The course at the start."""
-    heading = body_heading(sensors, geometry)
-    return Course(heading, jnp.zeros_like(heading))
 
 
 def observe(course: Course, sensors: Sensors, bandwidth: Any, dt: float, geometry: Geometry) -> Course:
@@ -133,7 +126,10 @@ class Appendage(AppendageLike[Angles]):
         return memory, self.held(getattr(params, self.group), pace)
 
     def init(self, params: Any, memory: Any, sensors: Sensors) -> Any:
-        return begin(sensors, geometry_of(params)) if self.on_course else memory
+        if not self.on_course:
+            return memory
+        heading = body_heading(sensors, geometry_of(params))
+        return Course(heading, jnp.zeros_like(heading))
 
     def update(self, params: Any, memory: Any, sensors: Sensors, pace: Pace, dt: float) -> tuple[Any, Angles]:
         own = getattr(params, self.group)
@@ -176,7 +172,10 @@ def head_held(head: Head, pace: Pace) -> HeadAngles:
 def gaze(head: Head, pace: Pace, sensors: Sensors, course: Course) -> HeadAngles:
     """Looks along the robot's course and level, with the offsets that `held` has from the torso's direction."""
     offset = head_held(head, pace)
-    seen = turned_back(sensors.orientation, _direction(course.heading + offset.neck, offset.tilt))
+    heading, down = course.heading + offset.neck, offset.tilt
+    level = jnp.cos(down)
+    direction = jnp.stack([level * jnp.sin(heading), -level * jnp.cos(heading), -jnp.sin(down)])
+    seen = turned_back(sensors.orientation, direction)
     seen = seen + head.lead * jnp.cross(seen, sensors.gyro)
     level = jnp.sqrt(seen[0] ** 2 + seen[1] ** 2 + 1e-12)
     wanted = HeadAngles(jnp.arctan2(seen[0], -seen[1]), jnp.arctan2(-seen[2], level))
@@ -193,12 +192,6 @@ HEADS: Final = tuple(_HEADS)
 def named_head(name: str = "none") -> HeadLike:
     """The head control of this name in `HEADS`."""
     return _HEADS[choice("head", name, HEADS)]
-
-
-def _direction(heading: Scalars, down: Scalars) -> Float[Array, " 3"]:
-    """The unit vector of a heading [rad], positive left of -y, that points down by an angle [rad]."""
-    level = jnp.cos(down)
-    return jnp.stack([level * jnp.sin(heading), -level * jnp.cos(heading), -jnp.sin(down)])
 
 
 # ---
@@ -268,20 +261,19 @@ class SeveralTails(AppendageLike[Scalars]):
     parts: tuple[TailLike, ...]
 
     def start(self, params: Any, pace: Pace) -> tuple[Any, Scalars]:
-        return _sum(params, pace, (part.start(params, pace) for part in self.parts))
+        return self._sum(params, pace, [part.start(params, pace) for part in self.parts])
 
     def init(self, params: Any, memory: Any, sensors: Sensors) -> Any:
         return tuple(part.init(params, own, sensors) for part, own in zip(self.parts, memory, strict=True))
 
     def update(self, params: Any, memory: Any, sensors: Sensors, pace: Pace, dt: float) -> tuple[Any, Scalars]:
         parts = zip(self.parts, memory, strict=True)
-        return _sum(params, pace, (part.update(params, own, sensors, pace, dt) for part, own in parts))
+        return self._sum(params, pace, [part.update(params, own, sensors, pace, dt) for part, own in parts])
 
-
-def _sum(params: Any, pace: Pace, parts: Iterable[tuple[Any, Scalars]]) -> tuple[Any, Scalars]:
-    memories, angles = zip(*parts, strict=True)
-    still = tail_held(params.tail, pace)
-    return memories, sum((angle - still for angle in angles), still)
+    def _sum(self, params: Any, pace: Pace, parts: list[tuple[Any, Scalars]]) -> tuple[Any, Scalars]:
+        memories, angles = zip(*parts, strict=True)
+        still = tail_held(params.tail, pace)
+        return memories, sum((angle - still for angle in angles), still)
 
 
 _TAILS: Final[dict[str, TailLike]] = {

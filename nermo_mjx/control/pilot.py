@@ -70,7 +70,8 @@ class PilotLike(Protocol):
         """Memory and drive of a robot at the beginning of the path; the start pose is built from them."""
 
     def init(self, params: Any, memory: Any, sensors: Sensors, walk: Walk) -> Any:
-        """The memory of `start` updated with the first readings."""
+        """The memory of `start` updated with the first readings; by default it stays as it is."""
+        return memory
 
     def update(self, params: Any, memory: Any, sensors: Sensors, walk: Walk) -> tuple[Any, Drive]:
         """New memory and drive; both are held until the next pilot tick."""
@@ -88,9 +89,6 @@ class OpenLoop(PilotLike):
     def start(self, params: ControlParameters) -> tuple[Any, Drive]:
         return (), limited(params.gait.commanded_speed, params.pilot.turn_rate)
 
-    def init(self, params: ControlParameters, memory: Any, sensors: Sensors, walk: Walk) -> Any:
-        return memory
-
     def update(self, params: ControlParameters, memory: Any, sensors: Sensors, walk: Walk) -> tuple[Any, Drive]:
         return self.start(params)
 
@@ -103,9 +101,6 @@ class External(PilotLike):
 
     def start(self, params: ControlParameters) -> tuple[Any, Drive]:
         return (), limited(*self.command(jnp.zeros(())))
-
-    def init(self, params: ControlParameters, memory: Any, sensors: Sensors, walk: Walk) -> Any:
-        return memory
 
     def update(self, params: ControlParameters, memory: Any, sensors: Sensors, walk: Walk) -> tuple[Any, Drive]:
         return memory, limited(*self.command(walk.time))

@@ -1,17 +1,36 @@
-"""The interface of controllers for simulators, metrics, sweeps and tunings: pure functions of pytrees."""
+"""The interface of controllers for simulators, metrics, sweeps and tunings; the user's controllers by their names.
+
+A controller consists of pure functions of pytrees. Spec files and commands name an object in a Python file or module.
+"""
 
 from __future__ import annotations
 
-from typing import Any, Protocol, runtime_checkable
+import contextlib
+import dataclasses
+import functools
+import hashlib
+import importlib
+import importlib.util
+import inspect
+import sys
+import traceback
+from collections.abc import Iterator
+from pathlib import Path
+from types import FunctionType, ModuleType
+from typing import Any, Final, Protocol, runtime_checkable
 
+import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Bool, Float
 
 from nermo_mjx.control.path import PathPoint
 from nermo_mjx.kinematics.leg import four_legs, inverse
 from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.parameters import Sensors, ServoAngles
+from nermo_mjx.robot.quantity import ParameterError, did_you_mean
 from nermo_mjx.shapes import Array, Scalar
+from nermo_mjx.trust import RUNS_CODE, TELL, one_line
 
 #: What every controller has.
 REQUIRED = ("dt", "parameters", "init", "initial_servo", "update", "cycle_rate")
@@ -112,3 +131,227 @@ def leg_servos(
     spine = jnp.asarray(spine, servo.dtype)
     rest = jnp.zeros_like(spine)
     return ServoAngles(hip=servo[..., 0], knee=servo[..., 1], spine=spine, neck=rest, tail=rest)
+
+
+# ---
+# The user's Python files and modules, whose objects spec files and commands can name.
+
+
+@dataclasses.dataclass(frozen=True)
+class Source:
+    """A Python file or module that a text names, with or without the name of an object in it.
+
+    Attributes:
+        subject: the beginning of messages: `controller is 'bound.py:Bound'`.
+        place: `FILE.py` or the name of a module.
+        name: of the object; "" without one.
+        form: the expected form, for messages.
+    """
+
+    subject: str
+    place: str
+    name: str
+    form: str
+
+    @classmethod
+    def named(cls, field: str, where: str, form: str) -> Source:
+        """What a text names: FILE.py, FILE.py:NAME, MODULE or MODULE:NAME.
+
+        Raises:
+            ParameterError: the text has another form.
+        """
+        place, colon, name = (where, "", "") if where.endswith(".py") else where.rpartition(":")
+        place, name = (place, name) if colon else (where, "")
+        if not place or (colon and not name.isidentifier()):
+            raise ParameterError(f"{field} {where!r}: expected {form}.")
+        return cls(f"{field} {where!r}", place, name, form)
+
+    def content(self) -> tuple[str, bytes]:
+        """Path and content of the file.
+
+        Raises:
+            ParameterError: the file or module does not exist or cannot be read.
+        """
+        path = Path(self.place)
+        if not self.place.endswith(".py"):
+            self._check_may_run()  # to find a module, Python runs the packages that it is in
+            try:
+                spec = importlib.util.find_spec(self.place)
+            except (ImportError, ValueError):
+                spec = None
+            if spec is None or spec.origin is None:
+                raise ParameterError(f"{self.subject}: there is no module {self.place!r} here; expected {self.form}.")
+            path = Path(spec.origin)
+        try:
+            return str(path.resolve()), path.read_bytes()
+        except OSError as error:
+            raise ParameterError(f"{self.subject}: {path} cannot be read ({error.strerror}).") from None
+
+    def digest(self, *names: str) -> str:
+        """A hash of names and of the file, not of what it imports; the errors are those of `content`."""
+        return hashlib.sha256("".join(f"{name}\0" for name in names).encode() + self.content()[1]).hexdigest()[:16]
+
+    def module(self) -> ModuleType:
+        """The module; a file is executed once for each version of its content.
+
+        Raises:
+            ParameterError: see `content`; or it cannot be imported, or nothing may be run here.
+        """
+        self._check_may_run()
+        path, content = self.content()
+        with user_code(f"{self.subject}: it cannot be imported"):
+            return _imported(self.place, path, content)
+
+    def missing(self, names: list[str]) -> ParameterError:
+        """The error for a name that it does not have, with the closest of those that it has."""
+        hint = did_you_mean(self.name, names)
+        return ParameterError(f"{self.subject}: {self.place} has no {self.name!r}{hint}")
+
+    def _check_may_run(self) -> None:
+        if not RUNS_CODE.get():
+            raise ParameterError(f"{self.subject}: it is code, which a command that only reads does not run.")
+
+
+#: Errors of functions that cannot be traced.
+_NOT_JITTABLE: Final = (
+    jax.errors.ConcretizationTypeError,
+    jax.errors.TracerArrayConversionError,
+    jax.errors.TracerBoolConversionError,
+    jax.errors.TracerIntegerConversionError,
+)
+#: Packages whose lines are not the user's, where an error arises.
+_OTHERS: Final = ("jax", "jaxlib", "numpy", "nermo_mjx", "importlib", "contextlib", "_sitebuiltins")
+
+
+@contextlib.contextmanager
+def user_code(subject: str) -> Iterator[None]:
+    """Turn any error of the user's code into one sentence: the subject, the user's file and line, and what is wrong.
+
+    Raises:
+        ParameterError: instead of the error.
+    """
+    try:
+        yield
+    except ParameterError:
+        raise
+    except (Exception, SystemExit) as error:
+        frames = [
+            f"{Path(frame.f_code.co_filename).name}:{line}"
+            for frame, line in traceback.walk_tb(error.__traceback__)
+            if frame.f_globals.get("__name__", "").partition(".")[0] not in _OTHERS
+        ]
+        place = f" at {frames[-1]}" if frames else ""
+        if isinstance(error, _NOT_JITTABLE):
+            raise ParameterError(
+                f"{subject}{place}: it cannot be compiled, as it branches on readings or other traced values, or makes "
+                "NumPy's numbers of them; use jax.numpy, and jnp.where instead of if."
+            ) from None
+        hint, wrong = "", (str(error).strip().splitlines() or [""])[0].rstrip(".")[:200]
+        if isinstance(error, AttributeError) and isinstance(error.obj, Sensors):
+            known = [field.name for field in dataclasses.fields(Sensors)]
+            hint = f"{did_you_mean(str(error.name), known)} Sensors are {', '.join(known)}"
+        raise ParameterError(f"{subject}{place}: {type(error).__name__}: {wrong}{hint}.") from None
+
+
+@functools.lru_cache(maxsize=32)
+def _imported(source: str, path: str, content: bytes) -> ModuleType:
+    TELL.get()(f"the Python code of {one_line(path)} is run.")
+    if not source.endswith(".py"):
+        return importlib.import_module(source)
+    name = f"nermo_mjx_own_{hashlib.sha256(path.encode() + content).hexdigest()[:16]}"
+    module = ModuleType(name)
+    module.__file__ = path
+    sys.modules[name] = module  # dataclasses look their module up
+    exec(compile(content, path, "exec"), module.__dict__)
+    return module
+
+
+#: How a text names a controller.
+FORM: Final = "FILE.py:NAME, MODULE:NAME or FILE.npz"
+
+
+def load_controller(where: str) -> Any:
+    """The controller that a text names; the same object as long as its file does not change.
+
+    Args:
+        where: `FILE.py:NAME` or `MODULE:NAME`, the name being that of a controller, or of a class or function that
+            returns one when called without arguments; or `FILE.npz`, a policy from `nermo-mjx train`.
+
+    Raises:
+        ParameterError: the file, module or name does not exist, it cannot be imported, or it is not a controller.
+    """
+    if is_data(where):
+        # By name: a policy belongs to a room above this one, which only policies need.
+        return importlib.import_module("nermo_mjx.learn.policy").load_policy(where)
+    source = _source(where)
+    module = source.module()
+    controller = getattr(module, source.name, None)
+    if controller is None:
+        raise source.missing([each for each in vars(module) if not each.startswith("_")])
+    if isinstance(controller, (type, FunctionType)):
+        controller = _made(where, controller)
+    check_form(controller)
+    return controller
+
+
+def controller_digest(where: str) -> str:
+    """A hash of the controller's name, if it has one, and of the file that defines it; not of what that file imports.
+
+    Raises:
+        ParameterError: see `load_controller`.
+    """
+    if is_data(where):
+        load_controller(where)
+        return hashlib.sha256(Path(where).read_bytes()).hexdigest()[:16]
+    source = _source(where)
+    return source.digest(source.name)
+
+
+def is_data(where: str) -> bool:
+    """Whether a text names a file that holds a controller as data instead of code."""
+    return Path(where).suffix == ".npz"
+
+
+def check_form(controller: Any) -> None:
+    """Reject objects that are not controllers, see `ControllerLike`.
+
+    Raises:
+        ParameterError: the message names what is missing, or what of it is wrong.
+    """
+    kind = type(controller).__name__
+    with user_code(f"controller is of type {kind}, which fails"):
+        missing = [name for name in REQUIRED if not hasattr(controller, name)]
+        if missing:
+            raise ParameterError(
+                f"controller is of type {kind}, which has no {' and no '.join(missing)}: a controller has "
+                f"{', '.join(REQUIRED)}."
+            )
+        dt, leaves = controller.dt, jax.tree.leaves(controller.parameters)
+    if not isinstance(dt, (int, float, np.number)) or not 0.0 < dt < np.inf:
+        raise ParameterError(f"controller has dt {dt!r}: expected the seconds of a tick, a finite number above 0.")
+    for leaf in leaves:
+        if np.asarray(leaf).dtype.kind not in "fiub":
+            raise ParameterError(
+                f"controller has parameters with {leaf!r}: expected a pytree of numbers, such as an object of a class "
+                "under nermo_mjx.parameter_tree."
+            )
+
+
+def named_place(controller: Any, name: str) -> str:
+    """A function of a controller and where it stands, for messages: `controller has update (bound.py:37)`."""
+    code = getattr(inspect.unwrap(getattr(controller, name)), "__code__", None)
+    place = "" if code is None else f" ({Path(code.co_filename).name}:{code.co_firstlineno})"
+    return f"controller has {name}{place}"
+
+
+def _source(where: str) -> Source:
+    source = Source.named("controller is", where, FORM)
+    if not source.name:
+        raise ParameterError(f"{source.subject}: expected {FORM}.")
+    return source
+
+
+@functools.lru_cache(maxsize=32)
+def _made(where: str, maker: Any) -> Any:
+    with user_code(f"controller is {where!r}: it cannot be made without arguments"):
+        return maker()

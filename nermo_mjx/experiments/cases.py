@@ -12,9 +12,8 @@ from typing import Any, Final
 import numpy as np
 import yaml
 
-from nermo_mjx.control.loading import controller_digest, load_controller
 from nermo_mjx.control.parameters import AS_BUILT, PUBLISHED_CLOCK_RATIO, body_values, published_values
-from nermo_mjx.control.protocol import ActsUpon
+from nermo_mjx.control.protocol import ActsUpon, controller_digest, load_controller
 from nermo_mjx.recording import Recording, recording_of
 from nermo_mjx.robot import ParameterError
 from nermo_mjx.robot.quantity import choice, quantities

@@ -6,10 +6,9 @@ import importlib
 from typing import TYPE_CHECKING, Any, Final
 
 from nermo_mjx.learn.acting import Modulation, Residual, Targets
+from nermo_mjx.learn.algorithms import PPO, ShortHorizon
 from nermo_mjx.learn.environment import SENTENCES, Environment, State
 from nermo_mjx.learn.policy import Policy, load_policy
-from nermo_mjx.learn.ppo import PPO
-from nermo_mjx.learn.short_horizon import ShortHorizon
 from nermo_mjx.learn.task import TERMS, Outcome, Task, Term, task_parameters
 
 if TYPE_CHECKING:

@@ -44,13 +44,15 @@ class ActionKind(Protocol):
 
     def parameters(self, params: Any, action: Action) -> Any:
         """The controller's parameters under an action."""
+        return params
 
     def servo(self, servo: ServoAngles, home: ServoAngles, action: Action) -> ServoAngles:
         """Servo angles, from those of the controller and those of the standing robot."""
+        return servo
 
 
 @dataclasses.dataclass(frozen=True)
-class ServoAction(Spec):
+class ServoAction(Spec, ActionKind):
     """What `Residual` and `Targets` have in common: a range for each group of servos, by which an action moves them."""
 
     what = "a group of servos"
@@ -72,15 +74,7 @@ class ServoAction(Spec):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """See `ActionKind`."""
         return tuple(name for name in ACTED if getattr(self, name.rsplit("_", 1)[-1]))
-
-    def check(self, controller: ControllerLike) -> None:
-        """See `ActionKind`; every robot has servos."""
-
-    def parameters(self, params: Any, action: Action) -> Any:
-        """See `ActionKind`."""
-        return params
 
     def moved(self, servo: ServoAngles, action: Action) -> ServoAngles:
         """Servo angles, moved by the action."""
@@ -109,7 +103,6 @@ class Residual(ServoAction):
     """largest correction of the spine's servo [rad]; 0: the spine is left to the controller"""
 
     def servo(self, servo: ServoAngles, home: ServoAngles, action: Action) -> ServoAngles:
-        """See `ActionKind`."""
         return self.moved(servo, action)
 
 
@@ -125,7 +118,6 @@ class Targets(ServoAction):
     """range of the spine's servo to either side [rad]; 0: the spine keeps its standing pose"""
 
     def servo(self, servo: ServoAngles, home: ServoAngles, action: Action) -> ServoAngles:
-        """See `ActionKind`."""
         return self.moved(home, action)
 
 
@@ -140,7 +132,7 @@ MODULATED: Final[Mapping[str, tuple[float, float]]] = {
 
 
 @dataclasses.dataclass(frozen=True)
-class Modulation(Spec):
+class Modulation(Spec, ActionKind):
     """Changes of the controller's parameters while it runs.
 
     An action of -1 sets the low end of the range, 0 the value that the controller has without it, 1 the high end,
@@ -158,11 +150,9 @@ class Modulation(Spec):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """See `ActionKind`."""
         return tuple(self.ranges)
 
     def check(self, controller: ControllerLike) -> None:
-        """See `ActionKind`."""
         known = dict(quantities(controller.parameters))
         if not self.ranges:
             raise ParameterError("modulation has no ranges: name at least one parameter of the controller.")
@@ -176,17 +166,12 @@ class Modulation(Spec):
             check_quantities(replace_quantities(controller.parameters, {name: high}))
 
     def parameters(self, params: Any, action: Action) -> Any:
-        """See `ActionKind`."""
         held, moved = dict(values_of(params)), {}
         for share, (name, (low, high)) in zip(action, self.ranges.items(), strict=True):
             value = jnp.asarray(held[name])
             span = jnp.where(share > 0.0, high - value, value - low)
             moved[name] = jnp.clip(value + share * span, low, high)
         return replace_quantities(params, moved)
-
-    def servo(self, servo: ServoAngles, home: ServoAngles, action: Action) -> ServoAngles:
-        """See `ActionKind`."""
-        return servo
 
 
 #: What an action does, by the name in files.
@@ -234,7 +219,6 @@ class Acting:
 
     @property
     def dt(self) -> float:
-        """See `ControllerLike`."""
         return self.base.dt
 
     @property
@@ -243,28 +227,22 @@ class Acting:
         return Acted(self.base.parameters, jnp.zeros(len(self.kind.names)))
 
     def init(self, params: Acted, sensors: Sensors, phase: Scalar) -> ActedState:
-        """See `ControllerLike`."""
         return ActedState(self.base.init(params.control, sensors, phase), self._home(params))
 
     def initial_servo(self, params: Acted, phase: Scalar) -> ServoAngles:
-        """See `ControllerLike`."""
         return self._home(params) if isinstance(self.kind, Targets) else self.base.initial_servo(params.control, phase)
 
     def update(self, params: Acted, state: ActedState, sensors: Sensors) -> tuple[ActedState, ServoAngles]:
-        """See `ControllerLike`."""
         action = jnp.clip(params.action, -1.0, 1.0)
         under = self.kind.parameters(params.control, action)
         control, servo = self.base.update(under, state.control, sensors)
         return ActedState(control, state.home), self.kind.servo(servo, state.home, action)
 
     def cycle_rate(self, params: Acted) -> Any:
-        """See `ControllerLike`."""
         if not isinstance(self.kind, Modulation):
             return self.base.cycle_rate(params.control)
-        under = self.kind.parameters(
-            params.control, jnp.moveaxis(jnp.clip(jnp.asarray(params.action), -1.0, 1.0), -1, 0)
-        )
-        return self.base.cycle_rate(under)
+        action = jnp.moveaxis(jnp.clip(jnp.asarray(params.action), -1.0, 1.0), -1, 0)  # of a batch, each by itself
+        return self.base.cycle_rate(self.kind.parameters(params.control, action))
 
     def path(self, params: Acted, state: ActedState, position: Float[Array, " 3"]) -> PathPoint | None:
         """See `FollowsPath`; None where the controller follows none."""

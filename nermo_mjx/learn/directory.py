@@ -1,4 +1,4 @@
-"""A training's directory: what it is for, and the files that are made from its checkpoints.
+"""A training's directory: what it is for, its history, and the files that are made from its checkpoints.
 
 DIR/training.yaml      the resolved training
 DIR/metrics.py         custom metrics, if the evaluation has some: a copy
@@ -6,11 +6,14 @@ DIR/run.json           which code made it; versions, machine and command of each
 DIR/checkpoints/       Orbax checkpoints, the latest few: the full learning state, and the history up to it
 DIR/policy.npz         the policy of the latest checkpoint, or of the best one (`validation`): a controller
 DIR/validation.parquet the success of the policy of each checkpoint, where the best one is chosen
-DIR/history.parquet    one row per iteration
+DIR/history.parquet    one row per iteration; in each column's metadata its unit, meaning and role
 DIR/evaluation.parquet one row per walk on a body and start that the policy has not seen, and the same without it
 DIR/summary.json       success, return and speed
 DIR/plots/             figures
 DIR/*.aside-N          files that did not match: nothing is deleted
+
+Roles in the history: `index` (iteration, steps), `return` (of the episodes that ended), `term` (of the reward),
+`learning`, `effort` (CPU and wall time, which differ from run to run), `code`.
 """
 
 from __future__ import annotations
@@ -24,21 +27,104 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+import pyarrow as pa
 
+from nermo_mjx.files import FileError, json_of
 from nermo_mjx.learn.experience import Learned
-from nermo_mjx.learn.history import FILE, Curves, history_table
 from nermo_mjx.learn.spec import Training
-from nermo_mjx.runs import OtherCode, RunDirectory, stamp
+from nermo_mjx.runs import OtherCode, RunDirectory, engine_of, stamp
 from nermo_mjx.runs.checkpoints import Checkpoints
-from nermo_mjx.runs.files import WrongDirectory, clear_errors, parquet_bytes
+from nermo_mjx.runs.files import WrongDirectory, clear_errors, content_of, parquet_bytes, stored_table
+from nermo_mjx.runs.rows import Columns
+from nermo_mjx.runs.status import Status, metadata_of, status_of
 from nermo_mjx.specs.controllers import with_code_copied
 from nermo_mjx.specs.described import write_described
-from nermo_mjx.specs.reading import changes
+from nermo_mjx.specs.reading import SpecError, changes
 
 POLICY_FILE: Final = "policy.npz"
 EVALUATION: Final = "evaluation.parquet"
 SUMMARY: Final = "summary.json"
 SPEC: Final = "training.yaml"
+HISTORY: Final = "history.parquet"
+#: Role, unit and meaning of the history's columns that every training may have.
+_COLUMNS: Final[dict[str, tuple[str, str, str]]] = {
+    "steps": ("index", "1", "control steps of all worlds so far"),
+    "episodes": ("return", "1", "episodes that ended in the iteration, but for the first of each world, cut short"),
+    "return": ("return", "1", "mean sum of rewards of these episodes; NaN where none ended"),
+    "length": ("return", "1", "mean control steps of these episodes"),
+    "lasted": ("return", "1", "share of these episodes that their time limit ended, and no fall"),
+    "reward": ("return", "1", "mean reward of a control step"),
+    "kl": ("learning", "nat", "change of the policy in the last pass over the iteration's steps"),
+    "loss": ("learning", "1", "what the actor descends"),
+    "gradient": ("learning", "1", "norm of the actor's gradient"),
+    "value_loss": ("learning", "1", "half the mean squared error of the critic"),
+    "explained": ("learning", "1", "share of the returns' variance that the critic explains"),
+    "rate": ("learning", "1", "learning rate of the actor"),
+    "std": ("learning", "1", "mean standard deviation of the actions"),
+    "environment_cpu": ("effort", "s", "CPU time of the control steps; NaN where they and the rest are one program"),
+    "learner_cpu": ("effort", "s", "CPU time of the rest of the iteration"),
+    "wall_seconds": ("effort", "s", "wall time of the iteration"),
+}
+
+
+@dataclasses.dataclass(frozen=True)
+class Curves:
+    """The history as it is kept while training.
+
+    Attributes:
+        names: of the columns.
+        rows: float64 (iterations, columns).
+        codes: which code made the iterations from which one on.
+    """
+
+    names: tuple[str, ...] = ()
+    rows: np.ndarray = dataclasses.field(default_factory=lambda: np.empty((0, 0)))
+    codes: tuple[tuple[int, str], ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def extended(self, numbers: Mapping[str, float], code: str) -> Curves:
+        """With one more iteration, by this code."""
+        names = self.names or tuple(numbers)
+        row = np.array([[float(numbers[name]) for name in names]])
+        before = tuple(each for each in self.codes if each[0] < len(self))
+        codes = before if before and before[-1][1] == code else (*before, (len(self), code))
+        return Curves(names, row if not len(self) else np.concatenate([self.rows, row]), codes)
+
+    def column(self, name: str) -> np.ndarray:
+        """The numbers of a column (iterations,)."""
+        return self.rows[:, self.names.index(name)]
+
+    def last(self, name: str, episodes: int = 100) -> float:
+        """Mean of a value over the last episodes, at least this many if available; NaN if none ended."""
+        count = self.column("episodes")
+        total = np.cumsum(count[::-1])[::-1]
+        recent = (count > 0) & (total - count < episodes)
+        return float(np.average(self.column(name)[recent], weights=count[recent])) if recent.any() else float("nan")
+
+    def table(self, units: Mapping[str, str], digest: str) -> pa.Table:
+        """The history as a table; `units` are those of the reward's terms by name, `digest` is of the training."""
+        table, iterations = Columns(), len(self)
+        table.add("iteration", np.arange(iterations), "index", "1", "iterations done before")
+        for name, values in zip(self.names, self.rows.T, strict=True):
+            term = name.removeprefix("term.")
+            own = ("term", units.get(term, "1"), f"mean of the reward's term {term} a step")
+            whole = values.astype(int) if name in ("steps", "episodes") else values
+            table.add(name, whole, *_COLUMNS.get(name, own))
+        lasted = np.diff([*(first for first, _ in self.codes), iterations])
+        code = np.repeat(np.array([code for _, code in self.codes], object), lasted)
+        table.add("code", code, "code", "1", "which code made the row, by its name in run.json")
+        return table.table({"training": digest})
+
+
+def read_history(out: str | os.PathLike[str]) -> pa.Table:
+    """The history of a training's directory, as far as it goes.
+
+    Raises:
+        DirectoryError: there is none, it is damaged, or cannot be read now.
+    """
+    return stored_table(Path(out) / HISTORY, "history of a training")
 
 
 class Directory:
@@ -84,7 +170,17 @@ class Directory:
         """
 
         def like(about: Mapping[str, Any]) -> dict[str, Any]:
-            self._check_ours(about, accept)
+            here, there = json.loads(json.dumps(self.training.identity())), about["identity"]
+            if apart := changes(there["fields"], here["fields"]):
+                raise WrongDirectory(
+                    f"{self.out} holds another training, with another {', '.join(apart)} (see "
+                    f"{self.out / SPEC}); choose another directory."
+                )
+            if (apart := changes(there["defaults"], here["defaults"])) and not accept:
+                raise OtherCode(
+                    f"{self.out} was made with other defaults: {', '.join(apart)}; choose another directory, or resume "
+                    "with --accept-new-code, and distinguish the rows by their column code."
+                )
             return {"learned": beginning, "history": np.empty(about["rows"])}
 
         found = self._checkpoints.restore(like, self._warn)
@@ -106,8 +202,7 @@ class Directory:
 
     def claim(self) -> None:
         """Claim the directory for this training; a user's own files in the way are moved aside."""
-        folder = self.out.resolve()
-        setup = with_code_copied(self.training.setup, folder, self.held.write)
+        setup = with_code_copied(self.training.setup, self.out.resolve(), self.held.write)
         self.training = dataclasses.replace(self.training, setup=setup)
         write_described(self.held, SPEC, self.training, Training.from_file, self._warn)
 
@@ -124,26 +219,26 @@ class Directory:
 
     def publish(self, curves: Curves, units: Mapping[str, str], policy: bytes | None) -> None:
         """Make history.parquet and policy.npz of the latest checkpoint."""
-        self.held.write(FILE, parquet_bytes(history_table(curves, units, self.training.digest())))
+        self.held.write(HISTORY, parquet_bytes(curves.table(units, self.training.digest())))
         if policy is not None:
             self.held.write(POLICY_FILE, policy)
 
-    def _check_ours(self, about: Mapping[str, Any], accept: bool) -> None:
-        here, there = self.training.identity(), about["identity"]
-        apart = changes(there["fields"], _plain(here["fields"]))
-        if apart:
-            raise WrongDirectory(
-                f"{self.out} holds another training, with another {', '.join(apart)} (see "
-                f"{self.out / SPEC}); choose another directory."
-            )
-        apart = changes(there["defaults"], _plain(here["defaults"]))
-        if apart and not accept:
-            raise OtherCode(
-                f"{self.out} was made with other defaults: {', '.join(apart)}; choose another directory, or resume "
-                "with --accept-new-code, and distinguish the rows by their column code."
-            )
 
-
-def _plain(fields: Any) -> Any:
-    """As JSON gives it back."""
-    return json.loads(json.dumps(fields))
+def status(out: Path) -> Status:
+    """How many iterations the history of a training's directory has."""
+    notes, rows, done, until = list[str](), None, 0, None
+    try:
+        training = Training.from_file(out / SPEC)
+        rows, until = training.iterations, training.until
+    except (SpecError, OSError) as error:
+        notes.append(f"Its training cannot be read: {error}")
+    if about := metadata_of(out / HISTORY, notes, "it is made again of the checkpoints."):
+        done = about.num_rows
+        if until is not None:  # one that was good enough before has no more of them
+            with contextlib.suppress(FileError):
+                summary = json_of(content_of(out / SUMMARY) or b"{}", dict[str, Any], out / SUMMARY)
+                rows = done if summary.get("complete") is True else rows
+    complete = rows is not None and done >= rows and (out / SUMMARY).exists()
+    return status_of(
+        "iterations", out, done, rows, complete, command="train", spec=SPEC, engine=engine_of(out), notes=notes
+    )

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import functools
-from typing import Any, NamedTuple, Protocol
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, Final, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -20,7 +22,11 @@ from nermo_mjx.robot import ParameterError
 from nermo_mjx.rollout.loop import check_controller
 from nermo_mjx.rollout.run import Lanes
 from nermo_mjx.rollout.setup import Setup
+from nermo_mjx.runtime import thread_count
 from nermo_mjx.shapes import Array, Truth
+
+#: The sentences of `State.status`, by code.
+SENTENCES: Final = tuple(outcome.value for outcome in Outcome)
 
 
 class State(NamedTuple):
@@ -52,26 +58,17 @@ class State(NamedTuple):
     engine: Any
 
 
-class Worlds(Protocol):
-    """The worlds of an environment on one engine."""
-
-    def reset(self, key: Any) -> State: ...
-
-    def step(self, state: State, action: Any) -> State: ...
+def _state(seen: Observed, observation: Any, privileged: Any, engine: Any) -> State:
+    """What a control step gave; observation and privileged input are those of new episodes where some ended."""
+    final = {"final_observation": seen.observation, "final_privileged": seen.privileged, "engine": engine}
+    now = {**seen._asdict(), "observation": observation, "privileged": privileged}
+    return State(**now, **final)
 
 
 class CWorlds:
     """Worlds of MuJoCo's C engine. The k-th episode of a world depends on key, world and k alone."""
 
     def __init__(self, loop: EpisodeLoop, episodes: Episodes, worlds: int, staggered: bool, threads: Threads) -> None:
-        """
-        Args:
-            loop: what runs in each.
-            episodes: what draws theirs.
-            worlds: how many.
-            staggered: whether the first episodes are cut short.
-            threads: see `CEngine`.
-        """
         self.loop, self.episodes, self.worlds = loop, episodes, worlds
         self.engine = CEngine(loop.robot, loop, threads)
         self.variation = Variation(loop.robot)
@@ -86,15 +83,14 @@ class CWorlds:
         self.draw = Lanes(draw)
 
     def reset(self, key: np.ndarray) -> State:
-        """See `Worlds`."""
         n = self.worlds
         self.key, self.count, self.drawn = np.asarray(key), np.zeros(n, int), {}
         params, fields, qpos = self._episode(0, np.arange(n))
         self.session = CDriven(self.engine, params, qpos, fields)
-        return self._state(self.session.observe(), None)
+        seen, self.newest = self.session.observe(), object()
+        return _state(seen, seen.observation, seen.privileged, self.newest)
 
     def step(self, state: State, action: Any) -> State:
-        """See `Worlds`."""
         if self.session is None or state.engine is not self.newest:
             raise ParameterError("state is not the newest one of this environment: on 'c' worlds cannot go back.")
         action = np.asarray(action, np.float32)
@@ -102,22 +98,22 @@ class CWorlds:
             raise ParameterError("action has numbers that are not finite.")
         seen = self.session.drive(action, self.loop.task.decimation)
         ended = np.flatnonzero(seen.terminated | seen.truncated)
-        return self._state(seen, self._anew(ended) if len(ended) else None, ended)
-
-    def _anew(self, ended: np.ndarray) -> Observed:
-        """What worlds see that begin their next episode."""
-        assert self.session is not None
-        self.count[ended] += 1
-        parts = []
-        for k in np.unique(self.count[ended]):
-            worlds = ended[self.count[ended] == k]
-            parts.append((worlds, self._episode(k, worlds)))
-        order = np.argsort(np.concatenate([worlds for worlds, _ in parts]))
-        params, fields, qpos = jax.tree.map(
-            lambda *leaves: np.concatenate(leaves)[order], *(episode for _, episode in parts)
-        )
-        first: Observed = self.session.restart(ended, params, qpos, fields)
-        return first
+        observation, privileged = seen.observation, seen.privileged
+        if len(ended):
+            observation, privileged = observation.copy(), privileged.copy()
+            self.count[ended] += 1
+            parts = []
+            for k in np.unique(self.count[ended]):
+                worlds = ended[self.count[ended] == k]
+                parts.append((worlds, self._episode(k, worlds)))
+            order = np.argsort(np.concatenate([worlds for worlds, _ in parts]))
+            params, fields, qpos = jax.tree.map(
+                lambda *leaves: np.concatenate(leaves)[order], *(episode for _, episode in parts)
+            )
+            first = self.session.restart(ended, params, qpos, fields)
+            observation[ended], privileged[ended] = first.observation, first.privileged
+        self.newest = object()
+        return _state(seen, observation, privileged, self.newest)
 
     def _episode(self, k: int, worlds: np.ndarray) -> tuple[Any, dict[str, np.ndarray], np.ndarray]:
         """Parameters, model fields and first positions of the k-th episode of some worlds.
@@ -134,26 +130,6 @@ class CWorlds:
                 del self.drawn[old]
         chosen: tuple[Any, dict[str, np.ndarray], np.ndarray] = jax.tree.map(lambda leaf: leaf[worlds], self.drawn[k])
         return chosen
-
-    def _state(self, seen: Observed, first: Observed | None, ended: Any = ()) -> State:
-        observation, privileged = seen.observation, seen.privileged
-        if first is not None:
-            observation, privileged = observation.copy(), privileged.copy()
-            observation[ended], privileged[ended] = first.observation, first.privileged
-        self.newest = object()
-        return State(
-            observation,
-            privileged,
-            seen.reward,
-            seen.terms,
-            seen.terminated,
-            seen.truncated,
-            seen.status,
-            seen.observation,
-            seen.privileged,
-            seen.episode,
-            self.newest,
-        )
 
 
 class World(NamedTuple):
@@ -175,10 +151,6 @@ class MjxWorlds:
     """Worlds of MJX, in pure functions; `begin`, `act` and `seen` are those of one world."""
 
     def __init__(self, loop: EpisodeLoop, episodes: Episodes, worlds: int, staggered: bool) -> None:
-        """
-        Args:
-            loop, episodes, worlds, staggered: see `CWorlds`.
-        """
         from nermo_mjx.physics.mjx_engine import MjxEngine  # MJX takes a second to start
 
         self.loop, self.episodes, self.worlds, self.staggered = loop, episodes, worlds, staggered
@@ -187,25 +159,28 @@ class MjxWorlds:
 
     @full_precision
     def reset(self, key: Any) -> State:
-        """See `Worlds`."""
         keys = jax.random.split(jax.random.wrap_key_data(key), self.worlds)
         world = jax.vmap(functools.partial(self.begin, cut_short=self.staggered))(jax.random.key_data(keys))
-        return self._state(jax.vmap(self.seen)(world), None, world)
+        seen = jax.vmap(self.seen)(world)
+        return _state(seen, seen.observation, seen.privileged, world)
 
     @full_precision
     def step(self, state: State, action: Any) -> State:
-        """See `Worlds`."""
         world = jax.vmap(self.act)(state.engine, jnp.asarray(action))
         seen = jax.vmap(self.seen)(world)
         ended = seen.terminated | seen.truncated
 
+        def following(key: Array) -> Array:
+            return jax.random.key_data(jax.random.fold_in(jax.random.wrap_key_data(key), 1))
+
         def anew() -> World:
-            fresh = jax.vmap(self.begin)(jax.vmap(_next_key)(world.key))
+            fresh = jax.vmap(self.begin)(jax.vmap(following)(world.key))
             chosen: World = jax.vmap(picked)(ended, fresh, world)
             return chosen
 
         world = jax.lax.cond(ended.any(), anew, lambda: world)
-        return self._state(seen, jax.vmap(self.seen)(world), world)
+        first = jax.vmap(self.seen)(world)
+        return _state(seen, first.observation, first.privileged, world)
 
     @full_precision
     def begin(self, key: Array, cut_short: bool = False) -> World:
@@ -231,34 +206,10 @@ class MjxWorlds:
         """What a world's last control step gave."""
         return self.loop.observe(world.params, world.carry.loop, world.carry.sensordata)
 
-    def _state(self, seen: Observed, first: Observed | None, world: World) -> State:
-        first = seen if first is None else first
-        return State(
-            first.observation,
-            first.privileged,
-            seen.reward,
-            seen.terms,
-            seen.terminated,
-            seen.truncated,
-            seen.status,
-            seen.observation,
-            seen.privileged,
-            seen.episode,
-            world,
-        )
-
 
 def picked(choice: Truth, one: Any, other: Any) -> Any:
     """One of two trees of a world."""
     return jax.tree.map(functools.partial(jnp.where, choice), one, other)
-
-
-def _next_key(key: Array) -> Array:
-    return jax.random.key_data(jax.random.fold_in(jax.random.wrap_key_data(key), 1))
-
-
-#: The sentences of `State.status`, by code.
-SENTENCES = tuple(outcome.value for outcome in Outcome)
 
 
 class Environment:
@@ -274,6 +225,14 @@ class Environment:
     `jax.grad`, whose derivatives are those of `physics.step`. On `c` they are calls of this machine's processors, the
     state is NumPy's, and only the latest one can be stepped on. Equal keys and actions give equal numbers, on `c` bit
     for bit, whatever the number of threads.
+
+    Attributes:
+        setup, engine, worlds, task, seed: as given.
+        pure: whether `reset` and `step` are pure functions, which can be traced.
+        observation_names, privileged_names, action_names: labels of all values that a policy observes, such as
+            `gyro.x`, of those that a critic receives, and of those of an action.
+        observation_size, privileged_size, action_size: how many these are.
+        step_seconds: simulated seconds of a control step.
     """
 
     def __init__(
@@ -317,47 +276,12 @@ class Environment:
         self.loop = EpisodeLoop(self.robot, self.controller, self.task, self.episodes.drawn)
         self.engine = name
         shared = self.loop, self.episodes, worlds, staggered
-        self._worlds: Worlds = CWorlds(*shared, threads) if name == "c" else MjxWorlds(*shared)
-
-    @property
-    def pure(self) -> bool:
-        """Whether `reset` and `step` are pure functions, which can be traced."""
-        return isinstance(self._worlds, MjxWorlds)
-
-    @property
-    def observation_names(self) -> tuple[str, ...]:
-        """Labels of all values that a policy observes, such as `gyro.x`."""
-        return self.loop.observation_names
-
-    @property
-    def privileged_names(self) -> tuple[str, ...]:
-        """Labels of all values that a critic receives."""
-        return self.loop.privileged_names
-
-    @property
-    def action_names(self) -> tuple[str, ...]:
-        """Labels of all values of an action."""
-        return self.task.action.names
-
-    @property
-    def observation_size(self) -> int:
-        """Length of an observation."""
-        return len(self.observation_names)
-
-    @property
-    def privileged_size(self) -> int:
-        """Length of a critic's input."""
-        return len(self.privileged_names)
-
-    @property
-    def action_size(self) -> int:
-        """Length of an action."""
-        return len(self.action_names)
-
-    @property
-    def step_seconds(self) -> float:
-        """Simulated seconds of a control step."""
-        return self.controller.dt * self.task.decimation
+        self._worlds: Any = CWorlds(*shared, threads) if name == "c" else MjxWorlds(*shared)
+        self.pure = name == "mjx"
+        self.observation_names, self.privileged_names = self.loop.observation_names, self.loop.privileged_names
+        self.action_names = self.task.action.names
+        self.observation_size, self.privileged_size = len(self.observation_names), len(self.privileged_names)
+        self.action_size, self.step_seconds = len(self.action_names), self.controller.dt * self.task.decimation
 
     def reset(self, key: Any = None) -> State:
         """Begin an episode in every world.
@@ -365,7 +289,8 @@ class Environment:
         Args:
             key: a `jax.random.key`, a raw key (2,), or a whole number; the environment's seed by default.
         """
-        return self._worlds.reset(_raw_key(self.seed if key is None else key))
+        state: State = self._worlds.reset(_raw_key(self.seed if key is None else key))
+        return state
 
     def step(self, state: State, action: Any) -> State:
         """One control step of all worlds.
@@ -381,7 +306,8 @@ class Environment:
             raise ParameterError(
                 f"action has shape {np.shape(action)}: expected {(self.worlds, self.action_size)}, a row per world."
             )
-        return self._worlds.step(state, action)
+        after: State = self._worlds.step(state, action)
+        return after
 
 
 def _raw_key(key: Any) -> Any:
@@ -395,3 +321,144 @@ def _raw_key(key: Any) -> Any:
     if jnp.issubdtype(array.dtype, jax.dtypes.prng_key):
         return jax.random.key_data(array)
     return array if array.ndim else jax.random.key_data(jax.random.key(array))  # a traced whole number
+
+
+class Mixture:
+    """Worlds of several setups side by side, in the form of one `Environment`; `State.engine` is the parts' states.
+
+    Every part has the same observation and the same action. The critic's input differs: it is the union of the parts'
+    inputs, with zeros where a part lacks them, and the index of the part.
+
+    >>> parts = [(Setup(), Task(duration=1.0)), (Setup(pilot="arc"), Task(duration=1.0))]
+    >>> [part.worlds for part in Mixture(parts, worlds=5).parts]
+    [3, 2]
+
+    Attributes:
+        parts: the environments; the worlds of the first come first.
+    """
+
+    def __init__(
+        self,
+        parts: Sequence[tuple[Setup, Task]],
+        *,
+        engine: str = "c",
+        worlds: int = 256,
+        shares: Sequence[float] | None = None,
+        staggered: bool = False,
+        threads: int | None = None,
+    ) -> None:
+        """
+        Args:
+            parts: what is chosen by name, and the task, of each environment.
+            engine: `c`, `mjx`, or `auto`.
+            worlds: of all parts together.
+            shares: in which they are divided among the parts, relative to each other; None for evenly.
+            staggered: see `Environment`.
+            threads: processors that `c` uses; None for `$NERMO_MJX_THREADS`, or all of them.
+
+        Raises:
+            ParameterError: fewer worlds than parts, or parts with different observations, actions or step lengths; and
+                what `Environment` refuses.
+        """
+        check_worlds(worlds, len(parts))
+        counts = divided(worlds, [1.0] * len(parts) if shares is None else shares)
+        # The blocks of all parts share the processors: a single part may have too few worlds for all of them.
+        processors = ThreadPoolExecutor(thread_count(threads), thread_name_prefix="nermo_mjx")
+        self.parts = tuple(
+            Environment(setup, engine=engine, worlds=count, task=task, staggered=staggered, threads=processors)
+            for (setup, task), count in zip(parts, counts, strict=True)
+        )
+        check_alike({str(part.setup.scene): part.loop for part in self.parts})
+        self.worlds = worlds
+        self._bounds = np.cumsum(counts)[:-1]
+        told = dict.fromkeys(name for part in self.parts for name in part.privileged_names)
+        self.privileged_names = (*told, *(f"part.{i}" for i in range(len(self.parts))))
+        self._columns = [
+            np.array([self.privileged_names.index(name) for name in part.privileged_names]) for part in self.parts
+        ]
+        one = self.parts[0]
+        self.pure, self.observation_size, self.action_size = one.pure, one.observation_size, one.action_size
+        self.step_seconds, self.privileged_size = one.step_seconds, len(self.privileged_names)
+        self._waiting = ThreadPoolExecutor(len(parts), thread_name_prefix="nermo_mjx_part")
+
+    def reset(self, key: Any) -> State:
+        """Begin an episode in every world; each part draws from a key of its own."""
+        key = jax.random.key(key) if isinstance(key, int) else key
+        keys = [jax.random.fold_in(key, i) for i in range(len(self.parts))]
+        return self.joined([part.reset(each) for part, each in zip(self.parts, keys, strict=True)])
+
+    def step(self, state: State, action: Any) -> State:
+        """One control step of all worlds; see `Environment.step`."""
+        given = zip(self.parts, state.engine, self.split(action), strict=True)
+        calls = [functools.partial(part.step, each, own) for part, each, own in given]
+        return self.joined([call() for call in calls] if self.pure else self.at_once(calls))
+
+    def split(self, values: Any, axis: int = 0) -> list[Any]:
+        """What belongs to each part's worlds, along an axis of all worlds."""
+        return (jnp if self.pure else np).split(values, self._bounds, axis)
+
+    def at_once(self, calls: Sequence[Callable[[], Any]]) -> list[Any]:
+        """The results of a call for each part, each in a thread of its own; the largest part begins."""
+        order = sorted(range(len(calls)), key=lambda i: -self.parts[i].worlds)
+        started = {i: self._waiting.submit(calls[i]) for i in order}
+        return [started[i].result() for i in range(len(calls))]
+
+    def joined(self, states: Sequence[State]) -> State:
+        """The state of all worlds from those of the parts."""
+        numbers = jnp if self.pure else np
+        fields = {name: [getattr(state, name) for state in states] for name in State._fields if name != "engine"}
+        for name in ("privileged", "final_privileged"):
+            fields[name] = [self.told(i, each) for i, each in enumerate(fields[name])]
+        joined = {
+            name: jax.tree.map(lambda *leaves: numbers.concatenate(leaves), *each) for name, each in fields.items()
+        }
+        return State(**joined, engine=tuple(states))
+
+    def told(self, i: int, own: Any) -> Any:
+        """The critic's input (..., p) from that of part i, in the columns of all parts."""
+        which = len(self.privileged_names) - len(self.parts) + i
+        shape = *own.shape[:-1], self.privileged_size
+        if not self.pure:
+            told = np.zeros(shape, np.float32)
+            told[..., self._columns[i]], told[..., which] = own, 1.0
+            return told
+        return jnp.zeros(shape, jnp.float32).at[..., self._columns[i]].set(own).at[..., which].set(1.0)
+
+
+def divided(worlds: int, shares: Sequence[float]) -> list[int]:
+    """Worlds of each part: in these shares, but at least one; what is left over goes to the largest remainders.
+
+    >>> divided(10, [1.0, 1.0, 2.0])
+    [3, 2, 5]
+    """
+    exact = worlds * np.asarray(shares, float) / np.sum(shares)
+    counts = np.maximum(np.floor(exact + 1e-9).astype(int), 1)
+    while counts.sum() != worlds:
+        missing = exact - counts
+        at = int(np.argmax(missing)) if counts.sum() < worlds else int(np.argmin(np.where(counts > 1, missing, np.inf)))
+        counts[at] += 1 if counts.sum() < worlds else -1
+    return counts.tolist()
+
+
+def check_worlds(worlds: int, parts: int) -> None:
+    """Raise `ParameterError` where a part would have no world."""
+    if worlds < parts:
+        raise ParameterError(f"worlds is {worlds}: {parts} scenes need at least one world each.")
+
+
+def check_alike(loops: Mapping[str, EpisodeLoop]) -> None:
+    """Raise `ParameterError` where one policy cannot learn in all of these loops, by the names of their scenes."""
+    (name, first), *others = loops.items()
+    for other, loop in others:
+        names = set(loop.observation_names) ^ set(first.observation_names)
+        same = (loop.observer, loop.controller.kind, loop.dt * loop.task.decimation) == (
+            first.observer,
+            first.controller.kind,
+            first.dt * first.task.decimation,
+        )
+        if not same:
+            differs = f" ({', '.join(sorted(names))})" if names else ""
+            raise ParameterError(
+                f"scenes has {other!r}, where a policy observes or does something else than on {name!r}{differs}: one "
+                "policy needs the same on all."
+            )

@@ -37,15 +37,27 @@ METRICS: Final = (
 )
 
 
+class Draws(NamedTuple):
+    """How many bodies and starts are drawn, and a number added to the training's seed."""
+
+    number: int
+    key: int
+
+
+class _Part(NamedTuple):
+    """The walks of one scene by one of the two."""
+
+    scene: str
+    who: str
+    drawn: Mapping[str, np.ndarray]
+    result: RunResult
+    success: np.ndarray
+
+
 class Evaluator:
-    """Walks of a training's policies; a policy that comes later needs no new programs."""
+    """Walks of a training's policies on an engine; a policy that comes later needs no new programs."""
 
     def __init__(self, training: Training, engine: str = "auto") -> None:
-        """
-        Args:
-            training: how its policies are evaluated.
-            engine: of the walks.
-        """
         self.training, self.engine = training, engine
         self._simulators: dict[tuple[str, str], Simulator] = {}
 
@@ -85,31 +97,12 @@ class Evaluator:
             share = None if progress is None else lambda done, i=i: progress((i + done) / len(cases))
             own = there.make_controller().parameters if who == POLICY else None
             result = simulator.run(values, training.run, progress=share, policy=own)
-            parts.append(_Part(scene_name(str(setup.scene)), who, drawn, result, task.corridor))
+            metrics = {name: np.asarray(column) for name, column in result.metrics.items()}
+            well = (np.asarray(result.status) == "ok") & (metrics["distance"] >= training.evaluation.distance)
+            if task.corridor is not None:
+                well &= metrics["cross_track_peak"] <= task.corridor
+            parts.append(_Part(scene_name(str(setup.scene)), who, drawn, result, well))
         return _table(training, draws.number, parts)
-
-
-class Draws(NamedTuple):
-    """How many bodies and starts are drawn, and a number added to the training's seed."""
-
-    number: int
-    key: int
-
-
-class _Part(NamedTuple):
-    """The walks of one scene by one of the two."""
-
-    scene: str
-    who: str
-    drawn: Mapping[str, np.ndarray]
-    result: RunResult
-    corridor: float | None
-
-    def succeeded(self, distance: float) -> np.ndarray:
-        """Whether each walk lasted, went far enough [m], and stayed in the corridor."""
-        metrics = self.result.metrics
-        well = (np.asarray(self.result.status) == "ok") & (np.asarray(metrics["distance"]) >= distance)
-        return well if self.corridor is None else well & (np.asarray(metrics["cross_track_peak"]) <= self.corridor)
 
 
 def bodies(training: Training, task: Task, draws: Draws) -> dict[str, np.ndarray]:
@@ -166,13 +159,9 @@ def _table(training: Training, n: int, parts: list[_Part]) -> pa.Table:
     table, metrics = Columns(), training.metrics
     known = {name: about for setup, _ in training.evaluated() for name, about in task_parameters(setup).items()}
 
-    def repeated(values: list[str]) -> np.ndarray:
-        return np.repeat(np.array(values, object), n)
-
-    table.add("scene", repeated([part.scene for part in parts]), "index", "1", "where it walks")
-    table.add(
-        "controller", repeated([part.who for part in parts]), "index", "1", "the policy, or what it acts on alone"
-    )
+    scenes, walkers = (np.repeat(np.array([part[i] for part in parts], object), n) for i in range(2))
+    table.add("scene", scenes, "index", "1", "where it walks")
+    table.add("controller", walkers, "index", "1", "the policy, or what it acts on alone")
     table.add("body", np.tile(np.arange(n), len(parts)), "index", "1", "which body and start")
     for name in dict.fromkeys(name for part in parts for name in part.drawn):
         values = np.concatenate([part.drawn.get(name, np.full(n, np.nan)) for part in parts])
@@ -182,6 +171,6 @@ def _table(training: Training, n: int, parts: list[_Part]) -> pa.Table:
         table.add(name, column, "metric", metrics[name].unit, metrics[name].doc)
     status = np.concatenate([np.asarray(part.result.status) for part in parts])
     table.add("status", status, "status", "1", "ok, or how the walk ended")
-    success = np.concatenate([part.succeeded(training.evaluation.distance) for part in parts])
+    success = np.concatenate([part.success for part in parts])
     table.add("success", success, "status", "1", "whether it lasted, went far enough, and stayed in the corridor")
     return table.table({"training": training.digest(), "engine": parts[0].result.engine})

@@ -21,7 +21,7 @@ import numpy as np
 import optax
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, UInt
 
-from nermo_mjx.learn.mixture import Mixture
+from nermo_mjx.learn.environment import Mixture
 from nermo_mjx.runtime import compiler_options
 
 #: Weights (in, out) and bias (out,) of each layer.
@@ -58,6 +58,11 @@ class Statistics:
     def normalized(self, values: Float[Array, "*batch k"]) -> Float[Array, "*batch k"]:
         """Values in standard deviations from the mean, at most ten."""
         return jnp.clip((values - self.mean) / jnp.sqrt(self.variance + 1e-6), -10.0, 10.0)
+
+    def begun(self, values: Float[Array, "*batch k"]) -> Statistics:
+        """These statistics, or those of the first values that are known; the untrained mean is zero in any case."""
+        first = self.extended(values)
+        return jax.tree.map(lambda a, b: jnp.where(self.count == 0, a, b), first, self)
 
     def first(self, size: int) -> Statistics:
         """Those of the first entries."""
@@ -163,41 +168,22 @@ def advantages(
 Values = Any
 
 
-class Stepped(Protocol):
-    """The part of an environment's state that learning reads; axes are worlds. See `nermo_mjx.learn.Environment`."""
-
-    observation: Any
-    privileged: Any
-    reward: Any
-    terms: dict[str, Any]
-    terminated: Any
-    truncated: Any
-    final_observation: Any
-    final_privileged: Any
-
-
 class EnvironmentLike(Protocol):
-    """A batch of worlds that reset themselves; sizes are those of the arrays' last axes."""
+    """A batch of worlds that reset themselves; see `nermo_mjx.learn.Environment`, whose `State` has what is read here.
 
-    @property
-    def worlds(self) -> int: ...
+    Attributes:
+        worlds: how many.
+        observation_size, privileged_size, action_size: of the arrays' last axes.
+        pure: whether `reset` and `step` can be traced.
+        step_seconds: simulated seconds of a step.
+    """
 
-    @property
-    def observation_size(self) -> int: ...
-
-    @property
-    def privileged_size(self) -> int: ...
-
-    @property
-    def action_size(self) -> int: ...
-
-    @property
-    def pure(self) -> bool:
-        """Whether `reset` and `step` can be traced."""
-
-    @property
-    def step_seconds(self) -> float:
-        """Simulated seconds of a step."""
+    worlds: int
+    observation_size: int
+    privileged_size: int
+    action_size: int
+    pure: bool
+    step_seconds: float
 
     def reset(self, key: PRNGKeyArray) -> Any: ...
 
@@ -411,6 +397,12 @@ class Learned:
     key: UInt[Array, " 2"]
     iteration: Int[Array, ""]
     steps: Int[Array, ""]
+
+    def after(self, seen: Float[Array, "*batch k"], steps: Any, **changed: Any) -> Learned:
+        """One iteration later: what was seen in so many steps, and what has changed."""
+        statistics = self.statistics.extended(seen)
+        iteration, steps = self.iteration + 1, self.steps + steps
+        return dataclasses.replace(self, iteration=iteration, steps=steps, statistics=statistics, **changed)
 
     def random(self, purpose: int) -> PRNGKeyArray:
         """A random key for one purpose of this iteration."""

@@ -16,12 +16,11 @@ import jax.numpy as jnp
 from jaxtyping import Float
 
 from nermo_mjx.control.controller import with_dtypes_of
-from nermo_mjx.control.path import PathPoint
 from nermo_mjx.learn import observing
 from nermo_mjx.learn.acting import Acting
-from nermo_mjx.learn.observing import Observer, Told
+from nermo_mjx.learn.observing import Observer
 from nermo_mjx.learn.task import EpisodeParameters, Moment, Outcome, Task, Term, chosen_terms
-from nermo_mjx.robot import ParameterError, Robot, Sensors
+from nermo_mjx.robot import ParameterError, Robot
 from nermo_mjx.robot.geometry import geometry_of
 from nermo_mjx.rollout.loop import ClosedLoop, LoopState
 from nermo_mjx.rollout.metrics import MetricState
@@ -89,18 +88,26 @@ class EpisodeLoop:
         self.run = ClosedLoop(robot, controller)
         self.dt = controller.dt
         self.terms: dict[Term, float] = chosen_terms(task.rewards, task.commands)
-        forms = self._forms()
-        self.has_phase, self.has_path = (form is not None for form in forms)
+
+        def first(data: Array) -> tuple[Any, Any]:
+            """The gait's phase and the path's point, where the controller has them."""
+            params, sensors = controller.parameters, robot.sensors(data)
+            state = controller.init(params, sensors, jnp.zeros(()))
+            return getattr(state.control, "phase", None), controller.path(params, state, sensors.position)
+
+        data = jax.ShapeDtypeStruct((robot.model.nsensordata,), jnp.zeros(()).dtype)
+        self.has_phase, self.has_path = (form is not None for form in jax.eval_shape(first, data))
         if task.corridor is not None and not self.has_path:
             raise ParameterError("corridor is given, and the pilot follows no path: leave it out.")
         named = {*task.set, *task.randomize}
+        _, delay = task.randomize.get("sensing.delay", (0.0, float(task.set.get("sensing.delay", 0.0))))
         self.observer = Observer(
             groups=task.observe,
             commands=task.commands,
             actions=controller.kind.names,
             phase=self.has_phase,
             path=self.has_path,
-            delayed=math.ceil(_longest_delay(task) / self.dt - 1e-6),
+            delayed=math.ceil(delay / self.dt - 1e-6),
             noisy=any(name.startswith("sensing.") and name.endswith("_noise") for name in named),
             dt=self.dt,
         )
@@ -109,7 +116,6 @@ class EpisodeLoop:
 
     @property
     def steps_per_tick(self) -> int:
-        """See `Loop`."""
         return self.run.steps_per_tick
 
     def input(self, params: EpisodeParameters) -> Float[Array, " a"]:
@@ -122,7 +128,6 @@ class EpisodeLoop:
         return dataclasses.replace(params, loop=dataclasses.replace(params.loop, control=control))
 
     def init(self, params: EpisodeParameters, sensordata: Float[Array, " n"]) -> EpisodeState:
-        """See `Loop.init`."""
         loop = self.run.init(params.loop, sensordata)
         sensors = self.robot.sensors(jnp.where(jnp.isfinite(sensordata), sensordata, 0.0))
         nothing = jnp.zeros_like(self.input(params))
@@ -132,7 +137,6 @@ class EpisodeLoop:
     def step(
         self, params: EpisodeParameters, state: EpisodeState, sensordata: Float[Array, "steps n"]
     ) -> tuple[EpisodeState, Float[Array, " n_servos"]]:
-        """See `Loop.step`."""
         begins = state.loop.tick % self.task.decimation == 0
         speed = self._speed(params, state, self.run.measure(params.loop, state.loop, sensordata))
         loop, ctrl = self.run.step(params.loop, state.loop, sensordata)
@@ -167,11 +171,19 @@ class EpisodeLoop:
         # A world that diverged gives none; it is restarted.
         values = {name: jnp.where(now.lost & (name != "failed"), 0.0, value) for name, value in values.items()}
         reward = sum((weight * values[term.name] for term, weight in self.terms.items()), jnp.zeros(()))
-        observation, privileged = self._told(params, state, now, sensors)
+        control, geometry = params.loop.control, geometry_of(params.loop.control.control)
+        path = self.controller.path(control, state.loop.control, sensors.position)
+        told = self.observer.informed(params.given.command, state.loop.control.control, path, state.action, geometry)
+        key = jax.random.fold_in(jax.random.key(params.seed), state.loop.tick) if self.observer.noisy else None
+        observation = self.observer.observe(params.given.sensing, state.memory, sensors, told, key)
+        exact = jnp.concatenate([self.observer.readings(sensors), self.observer.told(told, sensors)])
+        left = (params.ticks - state.loop.tick) / self.task.ticks(self.dt)
+        ground = functools.partial(self.robot.terrain.height, shape=params.loop.terrain)
+        known = observing.privileged(exact, sensors, ground, now.readings[2], left, params.drawn, self.has_path)
         cut = (status == _code(Outcome.timed_out)) | (status == _code(Outcome.arrived))
         return Observed(
-            observation=observation,
-            privileged=privileged,
+            observation=observation.astype(jnp.float32),
+            privileged=known.astype(jnp.float32),
             reward=reward,
             terms=values,
             terminated=failed,
@@ -180,39 +192,16 @@ class EpisodeLoop:
             episode={"distance": now.travelled, "duration": state.loop.time, "servo_work": now.sums["work"]},
         )
 
-    def _told(
-        self, params: EpisodeParameters, state: EpisodeState, now: MetricState, sensors: Sensors
-    ) -> tuple[Array, Array]:
-        """What the policy and the critic are told."""
-        control = state.loop.control.control
-        command = [getattr(params.given.command, name) for name in self.task.commands]
-        told = Told(
-            phase=control.phase if self.has_phase else None,
-            command=jnp.stack(command) if command else jnp.zeros(0),
-            path=self._path(params, state, sensors),
-            action=state.action,
-            geometry=geometry_of(params.loop.control.control),
-        )
-        key = jax.random.fold_in(jax.random.key(params.seed), state.loop.tick) if self.observer.noisy else None
-        observation = self.observer.observe(params.given.sensing, state.memory, sensors, told, key)
-        exact = jnp.concatenate([self.observer.readings(sensors), self.observer.told(told, sensors)])
-        left = (params.ticks - state.loop.tick) / self.task.ticks(self.dt)
-        ground = functools.partial(self.robot.terrain.height, shape=params.loop.terrain)
-        privileged = observing.privileged(exact, sensors, ground, now.readings[2], left, params.drawn, self.has_path)
-        return observation.astype(jnp.float32), privileged.astype(jnp.float32)
-
     def _status(self, params: EpisodeParameters, state: EpisodeState, now: MetricState) -> tuple[Count, Truth]:
         """How the episode stands, and whether it failed."""
         task, no = self.task, jnp.zeros((), bool)
-        over = state.loop.tick >= params.ticks
-        arrived = no if task.distance is None else now.travelled >= task.distance
         left = no if task.corridor is None else jnp.abs(now.readings[3]) > task.corridor
         flags = {
             Outcome.diverged: now.lost,
             Outcome.fell: now.fell,
             Outcome.left: left,
-            Outcome.arrived: arrived,
-            Outcome.timed_out: over,
+            Outcome.arrived: no if task.distance is None else now.travelled >= task.distance,
+            Outcome.timed_out: state.loop.tick >= params.ticks,
         }
         codes = [jnp.asarray(_code(outcome), jnp.int32) for outcome in flags]
         status = jnp.select(list(flags.values()), codes, jnp.asarray(_code(Outcome.walking), jnp.int32))
@@ -224,27 +213,6 @@ class EpisodeLoop:
         walked = (now.travelled - state.loop.metrics.travelled) / self.dt
         return jnp.where(state.loop.tick > 0, state.speed + share * (walked - state.speed), 0.0)
 
-    def _path(self, params: EpisodeParameters, state: EpisodeState, sensors: Sensors) -> PathPoint | None:
-        return self.controller.path(params.loop.control, state.loop.control, sensors.position)
-
-    def _forms(self) -> tuple[Any, Any]:
-        """Shapes of the gait's phase and of the path's point, where the controller has them."""
-        controller, real = self.controller, jnp.zeros(()).dtype
-        data = jax.ShapeDtypeStruct((self.robot.model.nsensordata,), real)
-
-        def first(data: Array) -> tuple[Any, Any]:
-            params, sensors = controller.parameters, self.robot.sensors(data)
-            state = controller.init(params, sensors, jnp.zeros(()))
-            phase = getattr(state.control, "phase", None)
-            return phase, controller.path(params, state, sensors.position)
-
-        return jax.eval_shape(first, data)
-
 
 def _code(outcome: Outcome) -> int:
     return list(Outcome).index(outcome)
-
-
-def _longest_delay(task: Task) -> float:
-    given = task.randomize.get("sensing.delay")
-    return float(task.set.get("sensing.delay", 0.0) if given is None else given[1])

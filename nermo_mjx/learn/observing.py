@@ -213,21 +213,31 @@ class Observer:
     def observe(
         self, sensing: Sensing, memory: Float[Array, "ticks k"], sensors: Sensors, told: Told, key: Any
     ) -> Vector:
-        """The observation: delayed and noisy readings, and the policy's other inputs.
+        """The observation: readings, as late and as noisy as `sensing` says, and the policy's other inputs.
 
-        Args:
-            sensing: how late and how noisy.
-            memory: earlier readings, newest first.
-            sensors: readings now.
-            told: the rest.
-            key: of the noise.
+        `memory` has earlier readings, newest first; between two ticks they are interpolated. `key` is of the noise.
         """
         readings = self.readings(sensors)
         if self.delayed:
-            readings = self._late(sensing.delay, jnp.concatenate([readings[None], memory]))
+            newest_first = jnp.concatenate([readings[None], memory])
+            ticks = jnp.clip(jnp.asarray(sensing.delay) / self.dt, 0.0, self.delayed)
+            before = jnp.clip(jnp.floor(ticks).astype(jnp.int32), 0, self.delayed - 1)
+            share = ticks - before
+            readings = newest_first[before] + share * (newest_first[before + 1] - newest_first[before])
         if self.noisy:
-            readings = readings + self._spread(sensing) * jax.random.normal(key, readings.shape, readings.dtype)
+            spread = []
+            for group in (SENSED[name] for name in self.sensed):
+                noise = 0.0 if group.noise is None else getattr(sensing, group.noise)
+                spread.append(jnp.broadcast_to(jnp.asarray(noise) / group.scale, (len(group.labels),)))
+            noise = jax.random.normal(key, readings.shape, readings.dtype)
+            readings = readings + jnp.concatenate(spread) * noise
         return jnp.concatenate([readings, self.told(told, sensors)])
+
+    def informed(self, command: Any, control: Any, path: PathPoint | None, action: Vector, geometry: Geometry) -> Told:
+        """What is known apart from the sensors: from a `Command`, the controller's state, and the rest of `Told`."""
+        orders = [jnp.asarray(getattr(command, name), float) for name in self.commands]
+        phase = control.phase if self.phase else None
+        return Told(phase, jnp.stack(orders) if orders else jnp.zeros(0), path, action, geometry)
 
     def told(self, told: Told, sensors: Sensors) -> Vector:
         """The policy's inputs other than readings."""
@@ -240,22 +250,6 @@ class Observer:
             parts["curvature"] = jnp.reshape(told.path.curvature * 0.5, 1)
         chosen = [parts[name] for name in TOLD if name in self.groups and name in parts]
         return jnp.concatenate(chosen) if chosen else jnp.zeros(0)
-
-    def _late(self, delay: Scalar, newest_first: Float[Array, "ticks k"]) -> Vector:
-        """Readings between two ticks are interpolated linearly."""
-        ticks = jnp.clip(jnp.asarray(delay) / self.dt, 0.0, self.delayed)
-        before = jnp.clip(jnp.floor(ticks).astype(jnp.int32), 0, self.delayed - 1)
-        share = ticks - before
-        return newest_first[before] + share * (newest_first[before + 1] - newest_first[before])
-
-    def _spread(self, sensing: Sensing) -> Vector:
-        """Standard deviation of each reading's noise, scaled."""
-        parts = []
-        for name in self.sensed:
-            group = SENSED[name]
-            noise = 0.0 if group.noise is None else getattr(sensing, group.noise)
-            parts.append(jnp.broadcast_to(jnp.asarray(noise) / group.scale, (len(group.labels),)))
-        return jnp.concatenate(parts)
 
 
 def privileged_names(observed: Sequence[str], drawn: Sequence[str], path: bool) -> tuple[str, ...]:
@@ -284,16 +278,10 @@ def privileged(
     drawn: Vector,
     path: bool,
 ) -> Vector:
-    """What the critic knows: the observation without delay and noise, the robot's motion, the ground, and the body.
+    """What the critic knows: the observation without delay and noise (`exact`), motion, ground, and body.
 
-    Args:
-        exact: the observation without delay and noise.
-        sensors: readings.
-        ground: height of the ground at (x, y) [m].
-        yaw: of the torso [rad].
-        time_left: share of the episode.
-        drawn: what was drawn for this episode, in [-1, 1].
-        path: whether the observation says where the robot heads.
+    `ground` is its height at (x, y) [m], `yaw` that of the torso [rad], `time_left` the share of the episode, `drawn`
+    what was drawn for it, in [-1, 1], and `path` is whether the observation says where the robot heads.
     """
     x, y, z = sensors.position
     # The torso's left and ahead on the ground.

@@ -77,7 +77,22 @@ class NermoMjxEnv(MjxEnv):
         """
         setup, task = setup or Setup(), task or Task()
         super().__init__(default_config(setup, task) if config is None else config, config_overrides)
-        setup, task = _configured(setup, task, self._config)
+        config = self._config
+        if config.impl != "jax":
+            raise ParameterError(f"impl is {config.impl!r}: allowed is 'jax'.")
+        control = setup.make_controller().dt
+        held = config.ctrl_dt / control
+        if round(held) < 1 or abs(held - round(held)) > 1e-6:
+            raise ParameterError(f"ctrl_dt is {config.ctrl_dt:g}: allowed is a multiple of {control:g} s.")
+        if config.sim_dt != setup.timestep:
+            setup = dataclasses.replace(setup, timestep=config.sim_dt)
+        own = {_name(term): term for term in task.rewards}
+        task = dataclasses.replace(
+            task,
+            decimation=round(held),
+            duration=config.episode_length * config.ctrl_dt,
+            rewards={own.get(name, name): weight for name, weight in config.reward_config.scales.items()},
+        )
         self._ctrl_dt, self._sim_dt = float(self._config.ctrl_dt), float(self._config.sim_dt)
         self.environment = Environment(setup, engine="mjx", worlds=1, task=task)
         worlds = self.environment._worlds
@@ -159,22 +174,6 @@ def register(name: str, setup: Setup | None = None, task: Task | None = None) ->
 
     # The only one of Playground's suites that does not download all of MuJoCo Menagerie first.
     dm_control_suite.register_environment(name, make, lambda: default_config(setup, task))
-
-
-def _configured(setup: Setup, task: Task, config: ConfigDict) -> tuple[Setup, Task]:
-    """Setup and task with what a config says."""
-    if config.impl != "jax":
-        raise ParameterError(f"impl is {config.impl!r}: allowed is 'jax'.")
-    control = setup.make_controller().dt
-    held = config.ctrl_dt / control
-    if round(held) < 1 or abs(held - round(held)) > 1e-6:
-        raise ParameterError(f"ctrl_dt is {config.ctrl_dt:g}: allowed is a multiple of {control:g} s.")
-    if config.sim_dt != setup.timestep:
-        setup = dataclasses.replace(setup, timestep=config.sim_dt)
-    own = {_name(term): term for term in task.rewards}
-    rewards = {own.get(name, name): weight for name, weight in config.reward_config.scales.items()}
-    changed = {"decimation": round(held), "duration": config.episode_length * config.ctrl_dt, "rewards": rewards}
-    return setup, dataclasses.replace(task, **changed)
 
 
 def _name(term: str | Term) -> str:

@@ -8,12 +8,10 @@ from typing import Any, Final
 
 import numpy as np
 import pyarrow as pa
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from nermo_mjx.learn.directory import EVALUATION, SPEC
+from nermo_mjx.learn.directory import EVALUATION, SPEC, Curves, read_history
 from nermo_mjx.learn.evaluation import ALONE, POLICY, summary_of
-from nermo_mjx.learn.history import Curves, read_history
 from nermo_mjx.learn.spec import Training
 from nermo_mjx.plotting.files import Figures
 from nermo_mjx.plotting.page import page
@@ -66,9 +64,15 @@ def curves_figure(training: Training, curves: Curves) -> Figure:
     axes = list(figure.subplots(len(panels), 1, sharex=True))
     factor = {"length": training.step_seconds, "lasted": 100.0, "explained": 100.0}
     for ax, (name, label) in zip(axes, panels.items(), strict=True):
-        _draw(ax, curves, curves.column(name) * factor.get(name, 1.0), LINE)
+        values = curves.column(name) * factor.get(name, 1.0)
+        fine = np.isfinite(values)
+        if 2 * fine.sum() < len(values):  # episodes that end together
+            ax.plot(_million(curves)[fine], values[fine], "o-", color=LINE, ms=3.5)
+        else:
+            ax.plot(_million(curves), values, color=BAND, lw=0.7)
+            ax.plot(_million(curves), _smooth(values), color=LINE)
+        horizontal_grid(ax)
         ax.set_ylabel(label)
-    for ax, name in zip(axes, panels, strict=True):
         if name in ("lasted", "explained"):
             ax.set_ylim(-3, 103)
     axes[-1].set_xlabel("control steps of all worlds [million]")
@@ -84,13 +88,8 @@ def rewards_figure(training: Training, curves: Curves) -> Figure:
     for i, name in enumerate(terms):
         term = name.removeprefix("term.")
         value = curves.column(name) * weights.get(term, 1.0) / training.step_seconds
-        ax.plot(
-            _million(curves),
-            _smooth(value),
-            color=SERIES[i % len(SERIES)],
-            ls="-" if i < len(SERIES) else "--",
-            label=term,
-        )
+        colour, style = SERIES[i % len(SERIES)], "-" if i < len(SERIES) else "--"
+        ax.plot(_million(curves), _smooth(value), color=colour, ls=style, label=term)
     ax.set_ylabel("reward in a second [1/s]")
     ax.set_xlabel("control steps of all worlds [million]")
     ax.legend(ncols=3, loc="best")
@@ -125,16 +124,6 @@ def _quartiles(table: pa.Table, scene: str, who: str) -> Any:
     scenes, names = (np.asarray(table.column(name).to_pylist()) for name in ("scene", "controller"))
     speed = np.asarray(table.column("speed"), float)[(scenes == scene) & (names == who)]
     return np.nanpercentile(speed, (25, 50, 75)) if np.isfinite(speed).any() else np.full(3, np.nan)
-
-
-def _draw(ax: Axes, curves: Curves, values: np.ndarray, colour: str) -> None:
-    steps, fine = _million(curves), np.isfinite(values)
-    if 2 * fine.sum() < len(values):  # episodes that end together
-        ax.plot(steps[fine], values[fine], "o-", color=colour, ms=3.5)
-    else:
-        ax.plot(steps, values, color=BAND, lw=0.7)
-        ax.plot(steps, _smooth(values), color=colour)
-    horizontal_grid(ax)
 
 
 def _million(curves: Curves) -> np.ndarray:

@@ -1,14 +1,17 @@
 """A policy as a controller: it observes, acts, can be used wherever a controller can, and is one file.
 
 The file is an NPZ without pickled objects: the networks' arrays, and a JSON text (`about`) that describes them:
-what is observed, what an action does, which controller is acted on, versions.
+what is observed, what an action does, which controller is acted on, versions. For programs that do not use this package
+a policy is exported as ONNX, from an observation to an action.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import functools
+import importlib.util
 import io
+import itertools
 import json
 from collections.abc import Mapping
 from pathlib import Path
@@ -26,7 +29,7 @@ from nermo_mjx.files import MOST_ARRAYS, FileError, arrays_of, check_arrays, rea
 from nermo_mjx.learn.acting import ACTIONS, Acted, ActedState, Acting, ActionField, ActionKind
 from nermo_mjx.learn.environment import Environment
 from nermo_mjx.learn.experience import Actor, Learned, Statistics
-from nermo_mjx.learn.observing import LONGEST_DELAY, Observer, Told
+from nermo_mjx.learn.observing import LONGEST_DELAY, Observer
 from nermo_mjx.learn.task import GIVEN, Given, commanded
 from nermo_mjx.robot import ParameterError, Sensors, ServoAngles
 from nermo_mjx.robot.geometry import geometry_of
@@ -124,12 +127,7 @@ class Policy:
 
     @classmethod
     def of(cls, environment: Environment, learned: Learned, about: Mapping[str, Any] | None = None) -> Policy:
-        """What was learned in an environment.
-
-        Args:
-            environment: in which it was learned.
-            learned: what.
-            about: further content of the file.
+        """What was `learned` in an environment; `about` is further content of the file.
 
         Raises:
             ParameterError: it acts on a controller that is not a published one.
@@ -171,7 +169,6 @@ class Policy:
 
     @property
     def dt(self) -> float:
-        """See `ControllerLike`."""
         return self.acting.dt
 
     @functools.cached_property
@@ -185,23 +182,28 @@ class Policy:
         return PolicyParameters(control=control, given=given, network=network)
 
     def init(self, params: PolicyParameters, sensors: Sensors, phase: Scalar) -> PolicyState:
-        """See `ControllerLike`."""
         nothing = jnp.zeros(len(self.kind.names))
         acted = self.acting.init(Acted(params.control, nothing), sensors, phase)
         memory = self.observer.memory(self.observer.readings(sensors))
         return PolicyState(jnp.zeros((), jnp.int32), acted, memory, nothing)
 
     def initial_servo(self, params: PolicyParameters, phase: Scalar) -> ServoAngles:
-        """See `ControllerLike`."""
         return self.acting.initial_servo(Acted(params.control, jnp.zeros(len(self.kind.names))), phase)
 
     def update(self, params: PolicyParameters, state: PolicyState, sensors: Sensors) -> tuple[PolicyState, ServoAngles]:
-        """See `ControllerLike`."""
+        observer, given, control = self.observer, params.given or Given(), params.control
+        path = self.path(params, state, sensors.position) if observer.path else None
+        told = observer.informed(given.command, state.acted.control, path, state.action, geometry_of(control))
+        # The same noise in every world: runs from one start are equal.
+        key = jax.random.fold_in(jax.random.key(0), state.tick) if observer.noisy else None
+        observation = observer.observe(given.sensing, state.memory, sensors, told, key)
         due = state.tick % self.decimation == 0
         actor, statistics = params.network
-        action = jnp.where(due, _action(actor, statistics, self._observed(params, state, sensors)), state.action)
-        acted, servo = self.acting.update(Acted(self._obeying(params), action), state.acted, sensors)
-        memory = self.observer.remembered(state.memory, self.observer.readings(sensors))
+        action = jnp.where(due, _action(actor, statistics, observation), state.action)
+        if observer.commands:
+            control = commanded(self.acting.base, observer.commands, control, given.command)
+        acted, servo = self.acting.update(Acted(control, action), state.acted, sensors)
+        memory = observer.remembered(state.memory, observer.readings(sensors))
         return with_dtypes_of(state, PolicyState(state.tick + 1, acted, memory, action)), servo
 
     def act(self, observation: Array) -> Array:
@@ -213,42 +215,18 @@ class Policy:
         return self.acting.base.cycle_rate(params.control)
 
     def path(self, params: PolicyParameters, state: PolicyState, position: Array) -> PathPoint | None:
-        """See `FollowsPath`."""
         return self.acting.path(Acted(params.control, state.action), state.acted, position)
 
     def stance(self, state: PolicyState) -> Any:
-        """See `PlansContact`."""
         return self.acting.stance(state.acted)
 
     def check(self, params: PolicyParameters) -> None:
-        """See `ChecksParameters`."""
         if isinstance(self.acting.base, ChecksParameters):
             self.acting.base.check(params.control)
 
     def complete(self, values: dict[str, Any]) -> dict[str, Any]:
-        """See `CompletesValues`."""
         base = self.acting.base
         return base.complete(values) if isinstance(base, CompletesValues) else values
-
-    def _obeying(self, params: PolicyParameters) -> Any:
-        """The controller's parameters under what is commanded."""
-        if not self.observer.commands:
-            return params.control
-        return commanded(self.acting.base, self.observer.commands, params.control, params.given.command)
-
-    def _observed(self, params: PolicyParameters, state: PolicyState, sensors: Sensors) -> Array:
-        observer, given = self.observer, params.given or Given()
-        orders = [jnp.asarray(getattr(given.command, name), float) for name in observer.commands]
-        told = Told(
-            phase=state.acted.control.phase if observer.phase else None,
-            command=jnp.stack(orders) if orders else jnp.zeros(0),
-            path=self.path(params, state, sensors.position) if observer.path else None,
-            action=state.action,
-            geometry=geometry_of(params.control),
-        )
-        # The same noise in every world: runs from one start are equal.
-        key = jax.random.fold_in(jax.random.key(0), state.tick) if observer.noisy else None
-        return observer.observe(given.sensing, state.memory, sensors, told, key)
 
     def facts(self) -> dict[str, Any]:
         """What its numbers are, as JSON knows it."""
@@ -336,13 +314,12 @@ def _policy(content: bytes) -> Policy:
         choice("base", name, BASE)
     if about.observer.delayed < 0 or about.observer.delayed * about.observer.dt > 2 * LONGEST_DELAY:
         raise FileError(f"its readings are late by {about.observer.delayed} ticks")
+    seen, actions = len(about.observation), len(about.action.names)
+    sizes: list[Any] = [seen, *(f"hidden {i}" for i in range(1, about.layers)), actions]
     shapes: dict[str, tuple[str, tuple[Any, ...]]] = {}
-    for i in range(about.layers):
-        below = len(about.observation) if i == 0 else f"hidden {i}"
-        above = len(about.action.names) if i == about.layers - 1 else f"hidden {i + 1}"
+    for i, (below, above) in enumerate(itertools.pairwise(sizes)):
         shapes |= {f"weights.{i}": ("f", (below, above)), f"bias.{i}": ("f", (above,))}
-    shapes |= {"log_std": ("f", (len(about.action.names),))}
-    shapes |= {name: ("f", (len(about.observation),)) for name in ("mean", "variance")}
+    shapes |= {"log_std": ("f", (actions,)), "mean": ("f", (seen,)), "variance": ("f", (seen,))}
     check_arrays(arrays, shapes, "the file")
     for name in shapes:
         if not np.isfinite(arrays[name]).all() or (name == "variance" and not (arrays[name] >= 0).all()):
@@ -363,3 +340,59 @@ def _policy(content: bytes) -> Policy:
     # What it acts on is made now, so that nothing is wrong with it later.
     check_quantities(policy.parameters)
     return policy
+
+
+#: Operators and file format that every runtime of the last years reads.
+_OPSET: Final = 17
+_IR: Final = 8
+
+
+def check_onnx() -> None:
+    """Refuse to export where the package is not installed; raises `ParameterError`."""
+    if importlib.util.find_spec("onnx") is None:
+        raise ParameterError("onnx is not installed: install nermo-mjx with its extra onnx, or onnx itself, by pip.")
+
+
+def export(policy: Policy) -> bytes:
+    """An ONNX model with the input `observation` (n, o) and the output `action` (n, a), both float32.
+
+    Its metadata describe the values: `observation`, `actions` and `action` (what an action does) as JSON.
+
+    Raises:
+        ParameterError: the package `onnx` is not installed.
+    """
+    check_onnx()
+    from onnx import TensorProto, checker, helper
+
+    nodes: list[Any] = []
+    constants = {
+        "mean": policy.statistics.mean,
+        "spread": np.sqrt(np.asarray(policy.statistics.variance) + 1e-6),
+        "least": np.float32(-10.0),
+        "most": np.float32(10.0),
+    }
+
+    def node(kind: str, *inputs: str) -> str:
+        name = f"{kind.lower()}_{len(nodes)}"
+        nodes.append(helper.make_node(kind, list(inputs), [name]))
+        return name
+
+    last = node("Clip", node("Div", node("Sub", "observation", "mean"), "spread"), "least", "most")
+    for i, (weights, bias) in enumerate(policy.actor.layers):
+        constants |= {f"weights.{i}": weights, f"bias.{i}": bias}
+        last = node("Tanh", node("Add", node("MatMul", last, f"weights.{i}"), f"bias.{i}"))
+    nodes.append(helper.make_node("Identity", [last], ["action"]))
+    arrays = {name: np.asarray(value, np.float32) for name, value in constants.items()}
+    stored = [
+        helper.make_tensor(name, TensorProto.FLOAT, each.shape, each.tobytes(), raw=True)
+        for name, each in arrays.items()
+    ]
+    sizes = {"observation": len(policy.observer.names), "action": len(policy.kind.names)}
+    ends = [helper.make_tensor_value_info(name, TensorProto.FLOAT, ["n", size]) for name, size in sizes.items()]
+    graph = helper.make_graph(nodes, "policy", ends[:1], ends[1:], stored)
+    version = {"opset_imports": [helper.make_opsetid("", _OPSET)], "ir_version": _IR}
+    model = helper.make_model(graph, producer_name="nermo-mjx", **version)
+    helper.set_model_props(model, {name: json.dumps(value) for name, value in policy.facts().items()})
+    checker.check_model(model, full_check=True)
+    content: bytes = model.SerializeToString()
+    return content

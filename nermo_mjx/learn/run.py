@@ -12,6 +12,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import functools
+import itertools
 import math
 import os
 import time
@@ -24,19 +25,18 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from nermo_mjx.learn.directory import EVALUATION, POLICY_FILE, SPEC, SUMMARY, Directory
-from nermo_mjx.learn.environment import Environment
+from nermo_mjx.learn.directory import EVALUATION, POLICY_FILE, SPEC, SUMMARY, Curves, Directory
+from nermo_mjx.learn.environment import Environment, Mixture
 from nermo_mjx.learn.evaluation import POLICY, Draws, Evaluator, summary_of
 from nermo_mjx.learn.experience import RESET, EnvironmentLike, Learned, Scores
-from nermo_mjx.learn.history import Curves
-from nermo_mjx.learn.mixture import Mixture
 from nermo_mjx.learn.policy import Policy, load_policy
 from nermo_mjx.learn.spec import Training, Until
 from nermo_mjx.physics import resolve_engine
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.runs import RunDirectory, session
+from nermo_mjx.runs.checkpoints import KEPT
 from nermo_mjx.runs.files import content_of, parquet_bytes, parquet_table
-from nermo_mjx.runs.job import Interruption, TensorBoard, require_tensorboard, resumable
+from nermo_mjx.runs.job import SILENT, Interruption, Progress, TensorBoard, Watch, require_tensorboard, resumable
 from nermo_mjx.runs.text import to_json
 from nermo_mjx.runtime import compiler_options
 
@@ -69,12 +69,7 @@ class Choice:
     def __init__(
         self, held: RunDirectory, walks: Callable[[Policy], Mapping[str, float]], warn: Callable[[str], None]
     ) -> None:
-        """
-        Args:
-            held: the directory.
-            walks: the share of a policy's successes on each scene.
-            warn: called with a message if the chosen policy is gone.
-        """
+        """`walks` gives the share of a policy's successes on each scene; `warn` is told if the policy is gone."""
         self._held, self._walks, self._warn = held, walks, warn
         table = parquet_table(content_of(held.out / VALIDATION) or b"")
         rows = [] if table is None else table.to_pylist()
@@ -82,10 +77,12 @@ class Choice:
 
     def of(self, policy: Policy) -> Policy:
         """The best of all policies tried, this one included; of equals the earliest."""
-        steps = int(policy.about["trained"]["steps"])
-        kept = self._kept()
-        best = next((each for each in self._tried if each.steps == _steps_of(kept)), None)
-        if self._tried and best is None and _steps_of(kept) != steps:
+        steps, kept, chosen = int(policy.about["trained"]["steps"]), None, None
+        with contextlib.suppress(ParameterError):  # there is no file, or none that can be read
+            kept = load_policy(Path(self._held.out) / POLICY_FILE)
+            chosen = kept.about.get("trained", {}).get("steps")
+        best = next((each for each in self._tried if each.steps == chosen), None)
+        if self._tried and best is None and chosen != steps:
             self._warn(f"{self._held.out / POLICY_FILE} is not the policy that was chosen: the choice begins anew.")
             self._tried = []
         if steps not in [each.steps for each in self._tried]:
@@ -104,17 +101,6 @@ class Choice:
             each.steps <= steps and min(each.scenes.values()) >= until.success for each in self._tried
         )
 
-    def _kept(self) -> Policy | None:
-        """The policy in the file; None if there is none that can be read."""
-        try:
-            return load_policy(Path(self._held.out) / POLICY_FILE)
-        except ParameterError:
-            return None
-
-
-def _steps_of(policy: Policy | None) -> int | None:
-    return None if policy is None else policy.about.get("trained", {}).get("steps")
-
 
 def successes(evaluator: Evaluator, policy: Policy) -> dict[str, float]:
     """The share of a policy's walks on each scene of the evaluation that succeed, and are as fast as `until` asks for:
@@ -126,20 +112,6 @@ def successes(evaluator: Evaluator, policy: Policy) -> dict[str, float]:
         at = table.column_names.index("success")
         table = table.set_column(at, "success", pc.and_(table["success"], fast))
     return {scene: about[POLICY]["success"] for scene, about in summary_of(table).items()}
-
-
-@dataclasses.dataclass(frozen=True)
-class TrainingProgress:
-    """Progress of a training.
-
-    Attributes:
-        steps, total: control steps done and wanted.
-        numbers: of the last iteration, by the names of the history's columns; empty before the first.
-    """
-
-    steps: int
-    total: int
-    numbers: Mapping[str, float] = dataclasses.field(default_factory=dict)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -174,9 +146,7 @@ def run_training(
     *,
     engine: str = "auto",
     environment: EnvironmentLike | None = None,
-    progress: Callable[[TrainingProgress], None] | None = None,
-    evaluating: Callable[[float], None] | None = None,
-    warn: Callable[[str], None] | None = None,
+    watch: Watch = SILENT,
     accept_new_code: bool = False,
     tensorboard: bool = False,
 ) -> TrainingResult:
@@ -191,9 +161,8 @@ def run_training(
         out: the directory; see `nermo_mjx.learn.directory`.
         engine: of the environment; `auto` is `c` on a machine without a GPU, and `mjx` for exact gradients.
         environment: replaces that of the training; then there is neither a policy's file nor an evaluation.
-        progress: called before the first iteration and after each.
-        evaluating: called with the progress of the evaluation.
-        warn: called with a message about each thing that is moved aside.
+        watch: is told before the first iteration and after each, with the last one's numbers by the names of the
+            history's columns; of the evaluation's progress; and of each thing that is moved aside.
         accept_new_code: resume a directory that other code started.
         tensorboard: write scalars of each iteration to DIR/tensorboard; needs the extra of this name.
 
@@ -207,42 +176,39 @@ def run_training(
         require_tensorboard()
     name = engine_for(training, engine)
     with (
-        Directory(out, training, name, warn or (lambda _: None)) as directory,
+        Directory(out, training, name, watch.warn) as directory,
         resumable(directory.out, f"train {directory.out / SPEC}") as interruption,
         contextlib.ExitStack() as stack,
     ):
         worlds = environment or training.environment(name)
         learned, curves = directory.restore(training.algorithm.begin(worlds, training.seed), accept=accept_new_code)
         begun = len(curves)
-        evaluator = Evaluator(training)
-        walks = functools.partial(successes, evaluator)
-        choice = Choice(directory.held, walks, warn or (lambda _: None)) if training.validation else None
+        evaluator, choice = Evaluator(training), None
+        if training.validation:
+            choice = Choice(directory.held, functools.partial(successes, evaluator), watch.warn)
         goes_on = not _ended(training, learned, curves, choice)
         code = directory.take_code(curves, accept=accept_new_code) if goes_on else ""
         directory.claim()
         board = stack.enter_context(TensorBoard(directory.out)) if tensorboard else None
-        learning = _Learning(directory, worlds, interruption, progress or (lambda _: None), board, code, choice)
+        learning = _Learning(directory, worlds, interruption, watch, board, code, choice)
         if goes_on:
             directory.held.note_session(session(begun_at=begun))
             learned, curves = learning.learn(learned, curves)
         policy = learning.publish(learned, curves)
-        table = None if policy is None else _evaluated(directory, policy, evaluator, evaluating)
+        table = None if policy is None else _evaluated(directory, policy, evaluator, watch)
         summary = _summary(training, learned, curves, policy, table)
         summary["complete"] = _ended(training, learned, curves, choice)
         directory.held.write(SUMMARY, to_json(summary))
-        plots = _plotted(directory.out, training, curves, table) if training.plots else []
+        plots: list[Path] = []
+        if training.plots:  # imported at the end: Matplotlib takes as long as the first control steps
+            from nermo_mjx.learn.plots import figures_of
+            from nermo_mjx.plotting.files import write_figures
+
+            plots = write_figures(figures_of(training, curves, table), directory.out / "plots")
         path = None if policy is None else directory.out / POLICY_FILE
         return TrainingResult(
             directory.out, directory.training, path, summary, learned, curves, len(curves) - begun, plots
         )
-
-
-def _plotted(out: Path, training: Training, curves: Curves, table: pa.Table | None) -> list[Path]:
-    """The figures, made at the end: Matplotlib takes as long to import as the first control steps take."""
-    from nermo_mjx.learn.plots import figures_of
-    from nermo_mjx.plotting.files import write_figures
-
-    return write_figures(figures_of(training, curves, table), out / "plots")
 
 
 def engine_for(training: Training, engine: str) -> str:
@@ -272,7 +238,7 @@ class _Learning:
     directory: Directory
     environment: EnvironmentLike
     interruption: Interruption
-    report: Callable[[TrainingProgress], None]
+    watch: Watch
     board: TensorBoard | None
     code: str
     choice: Choice | None
@@ -283,7 +249,7 @@ class _Learning:
         iterate, reset = training.algorithm.iteration(self.environment), self.environment.reset
         if self.environment.pure:
             reset = jax.jit(reset, compiler_options=compiler_options())
-        self.report(TrainingProgress(int(learned.steps), training.steps))
+        self._tell(int(learned.steps), {})
         self._chosen(learned)
         while not _ended(training, learned, curves, self.choice):
             state, scores = reset(learned.random(RESET)), Scores.none(training.worlds)
@@ -297,7 +263,11 @@ class _Learning:
                 rest = time.process_time() - cpu - np.nan_to_num(numbers["environment_cpu"])
                 numbers |= {"wall_seconds": time.perf_counter() - wall, "learner_cpu": rest}
                 curves = curves.extended(numbers, self.code)
-                self._tell(numbers)
+                self.interruption.check()
+                if self.board is not None:
+                    values = {key: each for key, each in numbers.items() if key != "steps"}
+                    self.board.log(int(numbers["steps"]), values)
+                self._tell(int(numbers["steps"]), numbers)
             with self.interruption.shielded():
                 self.directory.keep(learned, curves)
             self.publish(learned, curves)
@@ -307,7 +277,8 @@ class _Learning:
         """Make the history's and the policy's file; the policy in it."""
         policy = self._chosen(learned)
         with self.interruption.shielded():
-            self.directory.publish(curves, self.units, policy if policy is None else policy.content())
+            units = {} if self._robot is None else {term.name: term.unit for term in self._robot.loop.terms}
+            self.directory.publish(curves, units, policy if policy is None else policy.content())
         return policy
 
     def _chosen(self, learned: Learned) -> Policy | None:
@@ -317,15 +288,10 @@ class _Learning:
 
     def _policy(self, learned: Learned) -> Policy | None:
         """What was learned, as a controller; None in an environment that is not of a robot."""
-        if self._robot is None:
+        if (robot := self._robot) is None:
             return None
         about = {"trained": {"steps": int(learned.steps), "training": self.directory.training.digest()}}
-        return Policy.of(self._robot, learned, about)
-
-    @property
-    def units(self) -> dict[str, str]:
-        """Units of the reward's terms, by name."""
-        return {} if self._robot is None else {term.name: term.unit for term in self._robot.loop.terms}
+        return Policy.of(robot, learned, about)
 
     @property
     def _robot(self) -> Environment | None:
@@ -333,16 +299,12 @@ class _Learning:
         first = self.environment.parts[0] if isinstance(self.environment, Mixture) else self.environment
         return first if isinstance(first, Environment) else None
 
-    def _tell(self, numbers: Mapping[str, float]) -> None:
-        self.interruption.check()
-        if self.board is not None:
-            self.board.log(int(numbers["steps"]), {key: each for key, each in numbers.items() if key != "steps"})
-        self.report(TrainingProgress(int(numbers["steps"]), self.directory.training.steps, numbers))
+    def _tell(self, done: int, numbers: Mapping[str, float]) -> None:
+        total = self.directory.training.steps
+        self.watch.progress(Progress(min(1.0, done / total), done, total, numbers=numbers))
 
 
-def _evaluated(
-    directory: Directory, policy: Policy, evaluator: Evaluator, progress: Callable[[float], None] | None
-) -> pa.Table:
+def _evaluated(directory: Directory, policy: Policy, evaluator: Evaluator, watch: Watch) -> pa.Table:
     """The evaluation of this policy, which is made once."""
     content = content_of(directory.out / EVALUATION)
     known = None if content is None else parquet_table(content)
@@ -350,7 +312,7 @@ def _evaluated(
     policy_key = f"{key} {policy.about['trained']['steps']}"
     if known is not None and (known.schema.metadata or {}).get(b"evaluated") == policy_key.encode():
         return known
-    table = evaluator(policy, progress)
+    table = evaluator(policy, lambda share: watch.progress(Progress(share, what="evaluation")))
     table = table.replace_schema_metadata({**(table.schema.metadata or {}), b"evaluated": policy_key.encode()})
     directory.held.write(EVALUATION, parquet_bytes(table))
     return table
@@ -375,3 +337,75 @@ def _summary(
         **effort,
         "scenes": scenes,
     }
+
+
+# ---
+# The cost of a training on this machine, before it starts.
+
+
+#: Number of timed iterations; one before them compiles.
+_TIMED: Final = 2
+
+
+@dataclasses.dataclass(frozen=True)
+class Cost:
+    """The cost of a training.
+
+    Attributes:
+        engine: that it will run on.
+        iterations, steps_per_iteration, steps: whole iterations, and control steps of all worlds.
+        simulated_seconds: of all worlds [s].
+        wall_seconds: of the iterations at this machine's current speed, with their compiling, measured now [s]; NaN on
+            `mjx`, which compiles for minutes.
+        evaluated_seconds: of the evaluation's walks, simulated on top of that [s].
+        rate_from: source of the rate, in words.
+        disk_bytes: of the directory.
+    """
+
+    engine: str
+    iterations: int
+    steps_per_iteration: int
+    steps: int
+    simulated_seconds: float
+    wall_seconds: float
+    rate_from: str
+    disk_bytes: int
+    evaluated_seconds: float
+
+
+def cost_of(training: Training, engine: str = "auto") -> Cost:
+    """The cost of a training from the start; raises `ParameterError` for an unknown engine."""
+    name, wall = engine_for(training, engine), math.nan
+    steps = training.iterations * training.steps_per_iteration
+    said = "its pace is not known before its program is compiled, which takes minutes, once per machine"
+    worlds = training.environment(name)
+    if not worlds.pure:
+        iterate = training.algorithm.iteration(worlds)
+        compiles = time.perf_counter()
+        learned = training.algorithm.begin(worlds, training.seed)
+        learned, state, *_ = iterate(learned, worlds.reset(learned.random(RESET)))
+        float(learned.steps)
+        began = time.perf_counter()
+        for _ in range(_TIMED):
+            learned, state, *_ = iterate(learned, state)
+        float(learned.steps)
+        rate = _TIMED * training.steps_per_iteration / (time.perf_counter() - began)
+        wall, said = began - compiles + steps / rate, f"{rate:,.0f} control steps/s, measured now"
+    seen = worlds.observation_size + worlds.privileged_size
+    units = [seen, *training.algorithm.hidden]
+    weights = 2 * sum(a * b for a, b in itertools.pairwise(units))
+    # Networks, a slow copy, and two moments of Adam, in float32; and the history.
+    disk = KEPT * 16 * weights + 40 * 8 * training.iterations
+    walks = 2 * training.evaluation.bodies  # by the policy, and by the controller alone
+    evaluated = sum(walks * float(training.run.seconds(setup.cycle_rate({}))[1]) for setup, _ in training.evaluated())
+    return Cost(
+        engine=name,
+        iterations=training.iterations,
+        steps_per_iteration=training.steps_per_iteration,
+        steps=steps,
+        simulated_seconds=steps * worlds.step_seconds,
+        wall_seconds=wall,
+        rate_from=said,
+        disk_bytes=disk,
+        evaluated_seconds=evaluated,
+    )

@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import functools
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Final
+from typing import Annotated, Any, ClassVar, Final, NamedTuple
 
 from pydantic import ConfigDict, Field
 
 from nermo_mjx.learn.acting import ACTIONS, Acting
-from nermo_mjx.learn.environment import Environment
+from nermo_mjx.learn.algorithms import PPO, ShortHorizon
+from nermo_mjx.learn.environment import Environment, Mixture, check_alike, check_worlds
 from nermo_mjx.learn.loop import EpisodeLoop
-from nermo_mjx.learn.mixture import Mixture, check_alike, check_worlds
-from nermo_mjx.learn.ppo import PPO
-from nermo_mjx.learn.short_horizon import ShortHorizon
 from nermo_mjx.learn.task import RANDOMIZED, Task, task_parameters
 from nermo_mjx.robot.parameters import PRESETS
 from nermo_mjx.robot.quantity import ParameterError
@@ -26,7 +25,7 @@ from nermo_mjx.specs.controllers import code_identity, known_names
 from nermo_mjx.specs.described import Described, digest_of
 from nermo_mjx.specs.fields import Fields, Refused, optional, read
 from nermo_mjx.specs.model import Spec, named, one_of, written
-from nermo_mjx.specs.reading import Document, FieldPath, SpecError, plain
+from nermo_mjx.specs.reading import Document, SpecError, plain
 from nermo_mjx.specs.values import Choice, Ends, Finite, Positive, Whole
 from nermo_mjx.specs.walk import Pilot, SceneField, WalkFields, WalkSpec, pilot_options, read_walk, scene_beside
 
@@ -41,21 +40,19 @@ class SceneFields(Fields):
     """where it walks, as the file's own 'scene'"""
     pilot: Pilot = optional("what steers the robot there, by default the file's own")
     corridor: Positive = optional("distance from the path at which an episode fails there [m]")
-    share: Positive = 1.0
-    """of the worlds, relative to those of the other scenes"""
     set: dict[str, Finite] = Field({})
     """parameters with one value there"""
     randomize: dict[str, Ends] = Field({})
     """what each episode draws there, in addition to the file's own"""
+    share: Positive = 1.0
+    """of the worlds, relative to those of the other scenes"""
 
 
-@dataclasses.dataclass(frozen=True)
-class SceneTask:
+class SceneTask(NamedTuple):
     """A scene in which a policy learns.
 
     Attributes:
-        setup: what is chosen by name there.
-        task: what the policy does there.
+        setup, task: what is chosen by name there, and what the policy does.
         written: as written in a training file.
         share: of the worlds, relative to those of the other scenes.
     """
@@ -67,12 +64,7 @@ class SceneTask:
 
 
 def read_scenes(doc: Document, fields: Sequence[SceneFields], setup: Setup, task: Task) -> tuple[SceneTask, ...]:
-    """The scenes of a training file.
-
-    Args:
-        doc: the file.
-        fields: its section `scenes`.
-        setup, task: what all scenes have in common.
+    """The scenes of a training file, from its section `scenes` and what all scenes have in common.
 
     Raises:
         SpecError: a choice that is refused there, or a scene that stands there twice.
@@ -102,10 +94,8 @@ def read_scenes(doc: Document, fields: Sequence[SceneFields], setup: Setup, task
         own = dataclasses.replace(
             task, set={**task.set, **values}, randomize=drawn | each.randomize, corridor=each.corridor or task.corridor
         )
-        if each.corridor is not None:
-            written["corridor"] = each.corridor
-        written |= {name: plain(section) for name in ("set", "randomize") if (section := getattr(each, name))}
-        written |= {"share": each.share} if each.share != 1.0 else {}
+        chosen = {name: value for name, value in each if value != SceneFields.model_fields[name].default}
+        written |= plain({name: value for name, value in chosen.items() if name != "pilot"})
         found.append(SceneTask(there, own, written, each.share))
     return tuple(found)
 
@@ -114,7 +104,6 @@ def read_scenes(doc: Document, fields: Sequence[SceneFields], setup: Setup, task
 FREE: Final = ("steps", "run", "evaluate", "plots")
 #: Ways of learning, by the name in files.
 ALGORITHMS: Final[Mapping[str, type[Spec]]] = {"ppo": PPO, "short_horizon": ShortHorizon}
-Algorithm = PPO | ShortHorizon
 
 
 @dataclasses.dataclass(frozen=True)
@@ -162,7 +151,7 @@ class TrainingFile(WalkFields):
     scenes: list[SceneFields] = optional(
         "instead of 'scene': several, on which one policy learns, the worlds divided among them"
     )
-    algorithm: Annotated[Algorithm, one_of("Algorithm", "is not a way of learning", ALGORITHMS)] = Field(
+    algorithm: Annotated[PPO | ShortHorizon, one_of("Algorithm", "is not a way of learning", ALGORITHMS)] = Field(
         default_factory=PPO
     )
     """how a policy is learned"""
@@ -207,7 +196,7 @@ class Training(WalkSpec, Described):
     kind: ClassVar = "training"
     task: Task
     scenes: tuple[SceneTask, ...]
-    algorithm: Algorithm
+    algorithm: PPO | ShortHorizon
     worlds: int
     steps: int
     checkpoint: int
@@ -219,7 +208,6 @@ class Training(WalkSpec, Described):
 
     @classmethod
     def of_document(cls, doc: Document) -> Training:
-        """See `Described`."""
         return _read(doc)
 
     @property
@@ -279,7 +267,6 @@ class Training(WalkSpec, Described):
             )
 
     def resolved(self, folder: Path | None = None) -> dict[str, Any]:
-        """See `Described`."""
         data = self.walk_fields(folder)
         data["task"] = written(self.task) | {"action": named(self.task.action, ACTIONS)}
         data["task"]["rewards"] = {str(name): float(weight) for name, weight in self.task.rewards.items()}
@@ -336,58 +323,54 @@ def _read(doc: Document) -> Training:
         **{f"pilot.{key}": value for key, value in walk["pilot"].items() if f"pilot.{key}" in setup.defaults()},
     }
     task = dataclasses.replace(file.task, set={**fixed, **file.task.set}, randomize=file.randomize)
-    _said(doc, (), lambda: task.check(setup))
-    _said(doc, ("task",), lambda: _try_out(setup, task))
+    with _refusals(doc):
+        task.check(setup)
+    with _refusals(doc, "task"):
+        _try_out(setup, task)
     if file.scenes and "scene" in doc.data:
         doc.fail(("scene",), "stands beside 'scenes': leave one of them out.")
-    scenes = _said(doc, ("scenes",), lambda: read_scenes(doc, file.scenes or (), setup, task))
+    with _refusals(doc, "scenes"):
+        scenes = read_scenes(doc, file.scenes or (), setup, task)
     if file.scenes is not None and len(scenes) < 2:
         doc.fail(("scenes",), f"has {len(scenes)}: expected two or more; one alone is 'scene'.")
     loops = {}
     for i, each in enumerate(scenes):
-        _said(doc, ("scenes", i), lambda each=each: each.task.check(each.setup))
-        loops[str(each.setup.scene)] = _said(doc, ("scenes", i), lambda each=each: _try_out(each.setup, each.task))
+        with _refusals(doc, "scenes", i):
+            each.task.check(each.setup)
+            loops[str(each.setup.scene)] = _try_out(each.setup, each.task)
     if scenes:
-        _said(doc, (), lambda: check_alike(loops))
-    for scene in file.evaluate.scenes:
-        _said(doc, ("evaluate", "scenes"), lambda scene=scene: dataclasses.replace(setup, scene=scene))
+        with _refusals(doc):
+            check_alike(loops)
+    with _refusals(doc, "evaluate", "scenes"):
+        for scene in file.evaluate.scenes:
+            dataclasses.replace(setup, scene=scene)
     names = ("algorithm", "worlds", "steps", "checkpoint", "seed", "validation", "until", "plots")
     same = {name: getattr(file, name) for name in names}
     training = Training(**walk, task=task, scenes=scenes, evaluation=file.evaluate, **same)
-    _said(doc, (), training.check_division)
+    with _refusals(doc):
+        training.check_division()
     if file.until is not None and not file.validation:
         doc.fail(("until",), "stands without 'validation', the number of walks that decide: add one, such as 60.")
-    _check_evaluation(doc, training)
-    return training
-
-
-def _check_evaluation(doc: Document, training: Training) -> None:
-    """Refuse values and ranges that none of the evaluation's scenes has, or that are out of range."""
-    evaluation, pairs = training.evaluation, training.evaluated()
-    for section, given in (("set", evaluation.set), ("randomize", evaluation.randomize)):
+    pairs = training.evaluated()
+    for section, given in (("set", file.evaluate.set), ("randomize", file.evaluate.randomize)):
         for name in given:
-            if not any(name in getattr(task, section) for _, task in pairs):
-                twice = section == "randomize" and name in evaluation.set
-                doc.fail(
-                    ("evaluate", section, name),
-                    "stands under set, too: leave one out."
-                    if twice
-                    else "is no parameter of the evaluation's scenes: leave it out.",
-                )
-    for setup, task in pairs:
-        _said(doc, ("evaluate",), functools.partial(task.check, setup))
+            if any(name in getattr(task, section) for _, task in pairs):
+                continue
+            if section == "randomize" and name in file.evaluate.set:
+                doc.fail(("evaluate", section, name), "stands under set, too: leave one out.")
+            doc.fail(("evaluate", section, name), "is no parameter of the evaluation's scenes: leave it out.")
+    with _refusals(doc, "evaluate"):
+        for setup, task in pairs:
+            task.check(setup)
+    return training
 
 
 def _evaluated(setup: Setup, task: Task, evaluation: Evaluation) -> Task:
     """The task of an evaluation: with its values and ranges where the setup has them, and no draws that it has not."""
-    shape, known = terrain_values(str(setup.scene)), task_parameters(setup)
+    known = terrain_values(str(setup.scene)), task_parameters(setup)
 
     def there(given: Mapping[str, Any]) -> dict[str, Any]:
-        return {
-            name: each
-            for name, each in given.items()
-            if (name in shape if name.startswith("terrain.") else name in known)
-        }
+        return {name: each for name, each in given.items() if name in known[not name.startswith("terrain.")]}
 
     values, ranges = there(evaluation.set), there({**task.randomize, **evaluation.randomize})
     drawn = {name: ends for name, ends in ranges.items() if name not in values}
@@ -400,10 +383,11 @@ def _try_out(setup: Setup, task: Task) -> EpisodeLoop:
     return EpisodeLoop(setup.load(), Acting(setup.make_controller(), task.action), task, ())
 
 
-def _said(doc: Document, path: FieldPath, make: Any) -> Any:
-    """The result of `make`; errors are reported for the field that they name."""
+@contextlib.contextmanager
+def _refusals(doc: Document, *path: str | int) -> Iterator[None]:
+    """Report errors of a section for the field that they name."""
     try:
-        return make()
+        yield
     except SpecError:
         raise
     except ParameterError as error:

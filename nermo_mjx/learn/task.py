@@ -187,15 +187,11 @@ TERMS: Final[Mapping[str, Term]] = {term.name: term for term in _TERMS}
 
 
 def chosen_terms(weights: Mapping[str | Term, float], commands: tuple[str, ...]) -> dict[Term, float]:
-    """The terms of a task and their weights.
-
-    Args:
-        weights: name of one of `TERMS`, or a custom term, and its weight.
-        commands: what the task commands.
+    """The terms of a task and their weights, given by the names of `TERMS` or as custom terms.
 
     Raises:
-        ParameterError: there is no such term, it needs a command that the task does not give, or its weight is no
-            number.
+        ParameterError: there is no such term, it needs a command that is not among the task's `commands`, or its weight
+            is no number.
     """
     found: dict[Term, float] = {}
     for given, weight in weights.items():
@@ -420,13 +416,10 @@ class Episodes:
     def __call__(
         self, key: Any, cut_short: Any = False
     ) -> tuple[EpisodeParameters, ModelParameters, Float[Array, " nq"]]:
-        """Parameters, body and first position of an episode.
+        """Parameters, body and first position of the episode of a random key.
 
-        Args:
-            key: of its draws.
-            cut_short: whether its time is over after a random share of the task's duration.
+        With `cut_short` its time is over after a random share of the task's duration.
         """
-        numbers = jax.numpy
         seed, draw, body = jax.random.split(key, 3)
         values: dict[str, Any] = dict(self.task.set)
         shares = jax.random.uniform(draw, (len(self.task.randomize),), minval=-1.0, maxval=1.0)
@@ -434,11 +427,11 @@ class Episodes:
             values[name] = 0.5 * (low + high) + 0.5 * share * (high - low)
         if self.task.bodies:
             ensemble = identified.bodies()
-            one = jax.random.choice(body, len(ensemble), p=numbers.asarray(ensemble.weights, float))
-            members = {name: numbers.asarray(column, float) for name, column in ensemble.values.items()}
+            one = jax.random.choice(body, len(ensemble), p=jnp.asarray(ensemble.weights, float))
+            members = {name: jnp.asarray(column, float) for name, column in ensemble.values.items()}
             values |= {name: column[one] for name, column in members.items()}
             spread = [(column[one] - column.mean()) / (3.0 * column.std() + 1e-12) for column in members.values()]
-            shares = numbers.concatenate([shares, numbers.clip(numbers.stack(spread), -1.0, 1.0)])
+            shares = jnp.concatenate([shares, jnp.clip(jnp.stack(spread), -1.0, 1.0)])
         given = replace_quantities(Given(), {name: value for name, value in values.items() if name in GIVEN})
         world = self.setup.world({name: value for name, value in values.items() if name not in GIVEN})
         told = commanded(self.controller.base, self.task.commands, world.control, given.command)
@@ -451,30 +444,24 @@ class Episodes:
         number = jax.random.randint(seed, (), 0, 1 << 24)
         ticks, part = self.task.ticks(self.controller.dt), self.task.decimation
         short = part * jax.random.randint(jax.random.fold_in(seed, 1), (), 1, ticks // part + 1)
-        length = numbers.where(cut_short, short, ticks)
+        length = jnp.where(cut_short, short, ticks)
         parameters = jax.tree.map(_real, EpisodeParameters(loop, given, shares, number, length))
         return parameters, jax.tree.map(_real, world.model), first
 
 
 def commanded(base: ControllerLike, commands: Collection[str], control: Any, command: Command) -> Any:
-    """A controller's parameters with the speed and the turn rate that are commanded, if it is the published one.
-
-    Args:
-        base: the controller.
-        commands: names of what is commanded.
-        control, command: its parameters, and the values.
-    """
-    numbers = jax.numpy
+    """Parameters `control` of a controller with the speed and the turn rate that are commanded, if it is the published
+    one; `commands` are the names of what is commanded, `command` has the values."""
     if not isinstance(base, Controller):
         return control
     gait, clock_ratio = control.gait, control.tracking.clock_ratio
     if "speed" in commands:
-        speed = command.speed * clock_ratio / numbers.maximum(gait.stride, 1e-3)
+        speed = command.speed * clock_ratio / jnp.maximum(gait.stride, 1e-3)
         control = replace_quantities(control, {"commanded_speed": speed})
     if "yaw_rate" in commands and isinstance(base.pilot, OpenLoop):
         stride = turning.stride_length(control.gait, control.stance, control.gait.commanded_speed)
         speed = turning.body_speed(control.gait, stride) / clock_ratio
-        curvature = numbers.asarray(command.yaw_rate / numbers.maximum(speed, 1e-3), float)
+        curvature = jnp.asarray(command.yaw_rate / jnp.maximum(speed, 1e-3), float)
         rate = turning.turn_rate_for(control, curvature / control.pilot.grip)
         control = replace_quantities(control, {"pilot.turn_rate": rate})
     return control
@@ -482,5 +469,5 @@ def commanded(base: ControllerLike, commands: Collection[str], control: Any, com
 
 def _real(leaf: Any) -> Array:
     """Numbers in JAX's default precision; whole numbers stay what they are."""
-    array = jax.numpy.asarray(leaf)
-    return array.astype(float) if jax.numpy.issubdtype(array.dtype, jax.numpy.floating) else array
+    array = jnp.asarray(leaf)
+    return array.astype(float) if jnp.issubdtype(array.dtype, jnp.floating) else array

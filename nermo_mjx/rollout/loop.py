@@ -12,8 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from nermo_mjx.control.controller import Controller, canonical, with_dtypes_of
-from nermo_mjx.control.loading import named_place, user_code
-from nermo_mjx.control.protocol import ControllerLike, FollowsPath, PlansContact
+from nermo_mjx.control.protocol import ControllerLike, FollowsPath, PlansContact, named_place, user_code
 from nermo_mjx.control.schedule import Schedule, scheduled
 from nermo_mjx.robot import ParameterError, Robot, Sensors, ServoAngles
 from nermo_mjx.robot.model_parameters import Servo

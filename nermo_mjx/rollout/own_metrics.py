@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from pydantic import BaseModel, Field
 
-from nermo_mjx.control.loading import Source, user_code
+from nermo_mjx.control.protocol import Source, user_code
 from nermo_mjx.files import MOST_JSON, json_of, read_bytes
 from nermo_mjx.robot import LIMBS, ParameterError, RobotConfig, Sensors, load_robot
 from nermo_mjx.robot.quantity import did_you_mean

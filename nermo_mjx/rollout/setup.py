@@ -13,7 +13,6 @@ from jaxtyping import Float
 
 from nermo_mjx.control.controller import Controller, published_controller
 from nermo_mjx.control.head_and_tail import HEADS, TAIL_MOTIONS
-from nermo_mjx.control.loading import check_form, load_controller, named_place, user_code
 from nermo_mjx.control.parameters import (
     PROFILES,
     STEERING,
@@ -25,7 +24,16 @@ from nermo_mjx.control.parameters import (
     with_geometry,
 )
 from nermo_mjx.control.pilot import Command
-from nermo_mjx.control.protocol import ActsUpon, ChecksParameters, CompletesValues, ControllerLike
+from nermo_mjx.control.protocol import (
+    ActsUpon,
+    ChecksParameters,
+    CompletesValues,
+    ControllerLike,
+    check_form,
+    load_controller,
+    named_place,
+    user_code,
+)
 from nermo_mjx.control.schedule import MODES, MOST, Schedule, Switch, check_schedule, schedule_of
 from nermo_mjx.control.spine_modes import SAGITTAL_MODES, SPINES, SpineModes, mode_names
 from nermo_mjx.control.stepping import FREE

@@ -9,8 +9,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, Final
 
-from nermo_mjx.control.loading import FORM as CONTROLLER_FORM
-from nermo_mjx.control.loading import controller_digest, is_data
+from nermo_mjx.control.protocol import FORM as CONTROLLER_FORM
+from nermo_mjx.control.protocol import controller_digest, is_data
 from nermo_mjx.control.schedule import MOST, Schedule
 from nermo_mjx.robot.quantity import ParameterError, quantities
 from nermo_mjx.rollout import Setup, all_metrics
