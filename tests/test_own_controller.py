@@ -26,7 +26,7 @@ from nermo_mjx.runs import DirectoryError
 from nermo_mjx.runtime import compiler_options
 from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.sweep import Sweep, run_sweep
-from nermo_mjx.sweep.sampling import Sample
+from nermo_mjx.sweep.spec import Sample
 from nermo_mjx.sweep.store import simulated_seconds
 
 pytestmark = pytest.mark.compiles

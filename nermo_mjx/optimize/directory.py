@@ -66,8 +66,8 @@ from nermo_mjx.specs.controllers import with_code_copied
 from nermo_mjx.specs.described import write_described
 from nermo_mjx.specs.reading import SpecError, changes
 from nermo_mjx.sweep.replay import SweepRow, recording_file
-from nermo_mjx.sweep.sampling import Rows
 from nermo_mjx.sweep.simulating import Simulated, SweepSimulator
+from nermo_mjx.sweep.spec import Rows
 from nermo_mjx.sweep.store import keys_of_rows
 from nermo_mjx.sweep.table import RECORDINGS, Columns, Results, chunk_table, columns_of, meta, read_table
 

@@ -63,8 +63,8 @@ from nermo_mjx.runs.text import to_json
 from nermo_mjx.runs.workers import LocalWorkers, TaskFailed, Workers
 from nermo_mjx.runtime import cpu_count
 from nermo_mjx.specs.reading import SpecError
-from nermo_mjx.sweep.sampling import Rows, Sample
 from nermo_mjx.sweep.simulating import Simulated, SimulatorLike, SweepSimulator, chunk_rows_here, engine_name, pace
+from nermo_mjx.sweep.spec import Rows, Sample
 from nermo_mjx.sweep.store import batch_values
 from nermo_mjx.sweep.table import Results, read_table
 

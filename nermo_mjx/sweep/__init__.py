@@ -3,8 +3,7 @@
 from nermo_mjx.runs.files import DirectoryError
 from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.sweep.run import SweepResult, merge_sweeps, run_sweep
-from nermo_mjx.sweep.sampling import Sample, sample
-from nermo_mjx.sweep.spec import Sweep
+from nermo_mjx.sweep.spec import Sample, Sweep, sample
 from nermo_mjx.sweep.table import Results, read_table, summarize
 
 __all__ = [

@@ -23,8 +23,7 @@ from nermo_mjx.runs.files import DirectoryError
 from nermo_mjx.runs.rows import opened, part_files
 from nermo_mjx.runs.text import plain
 from nermo_mjx.specs.reading import SpecError
-from nermo_mjx.sweep.sampling import Rows, Sample
-from nermo_mjx.sweep.spec import Keep, Sweep, cost, sides_in
+from nermo_mjx.sweep.spec import Keep, Rows, Sample, Sweep, cost, sides_in
 from nermo_mjx.sweep.store import known
 from nermo_mjx.sweep.structures import Structure
 from nermo_mjx.sweep.table import RECORDINGS, Results

@@ -36,7 +36,6 @@ from nermo_mjx.runs.workers import LocalWorkers, TaskFailed, Workers
 from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.specs.walk import unread
 from nermo_mjx.sweep.plots import figures_of, findings
-from nermo_mjx.sweep.sampling import Sample
 from nermo_mjx.sweep.simulating import (
     PROBE,
     WORLD_BYTES,
@@ -47,7 +46,7 @@ from nermo_mjx.sweep.simulating import (
     engine_name,
     pace,
 )
-from nermo_mjx.sweep.spec import SIDES, Sweep, cost
+from nermo_mjx.sweep.spec import SIDES, Sample, Sweep, cost
 from nermo_mjx.sweep.store import (
     batch_values,
     check_room,

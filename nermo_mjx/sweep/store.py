@@ -32,8 +32,7 @@ from nermo_mjx.runs.text import to_json
 from nermo_mjx.specs.controllers import code_identity, with_code_copied
 from nermo_mjx.specs.reading import SpecError, differing
 from nermo_mjx.specs.walk import WalkSpec, unread
-from nermo_mjx.sweep.sampling import Rows, Sample
-from nermo_mjx.sweep.spec import Sweep
+from nermo_mjx.sweep.spec import Rows, Sample, Sweep
 from nermo_mjx.sweep.structures import STRUCTURES
 from nermo_mjx.sweep.table import RECORD, RECORDINGS, SweepRecord
 

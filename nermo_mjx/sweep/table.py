@@ -33,8 +33,7 @@ from nermo_mjx.runs.rows import Columns as Columns
 from nermo_mjx.runs.rows import opened, part_files
 from nermo_mjx.runs.status import Status, metadata_of, status_of
 from nermo_mjx.runs.text import to_json
-from nermo_mjx.sweep.sampling import Rows
-from nermo_mjx.sweep.spec import OBJECTIVES, SIDES, Sweep, cost, sides_in
+from nermo_mjx.sweep.spec import OBJECTIVES, SIDES, Rows, Sweep, cost, sides_in
 from nermo_mjx.sweep.structures import about_structure
 from nermo_mjx.trust import one_line
 
