@@ -12,8 +12,8 @@ import pytest
 
 from nermo_mjx.experiments import plots
 from nermo_mjx.experiments.cases import BODY, Column, Outcome, Settings, columns_about
-from nermo_mjx.experiments.published import Figure
-from nermo_mjx.experiments.run import EXPERIMENTS, Experiment
+from nermo_mjx.experiments.published import Experiment, Figure
+from nermo_mjx.experiments.run import EXPERIMENTS
 from nermo_mjx.robot import load_robot
 from nermo_mjx.view import Recording
 
@@ -64,7 +64,7 @@ class Fake:
     asked: list[Settings] = dataclasses.field(default_factory=list)
 
     def run(self, asked: Settings) -> Outcome:
-        """See `run.Experiment`."""
+        """See `Experiment`."""
         self.asked.append(asked)
         assert asked.progress is not None
         asked.progress(0.5)

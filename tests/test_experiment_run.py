@@ -14,8 +14,9 @@ from experiment_fake import RUN, pretend
 
 from nermo_mjx.experiments import plots, run
 from nermo_mjx.experiments.cases import Settings
+from nermo_mjx.experiments.published import Shot
 from nermo_mjx.experiments.report import number, published_text
-from nermo_mjx.experiments.run import EXPERIMENTS, Directory, Shot, run_experiment, run_experiments, shoot
+from nermo_mjx.experiments.run import EXPERIMENTS, Directory, run_experiment, run_experiments, shoot
 from nermo_mjx.robot import ParameterError
 from nermo_mjx.runs import Interrupted, JobFailed, OtherCode, Watch, codes_of
 from nermo_mjx.runs.files import TEMPORARY, WrongDirectory

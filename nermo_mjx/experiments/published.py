@@ -30,7 +30,7 @@ import functools
 import math
 import re
 import warnings
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from importlib import resources
 from typing import Any, Final, Literal, get_args
 
@@ -38,7 +38,7 @@ import numpy as np
 import yaml
 
 from nermo_mjx.experiments import theory
-from nermo_mjx.experiments.cases import AMPLITUDE, BODY, FREQUENCIES, PROFILES, Outcome, clock
+from nermo_mjx.experiments.cases import AMPLITUDE, BODY, FREQUENCIES, PROFILES, Outcome, Settings, clock
 from nermo_mjx.experiments.walks import FULL_LOCK, GAITS, HARDWARE_STRIDE, STRATEGIES
 from nermo_mjx.robot.parameters import LIMBS
 
@@ -178,7 +178,65 @@ def set_ups() -> dict[str, str]:
     return dict(_content()["set_ups"])
 
 
-# --- lines of the report
+# --- an experiment, and the lines of its report
+
+
+@dataclasses.dataclass(frozen=True)
+class Shot:
+    """The content of a video.
+
+    Attributes:
+        recording: part of the recording's name; if none matches, the last recording is shown.
+        camera: a following view.
+        speed: 1 is real time; a run that has an end is shown faster if it would take too long.
+        until: column with the simulated time at which the run reached its end, if it has one.
+    """
+
+    recording: str = ""
+    camera: str = "three_quarter"
+    speed: float = 1.0
+    until: str = ""
+
+    def choose(self, outcome: Outcome) -> str | None:
+        """Name of the recording that is shown; None if there is none."""
+        names = list(outcome.recordings)
+        return next((name for name in names if self.recording in name), names[-1] if names else None)
+
+
+@dataclasses.dataclass(frozen=True)
+class Experiment:
+    """A published experiment; its texts are in `experiments.yaml`.
+
+    Attributes:
+        name: as on the command line.
+        run: simulates all its cases.
+        settable: parameters that may be set for all its worlds.
+        title: for the report.
+        description: what is done and when it counts, in sentences.
+        quick: what a quick run omits.
+        metrics: columns shown in the report for every case, with theory next to simulation.
+        needs: column -> the column that must be a number for it to be meaningful.
+        shot: the view of the video.
+        walks: whether another controller can take the place of the published one.
+        own_figures: in place of those of `published.yaml`.
+    """
+
+    name: str
+    run: Callable[[Settings], Outcome]
+    settable: frozenset[str]
+    title: str
+    description: str
+    quick: str = "nothing is left out"
+    metrics: Sequence[str] = ()
+    needs: Mapping[str, str] = dataclasses.field(default_factory=dict)
+    shot: Shot = dataclasses.field(default_factory=Shot)
+    walks: bool = False
+    own_figures: tuple[Figure, ...] | None = None
+
+    @property
+    def figures(self) -> tuple[Figure, ...]:
+        """Published figures, and how they are measured here."""
+        return figures(self.name) if self.own_figures is None else self.own_figures
 
 
 @dataclasses.dataclass(frozen=True)

@@ -6,22 +6,19 @@ import dataclasses
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import PurePosixPath
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 import pyarrow as pa
 
 from nermo_mjx.control.parameters import PUBLISHED_CLOCK_RATIO
 from nermo_mjx.experiments.cases import PROFILES, Column, Outcome, texts
-from nermo_mjx.experiments.published import AGREES, KINDS, Line, counts, set_ups
+from nermo_mjx.experiments.published import AGREES, KINDS, Experiment, Line, counts, set_ups
 from nermo_mjx.plotting.shown import shown
 from nermo_mjx.recording import Recording
 from nermo_mjx.runs.text import MISSING, listed, table
 from nermo_mjx.sweep.spec import START_SPREAD
 from nermo_mjx.sweep.table import Columns, meta
-
-if TYPE_CHECKING:
-    from nermo_mjx.experiments.run import Experiment
 
 # --- a table: one row per world, with the roles `case` (what tells the cases apart), `index` (repeat), `metric`,
 # `status`, and `code` (that made it)
