@@ -11,7 +11,6 @@ import pytest
 from matplotlib.collections import LineCollection, PathCollection, PolyCollection
 from scipy import stats
 
-from nermo_mjx.plotting.cloud import CROWD
 from nermo_mjx.plotting.files import write_figures
 from nermo_mjx.plotting.shown import ShownValues, spoken
 from nermo_mjx.plotting.style import STYLE
@@ -19,6 +18,7 @@ from nermo_mjx.robot import ParameterError
 from nermo_mjx.sweep import Results
 from nermo_mjx.sweep.plots import (
     BEST_LINES,
+    CROWD,
     MOST_LINES,
     chosen_figure,
     chosen_lines,

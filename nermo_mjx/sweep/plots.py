@@ -22,14 +22,13 @@ import pyarrow as pa
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection
-from matplotlib.colors import Normalize
+from matplotlib.colors import LinearSegmentedColormap, Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patheffects import Normal, Stroke
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator
 from scipy import stats
 
-from nermo_mjx.plotting.cloud import cloud, remark
 from nermo_mjx.plotting.files import Figures
 from nermo_mjx.plotting.page import around, blank, colour_bar, note_lines
 from nermo_mjx.plotting.shown import ShownValues, shown, spoken, titled
@@ -47,6 +46,7 @@ from nermo_mjx.plotting.style import (
     SMALL,
     colour_scale,
     horizontal_grid,
+    light,
     set_scales,
 )
 from nermo_mjx.robot.quantity import ParameterError, did_you_mean
@@ -418,6 +418,40 @@ def thinned(values: np.ndarray, most: int, kept: np.ndarray | Sequence[int] = ()
 
 
 # ---
+# Many points in one panel: dots as long as they can be distinguished, their density beyond.
+
+#: Number of points in a panel above which dots would overlap.
+CROWD: Final = 5000
+_CELLS: Final = 44
+#: Lighter than lines drawn over it.
+_DENSITY: Final = LinearSegmentedColormap.from_list("density", [light(BAND), BAND, "#5aa5d6"])
+
+
+def density_note(count: int) -> str:
+    """The figure's note about this number of points."""
+    return "; darker: more runs" if count >= CROWD else ""
+
+
+def cloud(ax: Axes, x: ShownValues, y: ShownValues, *, size: float) -> None:
+    """Draw points as dots of a size [pt^2], or many of them as hexagons, darker (logarithmically) for more points."""
+    if len(x.values) < CROWD:
+        ax.scatter(x.values, y.values, s=size, color=BAND, lw=0, rasterized=len(x.values) > 2000, zorder=2)
+        return
+    ax.hexbin(
+        x.values,
+        y.values,
+        gridsize=_CELLS,
+        bins="log",
+        mincnt=1,
+        cmap=_DENSITY,
+        linewidths=0.2,
+        zorder=2,
+        xscale="log" if x.log else "linear",
+        yscale="log" if y.log else "linear",
+    )
+
+
+# ---
 # Heat maps, lines and scatter plots of one metric.
 
 
@@ -531,7 +565,7 @@ def scatters(xs: Sequence[ShownValues], z: ShownValues, titles: Sequence[str], t
         ax.set_title(name)
         ax.set_xlabel(x.label)
     figure.supylabel(z.label, fontsize=9.5)
-    return around(figure, title, note + remark(len(z.values)))
+    return around(figure, title, note + density_note(len(z.values)))
 
 
 def pair_scatters(
@@ -916,7 +950,7 @@ def trade_off(
     words = {"max": "more", "min": "less", "nearest zero": "nearer to zero"}
     both = ", ".join(f"{each.spoken}: {words[side]}" for each, side in zip((x, y), sides, strict=True))
     lines.append(f"{note}orange: nothing is better in both ({both})")
-    text = "\n".join(lines) + remark(len(x.values))
+    text = "\n".join(lines) + density_note(len(x.values))
     figure = blank(_WIDTH, 4.4 + 0.15 * len(note_lines(text, _WIDTH)))
     ax = figure.subplots()
     cloud(ax, x, y, size=5 if len(x.values) > 2000 else 12)
