@@ -19,7 +19,7 @@ from nermo_mjx.physics.variation import compile_model
 from nermo_mjx.robot import LIMBS, SERVOS, ModelParameters, ParameterError, Robot, RobotConfig, assemble, load_robot
 from nermo_mjx.robot.equipment import TRUNK, servo_joint
 from nermo_mjx.robot.geometry import Geometry
-from nermo_mjx.robot.masses import PARTS, ROBOT_MASSES, TORSO, part_of
+from nermo_mjx.robot.masses import PARTS, ROBOT_MASSES, TORSO, part_of, physical_model
 from nermo_mjx.robot.parameters import BODY, FRONT_LEG, REAR_LEG, ROUTINGS, LegGeometry
 from nermo_mjx.robot.quantity import quantities, replace_quantities
 
@@ -667,3 +667,19 @@ def test_the_search_for_islands_is_without_effect():
     assert searching.opt.disableflags != robot.model.opt.disableflags
     ctrl = targets(robot.n_servos, 300)
     np.testing.assert_array_equal(simulate(searching, ctrl), simulate(robot.model, ctrl))
+
+
+def test_what_a_pair_or_a_sensor_names_is_not_left_out_as_visual():
+    ball = '<geom name="{}" contype="0" conaffinity="0" size="0.01" mass="1"/>'
+    spec = mujoco.MjSpec.from_string(f"""
+        <mujoco><worldbody><geom name="floor" type="plane" size="1 1 0.1"/>
+          <body><freejoint/><site name="read"/><site name="marker"/>{"".join(map(ball.format, "abcd"))}</body>
+        </worldbody>
+        <contact><pair geom1="floor" geom2="a"/></contact>
+        <sensor><framepos objtype="geom" objname="b"/>
+          <framepos objtype="site" objname="read" reftype="geom" refname="c"/></sensor></mujoco>""")
+    whole = spec.compile()
+    lean = physical_model(spec, whole)
+    assert [lean.geom(i).name for i in range(lean.ngeom)] == ["floor", "a", "b", "c"]
+    assert [lean.site(i).name for i in range(lean.nsite)] == ["read"]
+    np.testing.assert_array_equal(lean.body_mass, whole.body_mass)
