@@ -52,10 +52,10 @@ class Kind:
         return function
 
 
-_COLUMNS: Final = ("x", "y", "color", "notify")
+_COLUMNS: Final = ("x", "y", "color")
 _IDENTIFIED: Final = "experiments.identification"
 _KINDS: Final = (
-    Kind("sweep", "a sweep", "sweep.plots:figures", "sweep.table:status", False, _COLUMNS),
+    Kind("sweep", "a sweep", "sweep.plots:figures", "sweep.table:status", False, (*_COLUMNS, "notify")),
     Kind("search", "a search", "optimize.figures:search_figures", "optimize.directory:search_status", False, _COLUMNS),
     Kind("tuning", "a tuning", "optimize.figures:tuning_figures", "optimize.directory:tuning_status"),
     Kind("training", "a training", "learn.plots:figures", "learn.directory:status"),

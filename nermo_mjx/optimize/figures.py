@@ -812,20 +812,12 @@ def search_figures_of(search: Search, results: Results) -> Figures:
     yield from ((name, figure) for name, figure in survey_figures(results, metric) if name.endswith("-parallel"))
 
 
-def search_figures(
-    out: Path,
-    *,
-    x: str | None = None,
-    y: str | None = None,
-    color: str | None = None,
-    notify: Callable[[str], None] | None = None,
-) -> Figures:
+def search_figures(out: Path, *, x: str | None = None, y: str | None = None, color: str | None = None) -> Figures:
     """The figures of a search's directory, as far as it goes.
 
     Args:
         out: the directory.
         x, y, color: columns of one figure, see `nermo_mjx.sweep.plots.chosen_figure`.
-        notify: not called: a search is drawn as far as it is.
 
     Raises:
         ParameterError: there is no such column.
