@@ -9,6 +9,7 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from nermo_mjx.trust import DATA_CONTROLLERS
 from nermo_mjx.version import __version__
 
 if TYPE_CHECKING:
@@ -54,6 +55,8 @@ _HOMES = {
     "nermo_mjx.view": "Page Recording render show",
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names.split()}
+
+DATA_CONTROLLERS[".npz"] = "nermo_mjx.learn.policy:load_policy"
 
 __all__ = ["LIMBS", "METRICS", "SERVOS", "Comparison", "Controller", "ControllerLike", "Page", "ParameterError"]
 __all__ += ["Recording", "Robot", "RobotConfig", "Rollout", "Run", "RunResult", "Search", "SearchResult", "Sensitivity"]

@@ -42,6 +42,9 @@ def one_line(text: str) -> str:
 #: Whether the Python that files name may be run, and what is told before.
 RUNS_CODE: ContextVar[bool] = ContextVar("RUNS_CODE", default=True)
 TELL: ContextVar[Callable[[str], None]] = ContextVar("TELL", default=lambda sentence: None)
+#: Suffixes of files that hold a controller as data instead of code, and MODULE:NAME of the function that reads them.
+#: The top of the package fills it in, as these modules are built on those that take a controller's name.
+DATA_CONTROLLERS: Final[dict[str, str]] = {}
 
 
 @contextlib.contextmanager

@@ -30,7 +30,7 @@ from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.parameters import Sensors, ServoAngles
 from nermo_mjx.robot.quantity import ParameterError, did_you_mean
 from nermo_mjx.shapes import Array, Scalar
-from nermo_mjx.trust import RUNS_CODE, TELL, one_line
+from nermo_mjx.trust import DATA_CONTROLLERS, RUNS_CODE, TELL, one_line
 
 #: What every controller has.
 REQUIRED = ("dt", "parameters", "init", "initial_servo", "update", "cycle_rate")
@@ -281,8 +281,8 @@ def load_controller(where: str) -> Any:
         ParameterError: the file, module or name does not exist, it cannot be imported, or it is not a controller.
     """
     if is_data(where):
-        # By name: a policy belongs to a room above this one, which only policies need.
-        return importlib.import_module("nermo_mjx.learn.policy").load_policy(where)
+        module, _, name = DATA_CONTROLLERS[Path(where).suffix].partition(":")
+        return getattr(importlib.import_module(module), name)(where)
     source = _source(where)
     module = source.module()
     controller = getattr(module, source.name, None)
@@ -309,7 +309,7 @@ def controller_digest(where: str) -> str:
 
 def is_data(where: str) -> bool:
     """Whether a text names a file that holds a controller as data instead of code."""
-    return Path(where).suffix == ".npz"
+    return Path(where).suffix in DATA_CONTROLLERS
 
 
 def check_form(controller: Any) -> None:
