@@ -11,6 +11,7 @@ import pytest
 from matplotlib.collections import LineCollection, PathCollection, PolyCollection
 from scipy import stats
 
+from nermo_mjx.plotting.charts import CROWD, front, named_points, scatters
 from nermo_mjx.plotting.files import write_figures
 from nermo_mjx.plotting.shown import ShownValues, spoken
 from nermo_mjx.plotting.style import STYLE
@@ -18,15 +19,11 @@ from nermo_mjx.robot import ParameterError
 from nermo_mjx.sweep import Results
 from nermo_mjx.sweep.plots import (
     BEST_LINES,
-    CROWD,
     MOST_LINES,
     chosen_figure,
     chosen_lines,
     figures_of,
-    front,
-    named_points,
     points_of,
-    scatters,
     survey_figures,
 )
 from nermo_mjx.sweep.table import Columns

@@ -7,11 +7,12 @@ from matplotlib.collections import PathCollection, QuadMesh
 from matplotlib.image import imread
 from sweep_fake import AMPLITUDES, FREQUENCIES, PHASES, SPEC, FakeSimulator, speed
 
+from nermo_mjx.plotting.charts import colour_scale, heat_maps
 from nermo_mjx.plotting.files import write_figures
 from nermo_mjx.plotting.shown import shown
-from nermo_mjx.plotting.style import STYLE, colour_scale
+from nermo_mjx.plotting.style import STYLE
 from nermo_mjx.sweep import Results, run_sweep
-from nermo_mjx.sweep.plots import figures_of, heat_maps
+from nermo_mjx.sweep.plots import figures_of
 
 pytestmark = pytest.mark.draws
 

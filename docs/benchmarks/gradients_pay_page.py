@@ -10,9 +10,9 @@ from typing import Any, Final
 import numpy as np
 from matplotlib.figure import Figure
 
+from nermo_mjx.plotting.charts import horizontal_grid, page
 from nermo_mjx.plotting.files import write_figures
-from nermo_mjx.plotting.page import page
-from nermo_mjx.plotting.style import BEST, LINE, SERIES, horizontal_grid
+from nermo_mjx.plotting.style import BEST, LINE, SERIES
 from nermo_mjx.runs.text import table
 
 PAGE: Final = "gradients_pay.md"

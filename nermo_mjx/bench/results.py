@@ -16,9 +16,9 @@ from pydantic import BaseModel, ConfigDict
 
 from nermo_mjx.bench import CASES
 from nermo_mjx.files import FileError, json_of
+from nermo_mjx.plotting.charts import horizontal_grid, page
 from nermo_mjx.plotting.files import Figures, write_figures
-from nermo_mjx.plotting.page import page
-from nermo_mjx.plotting.style import BEST, INK, LINE, MUTED, horizontal_grid
+from nermo_mjx.plotting.style import BEST, INK, LINE, MUTED
 from nermo_mjx.runs.files import DirectoryError, replace_file
 from nermo_mjx.runs.status import Status
 from nermo_mjx.runs.text import table

@@ -33,7 +33,7 @@ from scipy.stats import qmc
 
 from nermo_mjx.experiments.cases import texts
 from nermo_mjx.experiments.report import number
-from nermo_mjx.plotting.page import Page
+from nermo_mjx.plotting.charts import Page
 from nermo_mjx.plotting.style import BAND, BEST, COLOURS, INK, LINE, MUTED, SMALL
 from nermo_mjx.robot.model_parameters import ModelParameters
 from nermo_mjx.robot.quantity import quantities

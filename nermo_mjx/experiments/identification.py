@@ -31,8 +31,8 @@ from nermo_mjx.experiments.report import number, published_text
 from nermo_mjx.files import MOST_ARRAYS, FileError, json_of, read_bytes
 from nermo_mjx.optimize.methods import strategy
 from nermo_mjx.physics.making import resolve_engine
+from nermo_mjx.plotting.charts import page as blank_page
 from nermo_mjx.plotting.files import Figures, write_figures
-from nermo_mjx.plotting.page import page as blank_page
 from nermo_mjx.plotting.style import BAND, BEST, LINE, MUTED, SHADE
 from nermo_mjx.plotting.style import MISSING as GREY
 from nermo_mjx.robot import ModelParameters, ParameterError

@@ -27,7 +27,7 @@ from nermo_mjx.experiments.cases import PROFILES, SIMULATED, Outcome, clock, tex
 from nermo_mjx.experiments.published import AGREES, Line
 from nermo_mjx.kinematics.body import attitude
 from nermo_mjx.plotting import style
-from nermo_mjx.plotting.page import Page
+from nermo_mjx.plotting.charts import Page
 from nermo_mjx.plotting.shown import shown as in_shown_unit
 from nermo_mjx.plotting.style import BEST, FOOT, GRID, INK, LINE, MISSING, MUTED, OKABE_ITO, SERIES, SHADE
 from nermo_mjx.recording import Recording

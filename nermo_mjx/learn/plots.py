@@ -13,9 +13,9 @@ from matplotlib.figure import Figure
 from nermo_mjx.learn.directory import EVALUATION, SPEC, Curves, read_history
 from nermo_mjx.learn.evaluation import ALONE, POLICY, summary_of
 from nermo_mjx.learn.spec import Training
+from nermo_mjx.plotting.charts import horizontal_grid, page
 from nermo_mjx.plotting.files import Figures
-from nermo_mjx.plotting.page import page
-from nermo_mjx.plotting.style import BAND, LINE, MUTED, SERIES, horizontal_grid
+from nermo_mjx.plotting.style import BAND, LINE, MUTED, SERIES
 from nermo_mjx.robot.scene import scene_name
 from nermo_mjx.runs.files import DirectoryError, content_of, parquet_table
 

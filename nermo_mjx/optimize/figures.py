@@ -36,30 +36,27 @@ from nermo_mjx.optimize.directory import (
 from nermo_mjx.optimize.methods import cells_of, elites_of
 from nermo_mjx.optimize.objective import FURTHEST, TRAJECTORY_ERROR, Term
 from nermo_mjx.optimize.spec import Generations, Measure, Search, Tuned, Tuning
-from nermo_mjx.plotting.files import Figures, write_figures
-from nermo_mjx.plotting.page import around, blank, colour_bar, page
-from nermo_mjx.plotting.shown import ShownValues, shown, spoken
-from nermo_mjx.plotting.style import (
-    BAND,
-    BEST,
-    COLOURS,
-    GRID,
-    INK,
-    LINE,
-    MISSING,
-    MUTED,
-    SERIES,
+from nermo_mjx.plotting.charts import (
+    around,
+    blank,
+    colour_bar,
     colour_scale,
     horizontal_grid,
+    named_points,
+    page,
     set_scales,
+    trade_off,
 )
+from nermo_mjx.plotting.files import Figures, write_figures
+from nermo_mjx.plotting.shown import ShownValues, shown, spoken
+from nermo_mjx.plotting.style import BAND, BEST, COLOURS, GRID, INK, LINE, MISSING, MUTED, SERIES
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.rollout import Run
 from nermo_mjx.runs import stamp
 from nermo_mjx.runs.files import DirectoryError, content_of, parquet_bytes, parquet_table
 from nermo_mjx.runs.job import Progress, Watch
 from nermo_mjx.runs.rows import part_files
-from nermo_mjx.sweep.plots import chosen_figure, named_points, survey_figures, trade_off
+from nermo_mjx.sweep.plots import chosen_figure, survey_figures
 from nermo_mjx.sweep.simulating import SimulatorLike
 from nermo_mjx.sweep.table import Columns, Results, meta
 from nermo_mjx.view import RecordingError, VideoError, check_video, recording_of

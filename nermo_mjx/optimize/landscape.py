@@ -37,10 +37,10 @@ from nermo_mjx.optimize.figures import corner, legend, star
 from nermo_mjx.optimize.objective import FURTHEST, Evaluation, Problem
 from nermo_mjx.optimize.run import simulation_of
 from nermo_mjx.optimize.spec import Gradient, Tuned, Tuning
+from nermo_mjx.plotting.charts import horizontal_grid, page, set_scales
 from nermo_mjx.plotting.files import Figures, write_figures
-from nermo_mjx.plotting.page import page
 from nermo_mjx.plotting.shown import ShownValues, shown, spoken
-from nermo_mjx.plotting.style import BAND, INK, LINE, MUTED, horizontal_grid, set_scales
+from nermo_mjx.plotting.style import BAND, INK, LINE, MUTED
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.runs import RunDirectory, Written, engine_of, session, stamp
 from nermo_mjx.runs.files import (

@@ -90,3 +90,8 @@ def shown(name: str, unit: str, values: ArrayLike, *, log: bool = False, side: s
     """A column in SI units as a `ShownValues`."""
     unit, factor = _SHOWN_UNITS.get(unit, ("" if unit == "1" else unit, 1.0))
     return ShownValues(name, unit, np.asarray(values, dtype=float) * factor, log, side=side)
+
+
+def cost(side: str, values: np.ndarray) -> np.ndarray:
+    """Values of a metric with this better direction so that less is better; without one, less where it is higher."""
+    return {"": -values, "max": -values, "min": values, "nearest zero": np.abs(values)}[side]

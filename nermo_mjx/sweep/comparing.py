@@ -19,10 +19,10 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter
 from scipy import stats
 
+from nermo_mjx.plotting.charts import Page, horizontal_grid, set_scales
 from nermo_mjx.plotting.files import Figures
-from nermo_mjx.plotting.page import Page
 from nermo_mjx.plotting.shown import ShownValues, shown, spoken, titled
-from nermo_mjx.plotting.style import BEST, GRID, INK, LINE, MUTED, SERIES, horizontal_grid, set_scales
+from nermo_mjx.plotting.style import BEST, GRID, INK, LINE, MUTED, SERIES
 from nermo_mjx.robot.quantity import ParameterError, did_you_mean
 from nermo_mjx.runs.files import DirectoryError
 from nermo_mjx.runs.rows import part_files

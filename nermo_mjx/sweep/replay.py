@@ -15,6 +15,7 @@ import mujoco
 import numpy as np
 
 from nermo_mjx.physics import ENGINES
+from nermo_mjx.plotting.shown import cost
 from nermo_mjx.recording import Recording, RecordingError, recording_of
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.rollout import History, Setup, Simulator
@@ -23,7 +24,7 @@ from nermo_mjx.runs.files import DirectoryError
 from nermo_mjx.runs.rows import opened, part_files
 from nermo_mjx.runs.text import plain
 from nermo_mjx.specs.reading import SpecError
-from nermo_mjx.sweep.spec import Keep, Rows, Sample, Sweep, cost, sides_in
+from nermo_mjx.sweep.spec import Keep, Rows, Sample, Sweep, sides_in
 from nermo_mjx.sweep.store import known
 from nermo_mjx.sweep.structures import Structure
 from nermo_mjx.sweep.table import RECORDINGS, Results

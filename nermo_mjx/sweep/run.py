@@ -23,6 +23,7 @@ import pyarrow.parquet as pq
 
 from nermo_mjx.physics import resolve_engine
 from nermo_mjx.plotting.files import write_figures
+from nermo_mjx.plotting.shown import cost
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.rollout import METRICS, Simulator
 from nermo_mjx.rollout.run import too_many
@@ -46,7 +47,7 @@ from nermo_mjx.sweep.simulating import (
     engine_name,
     pace,
 )
-from nermo_mjx.sweep.spec import SIDES, Sample, Sweep, cost
+from nermo_mjx.sweep.spec import SIDES, Sample, Sweep
 from nermo_mjx.sweep.store import (
     batch_values,
     check_room,

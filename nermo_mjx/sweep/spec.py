@@ -115,11 +115,6 @@ def sides_in(schema: pa.Schema) -> dict[str, str]:
     return sides_of({name: Metric("", "", better and better.decode()) for name, better in about.items()})
 
 
-def cost(side: str, values: np.ndarray) -> np.ndarray:
-    """Values of a metric with this better direction so that less is better; without one, less where it is higher."""
-    return {"": -values, "max": -values, "min": values, "nearest zero": np.abs(values)}[side]
-
-
 # ---
 # What a sweep stores beside its table, as written in a file: time series (`save`) and recordings (`keep`).
 

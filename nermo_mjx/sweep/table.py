@@ -24,6 +24,7 @@ from typing_extensions import TypedDict
 
 from nermo_mjx.files import FileError, read_as
 from nermo_mjx.plotting.files import Figures, write_figures
+from nermo_mjx.plotting.shown import cost
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.rollout.own_metrics import METRICS
 from nermo_mjx.runs.code import session
@@ -33,7 +34,7 @@ from nermo_mjx.runs.rows import Columns as Columns
 from nermo_mjx.runs.rows import opened, part_files
 from nermo_mjx.runs.status import Status, metadata_of, status_of
 from nermo_mjx.runs.text import to_json
-from nermo_mjx.sweep.spec import OBJECTIVES, SIDES, Rows, Sweep, cost, sides_in
+from nermo_mjx.sweep.spec import OBJECTIVES, SIDES, Rows, Sweep, sides_in
 from nermo_mjx.sweep.structures import about_structure
 from nermo_mjx.trust import one_line
 

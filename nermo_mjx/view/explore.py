@@ -15,6 +15,7 @@ from pydantic import BaseModel, Field
 
 from nermo_mjx.files import json_of
 from nermo_mjx.plotting import style
+from nermo_mjx.plotting.charts import thinned
 from nermo_mjx.plotting.shown import shown
 from nermo_mjx.recording import Recording, RecordingError
 from nermo_mjx.robot import ParameterError
@@ -24,7 +25,6 @@ from nermo_mjx.rollout.own_metrics import headed
 from nermo_mjx.runs import DirectoryError, kind_of
 from nermo_mjx.runs.files import parquet_table
 from nermo_mjx.specs.reading import SpecError, read_file
-from nermo_mjx.sweep.plots import thinned
 from nermo_mjx.sweep.spec import OBJECTIVES, sides_in
 from nermo_mjx.sweep.table import LEADING, Results, SweepRecord, meta
 from nermo_mjx.view.clip import COMPACT, Models, clip_of

@@ -18,8 +18,8 @@ from matplotlib.patches import Patch
 from nermo_mjx.control.parameters import ControlParameters, published_values
 from nermo_mjx.control.stepping import FREE, FreeStepping, Stepping
 from nermo_mjx.kinematics.leg import forward, four_legs
-from nermo_mjx.plotting.page import Page
-from nermo_mjx.plotting.style import FOOT, GRID, INK, LINE, MISSING, MUTED, SERIES, TAIL, horizontal_grid
+from nermo_mjx.plotting.charts import Page, horizontal_grid
+from nermo_mjx.plotting.style import FOOT, GRID, INK, LINE, MISSING, MUTED, SERIES, TAIL
 from nermo_mjx.recording import Recording, RecordingError
 from nermo_mjx.robot import GAITS, LIMBS, ParameterError, Robot
 from nermo_mjx.robot.geometry import Geometry
