@@ -19,6 +19,7 @@ import pyarrow.parquet as pq
 import pytest
 import search_fake
 from command import call
+from sweep_fake import FakeSimulator
 
 from nermo_mjx import Run, Setup, Simulator, all_metrics, all_parameters, load_robot
 from nermo_mjx.optimize import Tuning, run_search
@@ -26,7 +27,7 @@ from nermo_mjx.optimize.run import costs_of
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.rollout.setup import TAKEN
 from nermo_mjx.runs import JobFailed
-from nermo_mjx.sweep import Sweep
+from nermo_mjx.sweep import Sweep, run_sweep
 
 BOUND = (Path(__file__).parents[1] / "docs" / "howto" / "controllers" / "bound.py").read_text()
 
@@ -392,7 +393,10 @@ def run_command(words: list[str], **given: Any) -> Any:
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full")
 @pytest.mark.parametrize(("stream", "code"), [("stdout", 1), ("stderr", 0)])
 def test_a_full_disk_under_the_log_stops_nothing(tmp_path: Path, stream: str, code: int) -> None:
+    """What is left to do is the summary, so that the process simulates nothing."""
     (tmp_path / "s.yaml").write_text("vary: {frequency: [0.6, 0.8]}\nrun: {duration: 0.1}\nplots: false\n")
+    run_sweep(tmp_path / "s.yaml", tmp_path / "out", simulator=FakeSimulator(engine="c"))
+    (tmp_path / "out" / "summary.json").unlink()
     with open("/dev/full", "w") as full:
         done = run_command(["sweep", str(tmp_path / "s.yaml"), "--out", str(tmp_path / "out")], **{stream: full})
         assert done.returncode == code
