@@ -10,9 +10,8 @@ from typing import Any
 
 import jsonschema
 import pytest
-from click.testing import CliRunner
+from command import call
 
-from nermo_mjx.cli import main
 from nermo_mjx.cli.tools import FILES
 from nermo_mjx.rollout import all_parameters
 from nermo_mjx.specs.reading import read_file, read_text
@@ -21,7 +20,7 @@ SHIPPED = sorted(Path(__file__).parents[1].glob("sweeps/*.yaml"))
 
 
 def schema(kind: str) -> dict[str, Any]:
-    ran = CliRunner().invoke(main, ["schema", kind])
+    ran = call("schema", kind)
     assert ran.exit_code == 0, ran.output
     return json.loads(ran.stdout)
 
@@ -180,20 +179,14 @@ def test_the_landscape_reads_a_tuning_file(schemas):
 def test_the_command_writes_a_file(tmp_path):
     """It prints nothing then; its folder is made."""
     out = tmp_path / "new" / "sweep.schema.json"
-    ran = CliRunner().invoke(main, ["schema", "sweep", "--out", str(out)])
+    ran = call("schema", "sweep", "--out", out)
     assert (ran.exit_code, ran.output) == (0, "")
-    assert json.loads(out.read_text())["properties"]["gait"]["enum"][:6] == [
-        "trt",
-        "trt1",
-        "lat",
-        "bound",
-        "gallop",
-        "trot",
-    ]
+    gaits = json.loads(out.read_text())["properties"]["gait"]["enum"]
+    assert gaits[:6] == ["trt", "trt1", "lat", "bound", "gallop", "trot"]
 
 
 def test_an_unknown_kind_is_wrong_use():
-    ran = CliRunner().invoke(main, ["schema", "sweeps"])
+    ran = call("schema", "sweeps")
     assert ran.exit_code == 2
     assert "'sweep', 'search', 'tune', 'landscape', 'train', 'servos'" in ran.output
 
