@@ -148,6 +148,8 @@ MAKERS = (
     "optimize.problems",
     "learn.evaluation",
     "experiments.walks",
+    "live.driving",
+    "live.wire",
 )
 
 
