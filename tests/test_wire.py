@@ -17,8 +17,9 @@ from typing import Any
 import numpy as np
 import pytest
 import wires
+from conftest import shared_simulator
 
-from nermo_mjx import Run, Setup, Simulator
+from nermo_mjx import Run, Setup
 from nermo_mjx.hardware import Channels, read_channels
 from nermo_mjx.hardware.live import PATIENCE, ROS_TYPE, TOPIC, NotSentError, SendError, linked
 from nermo_mjx.live.driving import replayed
