@@ -19,6 +19,7 @@ import pyarrow.parquet as pq
 import pytest
 import search_fake
 from command import call
+from conftest import shared_simulator
 from sweep_fake import FakeSimulator
 
 from nermo_mjx import Run, Setup, Simulator, all_metrics, all_parameters, load_robot
@@ -444,7 +445,7 @@ def test_an_objective_that_is_nan_is_told_after_the_first_batch(tmp_path: Path, 
 
 @pytest.mark.compiles
 def test_a_dry_run_refuses_the_recording_that_the_run_refuses(tmp_path: Path) -> None:
-    Simulator(engine="c").run({}, Run(duration=0.2), record=True).recording().save(tmp_path / "short.npz")
+    shared_simulator(engine="c").run({}, Run(duration=0.2), record=True).recording().save(tmp_path / "short.npz")
     (tmp_path / "text.npz").write_text("no recording")
     for name, message in (
         ("short.npz", "expected all of the run, from its start to 1 s"),
