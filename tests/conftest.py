@@ -45,6 +45,8 @@ if "xla_backend_optimization_level" not in os.environ.get("XLA_FLAGS", ""):
 files._DPI = 100  # figures are drawn at half their size
 os.fsync = lambda _: None  # no test cuts the power, and a process that is killed has written what it wrote
 gc.disable()  # until all is imported and collected: a quarter of the time of both
+gc.set_threshold(50_000, 20, 10)  # tracing makes millions of small objects: with Python's own, a twentieth of the time
+jax.config.update("jax_traceback_in_locations_limit", 0)  # nobody reads where in Python an operation comes from
 runtime.start_jax()  # before a test does, with too few threads for large batches on two cores
 
 #: Files that take 25 s or more of a core, or wait as long; a notebook finds the program of test_tune_walk.py compiled.
@@ -146,6 +148,8 @@ MAKERS = (
     "optimize.problems",
     "learn.evaluation",
     "experiments.walks",
+    "live.driving",
+    "live.wire",
 )
 
 

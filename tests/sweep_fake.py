@@ -80,6 +80,11 @@ class FakeSimulator:
         )
 
 
+def contents(*folders):
+    """Content of every file below the folders."""
+    return {path: path.read_bytes() for folder in folders for path in folder.rglob("*") if path.is_file()}
+
+
 def part_of(out, row):
     """The file of a directory that holds a row."""
     files = sorted(Path(out).glob("results/*.parquet"))

@@ -11,12 +11,11 @@ import pyarrow as pa
 import pyarrow.csv
 import pyarrow.parquet as pq
 import pytest
-from click.testing import CliRunner
+from command import call, json_of
 from scipy import stats
 from sweep_fake import FakeSimulator
 
 from nermo_mjx import ParameterError, compare, read_table, run_sweep
-from nermo_mjx.cli import main
 from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.sweep import Sweep
 from nermo_mjx.sweep.comparing import figures_of, two_stage
@@ -244,18 +243,16 @@ def test_a_file_asks_for_its_comparison(tmp_path: Path) -> None:
 def test_the_command_prints_and_writes(tmp_path: Path) -> None:
     """JSON as other programs rely on it, a directory that `plot` and `status` know, and tables in one file."""
     run_sweep(RANDOM, tmp_path / "sweep", simulator=FakeSimulator())
-    asked = ["compare", str(tmp_path / "sweep"), "--by", "spine.amplitude", "--for", "frequency"]
-    run = CliRunner().invoke(main, [*asked, "--out", str(tmp_path / "gain"), "--json"])
-    assert run.exit_code == 0, run.output
-    speed = json.loads(run.stdout)["metrics"]["speed"]
+    asked = ("compare", tmp_path / "sweep", "--by", "spine.amplitude", "--for", "frequency")
+    speed = json_of(*asked, "--out", tmp_path / "gain")["metrics"]["speed"]
     assert speed["low"] < speed["difference"] < speed["high"]
     made = {path.name: path.read_bytes() for path in (tmp_path / "gain" / "plots").glob("*.*g")}
     assert {"differences.svg", "speed-gain-by-frequency.png"} <= set(made)
-    assert CliRunner().invoke(main, ["plot", str(tmp_path / "gain")]).exit_code == 0
+    assert call("plot", tmp_path / "gain").exit_code == 0
     assert made == {path.name: path.read_bytes() for path in (tmp_path / "gain" / "plots").glob("*.*g")}
-    status = json.loads(CliRunner().invoke(main, ["status", str(tmp_path / "gain"), "--json"]).stdout)
+    status = json_of("status", tmp_path / "gain")
     assert (status["kind"], status["complete"]) == ("comparison", True)
-    shown = CliRunner().invoke(main, [*asked, "--out", str(tmp_path / "gain.csv")])
+    shown = call(*asked, "--out", tmp_path / "gain.csv")
     assert "0.4 minus 0" in shown.stdout
     assert "24 ok" in shown.stdout
     assert re.search(r"^speed +mm/s +6\d\.", shown.stdout, re.MULTILINE)

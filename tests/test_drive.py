@@ -28,7 +28,7 @@ from nermo_mjx.robot.quantity import values_of
 from nermo_mjx.rollout import Run, Setup, Simulator
 from nermo_mjx.sweep import Sweep
 
-pytestmark = pytest.mark.compiles
+pytestmark = [pytest.mark.compiles, pytest.mark.usefixtures("shared_simulators")]
 
 
 @pytest.fixture(scope="module")

@@ -73,7 +73,7 @@ def check(setup: Setup, worlds: list[dict[str, float]], seconds: float) -> None:
     named = sorted({name for world in worlds for name in world})
     values = {name: np.array([world.get(name, defaults[name]) for world in worlds]) for name in named}
     result = simulator.run(values, Run(duration=seconds, warmup=0.2 * seconds), record=True)
-    metrics, trace, model = result.metrics, result.trace, simulator.robot.model
+    metrics, trace, model, given = result.metrics, result.trace, simulator.robot.model, result.parameters
     low, high = model.actuator_ctrlrange.T
     assert ((trace.ctrl >= low - 1e-6) & (trace.ctrl <= high + 1e-6)).all()
     for i, world in enumerate(worlds):
@@ -84,12 +84,12 @@ def check(setup: Setup, worlds: list[dict[str, float]], seconds: float) -> None:
         assert np.isfinite(trace.qpos[i]).all(), world
         assert np.isfinite(trace.qvel[i]).all(), world
         # A walk is no faster than its feet go back; on a slope without friction it slides as fast as it may.
-        own = {name: column[i] for name, column in result.parameters.items()}
+        own = {name: column[i] for name, column in given.items()}
         feet = own["stride"] * own["stance.max_stride"] * own["frequency"] * own["gait_factor"]
         fastest = max(0.5, 1.5 * feet / own["tracking.clock_ratio"])
         assert abs(metrics["speed"][i]) < fastest + 9.81 * seconds * ("ground.slope" in world), world
-        body = [result.parameters[f"mass.{half}"][i] for half in ("front", "rear")]
-        weight = result.parameters["ground.gravity"][i] * sum(body)
+        body = [own[f"mass.{half}"] for half in ("front", "rear")]
+        weight = own["ground.gravity"] * sum(body)
         if setup.scene == "flat" and "ground.slope" not in world:
             assert trace.sensors["foot_position"][i, ..., 2].min() > -0.004, world
             assert 0.0 < trace.qpos[i, :, 2].min() < trace.qpos[i, :, 2].max() < 0.25, world

@@ -64,6 +64,7 @@ def test_speed_and_coupling_are_those_of_the_kinematics(of_leg, pair, routing):
     assert of_leg.mean("coupling", **case) == pytest.approx(LEGS[pair].knee_direction * knee[0], abs=0.02)
 
 
+@pytest.mark.compiles
 @pytest.mark.parametrize("routing", ROUTINGS)
 @pytest.mark.parametrize("pair", PAIRS)
 def test_force_is_that_of_virtual_work(pair, routing):

@@ -7,11 +7,10 @@ import math
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner
-from sweep_fake import SPEC, FakeSimulator
+from command import call, json_of
+from sweep_fake import SPEC, FakeSimulator, contents
 
 from nermo_mjx import Sweep, run_sweep
-from nermo_mjx.cli import main
 from nermo_mjx.runs.files import DirectoryError
 from nermo_mjx.sweep.run import forecast
 
@@ -38,7 +37,7 @@ def test_rows_chunks_and_steps_are_those_of_the_run(tmp_path: Path) -> None:
 def test_what_is_there_is_subtracted_and_gives_the_rate(tmp_path: Path) -> None:
     """Of a directory with half of its chunks, and with --extend of one that is smaller."""
     run_sweep(SPEC, tmp_path, chunk=9, shard=(0, 2), simulator=FakeSimulator(engine="c", delay=0.05))
-    files = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    files = contents(tmp_path)
     found = forecast(Sweep.from_dict(SPEC), tmp_path, measure=lambda *_: pytest.fail("nothing is measured"))
     assert (found.rows, found.rows_left, found.batches, found.engine) == (36, 18, 2, "c")
     assert found.rate_from == "measured: 2 chunks of the directory"
@@ -47,7 +46,7 @@ def test_what_is_there_is_subtracted_and_gives_the_rate(tmp_path: Path) -> None:
     with pytest.raises(DirectoryError, match="repeats is 1 there and 2 here; --extend would extend it"):
         forecast(more, tmp_path)
     assert forecast(more, tmp_path, extend=True).rows_left == 72 - 18
-    assert files == {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    assert files == contents(tmp_path)
 
 
 def test_an_unmeasured_gpu_engine_has_no_time(tmp_path: Path) -> None:
@@ -61,13 +60,13 @@ def test_an_unmeasured_gpu_engine_has_no_time(tmp_path: Path) -> None:
 def test_the_command_prints_it_and_makes_no_directory(tmp_path: Path) -> None:
     """For people and as JSON; the arguments are checked as in a run."""
     (tmp_path / "sweep.yaml").write_text(json.dumps(SPEC))
-    asked = ["sweep", str(tmp_path / "sweep.yaml"), "--dry-run", "--engine", "mjx", "--out", str(tmp_path / "out")]
-    about = json.loads(CliRunner().invoke(main, [*asked, "--json"]).stdout)
+    asked = ("sweep", tmp_path / "sweep.yaml", "--dry-run", "--engine", "mjx", "--out", tmp_path / "out")
+    about = json_of(*asked)
     assert (about["rows"], about["seconds"]) == (36, None)
-    shown = CliRunner().invoke(main, asked)
+    shown = call(*asked)
     assert shown.exit_code == 0
     assert shown.stdout.startswith("rows     36\n")
     assert not (tmp_path / "out").exists()
-    refused = CliRunner().invoke(main, [*asked, "--workers", "ray"])
+    refused = call(*asked, "--workers", "ray")
     assert refused.exit_code == 2
     assert "--dry-run estimates for this machine" in refused.stderr

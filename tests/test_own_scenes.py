@@ -8,6 +8,7 @@ import pickle
 import mujoco
 import numpy as np
 import pytest
+from conftest import shared_simulator
 
 from nermo_mjx.robot import LIMBS, ParameterError, load_robot
 from nermo_mjx.robot.scene import resolve_scene, scene_geoms
@@ -215,7 +216,7 @@ def test_a_file_says_where_a_wrong_scene_stands(wrong):
 
 def test_the_robot_starts_on_what_is_beneath_it():
     """On the raised floor, and on the step: the deepest contact is as deep as on the flat, wherever it starts."""
-    simulator = Simulator(Setup(scene=YARD), "c")
+    simulator = shared_simulator(Setup(scene=YARD), "c")
     for at, height in (({}, 0.5), ({"x": 1.0}, 0.52), ({"x": 1.0, "y": 0.03, "yaw": 2.0}, 0.52), ({"x": 2.0}, 0.5)):
         data = standing(simulator, **at)
         assert min(contact.dist for contact in data.contact) == pytest.approx(-DEPTH, abs=1e-6)
@@ -225,7 +226,7 @@ def test_the_robot_starts_on_what_is_beneath_it():
 
 def test_a_foot_on_a_step_lifts_the_whole_robot():
     """With its left feet over the step no foot is inside of it: the highest ground decides."""
-    data = standing(Simulator(Setup(scene=YARD), "c"), x=0.77)
+    data = standing(shared_simulator(Setup(scene=YARD), "c"), x=0.77)
     assert {data.contact[i].dist > -2 * DEPTH for i in range(data.ncon)} == {True}
     feet = {limb: data.site(f"{limb}_foot").xpos[2] for limb in LIMBS}
     assert min(feet["front_left"], feet["rear_left"]) == pytest.approx(0.52, abs=0.01)
@@ -305,7 +306,7 @@ def test_a_slope_takes_its_share_of_the_weight(simulator):
 def test_a_slope_rises_in_its_direction(direction, axis):
     """Gravity pulls a robot with yaw 0 backward (+y) where it rises ahead, and to the right (-x) where to the left."""
     values = {"ground.slope": 0.2, "ground.direction": direction}
-    (pull,) = Simulator(Setup(), "c").prepare(values).fields["opt.gravity"]
+    (pull,) = shared_simulator(Setup(), "c").prepare(values).fields["opt.gravity"]
     wanted = [0.0, 0.0, -9.81 * np.cos(0.2)]
     wanted[axis] = 9.81 * np.sin(0.2) * (1 if axis else -1)
     np.testing.assert_allclose(pull, wanted, atol=1e-12)

@@ -10,9 +10,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from conftest import shared_simulator
 from learn_toy import PointMass
 
-from nermo_mjx import ParameterError, Rollout, Run, Setup, Simulator, servo_table
+from nermo_mjx import ParameterError, Rollout, Run, Setup, servo_table
 from nermo_mjx.bench import run_bench
 from nermo_mjx.control import control_parameters, published_controller
 from nermo_mjx.control.path import course_through
@@ -72,7 +73,7 @@ def fast(values: dict[str, Any]) -> None:
     with pytest.raises(ParameterError) as error:
         Rollout(Setup(physics="fast"))(values)
     with pytest.raises(ParameterError, match=re.escape(str(error.value))):
-        Simulator(Setup(physics="fast"), "c").parameters(values)
+        shared_simulator(Setup(physics="fast"), "c").parameters(values)
     raise error.value
 
 
@@ -156,7 +157,7 @@ REFUSED: dict[Callable[[Any], Any], list[tuple[Any, str]]] = {
         ({"contact.time_constant": 0.005}, STIFF),
         ({"servo.kp": 100.0, "servo.kv": 0.3}, "servo.kv is 0.3: allowed is [0, 0.184333] N m s/rad beside servo.kp"),
     ],
-    lambda values: Simulator(Setup(), "c").prepare(values, ONE_CYCLE): [
+    lambda values: shared_simulator(Setup(), "c").prepare(values, ONE_CYCLE): [
         ({"frequency": np.zeros((2, 2))}, "frequency has shape (2, 2): allowed is a number, or (n,) with one for each"),
         ({"frequency": "fast"}, "frequency is 'fast': expected a number"),
         ({"frequency": [0.5, [0.6]]}, "frequency is [0.5, [0.6]]: expected a number"),

@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pytest
+from sweep_fake import contents
 
 from nermo_mjx.runs import CodeStamp, DirectoryError, OtherCode, RunDirectory
 from nermo_mjx.runs import files as writing
@@ -138,11 +139,11 @@ def test_without_the_directory_nothing_is_written(tmp_path):
         add(opened(held, "bb"), [2.0])
     moved = next(tmp_path.glob("out/former/results/*"))
     moved.write_bytes(b"half")
-    before = {each: each.read_bytes() for each in tmp_path.rglob("*") if each.is_file()}
+    before = contents(tmp_path)
     said = []
     assert len(Runs(tmp_path / "out", "aa", warn=said.append).numbers) == 0
     assert said == [f"{moved} is damaged; its runs are not used."]
-    assert before == {each: each.read_bytes() for each in tmp_path.rglob("*") if each.is_file()}
+    assert before == contents(tmp_path)
     assert not path.exists()
 
 

@@ -9,10 +9,9 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from click.testing import CliRunner
+from command import call, json_of
 
 from nermo_mjx import ParameterError, run_sweep, sensitivity
-from nermo_mjx.cli import main
 from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.sweep import Sweep, sample
 from nermo_mjx.sweep.sampling import saltelli_points
@@ -136,17 +135,14 @@ def test_the_design_begins_as_a_smaller_one_and_changes_one_parameter_at_a_time(
 @pytest.mark.draws
 def test_the_command_writes_what_plot_and_status_know(out: Path, tmp_path: Path) -> None:
     """JSON, a table for people, and figures that come out the same."""
-    run = CliRunner().invoke(main, ["sensitivity", str(out), "--out", str(tmp_path / "report"), "--json"])
-    assert run.exit_code == 0, run.output
-    assert json.loads(run.stdout)["indices"][0]["parameter"] == "frequency"
+    assert json_of("sensitivity", out, "--out", tmp_path / "report")["indices"][0]["parameter"] == "frequency"
     figure = (tmp_path / "report" / "plots" / "speed-sensitivity.png").read_bytes()
-    assert CliRunner().invoke(main, ["plot", str(tmp_path / "report")]).exit_code == 0
+    assert call("plot", tmp_path / "report").exit_code == 0
     assert (tmp_path / "report" / "plots" / "speed-sensitivity.png").read_bytes() == figure
-    drawn = CliRunner().invoke(main, ["plot", str(out), "--out", str(tmp_path / "plots")])
+    drawn = call("plot", out, "--out", tmp_path / "plots")
     assert drawn.exit_code == 0, drawn.output
     assert (tmp_path / "plots" / "speed-sensitivity.png").read_bytes() == figure
-    shown = CliRunner().invoke(main, ["sensitivity", str(out)])
-    assert "stride" in shown.stdout
+    assert "stride" in call("sensitivity", out).stdout
 
 
 def test_what_tells_nothing_says_why(out: Path, tmp_path: Path) -> None:

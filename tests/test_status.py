@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from command import call
 from experiment_fake import Fake, pretend
-from sweep_fake import SPEC, FakeSimulator, part_of
+from sweep_fake import SPEC, FakeSimulator, contents, part_of
 from tune_fake import SPEC as TUNE_SPEC
 from tune_fake import FakeProblem
 
@@ -32,10 +32,10 @@ KEYS = {"kind", "rows", "rows_done", "code", "engine", "complete"}
 
 def said(out: Path) -> dict[str, Any]:
     """What `--json` gives; neither it nor the text for people changes anything."""
-    before = {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
+    before = contents(out)
     result, text = status(out, "--json"), status(out)
     assert (result.exit_code, text.exit_code) == (0, 0), result.stderr + text.stderr
-    assert before == {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
+    assert before == contents(out)
     content: dict[str, Any] = json.loads(result.stdout)
     assert set(content) == KEYS
     return content

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pyarrow.parquet as pq
 import pytest
-from sweep_fake import SPEC, FakeSimulator
+from sweep_fake import SPEC, FakeSimulator, contents
 
 from nermo_mjx.physics import resolve_engine
 from nermo_mjx.rollout import Setup
@@ -28,11 +28,6 @@ def begun(tmp_path):
     with pytest.raises(Interrupted):
         run_sweep(SPEC, tmp_path, chunk=9, simulator=FakeSimulator(stop_at=2))
     return tmp_path
-
-
-def files_of(out):
-    """Content of every file that is not a lock."""
-    return {path: path.read_bytes() for path in out.rglob("*") if path.is_file() and path.name[0] != "."}
 
 
 def test_each_row_and_each_chunk_name_the_code_that_made_them(tmp_path):
@@ -61,10 +56,10 @@ def test_accepted_code_keeps_what_is_there_and_tells_the_rows_apart(begun, newer
 
 def test_a_directory_keeps_its_engine_unless_another_one_is_accepted(begun):
     """A refusal says what differs, and nothing is written; once it is accepted, the summary names both."""
-    before = files_of(begun)
+    before = contents(begun)
     with pytest.raises(OtherCode, match=r"made by other code: engine fake, not other;.*--accept-new-code"):
         run_sweep(SPEC, begun, simulator=FakeSimulator(engine="other"))
-    assert files_of(begun) == before
+    assert contents(begun) == before
     result = run_sweep(SPEC, begun, simulator=FakeSimulator(engine="other"), accept_new_code=True)
     assert result.summary["engine"] == "fake, other"
 

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
-from sweep_fake import FakeSimulator, part_of
+from command import call, json_of
+from sweep_fake import FakeSimulator, contents, part_of
 
-from nermo_mjx.cli import main
 from nermo_mjx.runs import Interrupted, OtherCode, Watch, code
 from nermo_mjx.runs.directory import RunDirectory
 from nermo_mjx.sweep import (
@@ -151,7 +149,7 @@ def test_between_its_steps_the_former_sweep_can_be_gone_on_with_instead(tmp_path
     """Its rows are in the folder by then; nothing is simulated again."""
     run_sweep(SMALL, tmp_path, chunk=2, simulator=FakeSimulator())
     table = read_table(tmp_path)
-    monkeypatch.setattr(Sweep, "to_yaml", lambda *given: 1 / 0)
+    monkeypatch.setattr("nermo_mjx.sweep.store._with_files", lambda *given: 1 / 0)
     with pytest.raises(ZeroDivisionError):
         run_sweep(changed(randomize={"repeats": 2}), tmp_path, simulator=FakeSimulator(), extend=True)
     monkeypatch.undo()
@@ -195,14 +193,14 @@ REFUSED = {
 def test_what_is_no_extension_is_refused(tmp_path, spec, sentence):
     """In one sentence, with nothing changed; and without --extend it is not offered."""
     run_sweep(SMALL, tmp_path, simulator=FakeSimulator())
-    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    before = contents(tmp_path)
     with pytest.raises(DirectoryError, match="cannot be extended to this one") as refused:
         run_sweep(spec, tmp_path, simulator=FakeSimulator(), extend=True)
     assert sentence in str(refused.value)
     with pytest.raises(DirectoryError, match="the results of another sweep") as plain:
         run_sweep(spec, tmp_path, simulator=FakeSimulator())
     assert "--extend" not in str(plain.value)
-    assert before == {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    assert before == contents(tmp_path)
 
 
 def test_a_latin_hypercube_has_no_further_points(tmp_path):
@@ -239,7 +237,7 @@ def test_rows_are_taken_from_another_directory(tmp_path):
     run_sweep(SMALL, source, chunk=2, simulator=FakeSimulator())
     damaged = part_of(source, 1)
     damaged.write_bytes(b"nothing")
-    before = {path: path.read_bytes() for path in source.rglob("*") if path.is_file()}
+    before = contents(source)
     said, simulator = [], Counting()
     large = changed(vary={"frequency": [0.5, 0.7, 0.9, 1.1], **FRICTION})
     result = run_sweep(
@@ -248,7 +246,7 @@ def test_rows_are_taken_from_another_directory(tmp_path):
     assert simulator.rows == 8 - 4
     assert said == [f"{damaged} is damaged; its runs are not used."]
     assert result.table.equals(run_sweep(large, tmp_path / "whole", simulator=FakeSimulator()).table)
-    assert before == {path: path.read_bytes() for path in source.rglob("*") if path.is_file()}
+    assert before == contents(source)
     with pytest.raises(DirectoryError, match=r"rows of .*source cannot be used: run.cycles is 8 there and 5 here"):
         run_sweep(SMALL | {"run": {"cycles": 5}}, tmp_path / "other", use=[source], simulator=FakeSimulator())
     with pytest.raises(DirectoryError, match="no such directory"):
@@ -263,7 +261,7 @@ def test_directories_merge_into_one(tmp_path):
     run_sweep(plain, sources[0], simulator=FakeSimulator())
     other = {"plots": False, "vary": {"gait": ["trt", "lat"], "frequency": [0.7, 0.9]}}
     run_sweep(other | {"set": {"contact.friction": 1.2}}, sources[1], simulator=FakeSimulator())
-    before = {path: path.read_bytes() for source in sources for path in source.rglob("*") if path.is_file()}
+    before = contents(*sources)
     result = merge_sweeps(sources, tmp_path / "both")
     assert result.complete
     assert result.chunks_run == 0
@@ -272,7 +270,7 @@ def test_directories_merge_into_one(tmp_path):
     expected = {("lat", f, x) for f in (0.5, 0.7) for x in (1.0, 1.2)}
     expected |= {(g, f, 1.2) for g in ("trt", "lat") for f in (0.7, 0.9)}
     assert sorted(rows) == sorted(expected)
-    assert before == {path: path.read_bytes() for source in sources for path in source.rglob("*") if path.is_file()}
+    assert before == contents(*sources)
     assert find_row(tmp_path / "both", 6).values["frequency"] == rows[6][1]
     simulator = FakeSimulator()
     assert run_sweep(tmp_path / "both" / "sweep.yaml", tmp_path / "both", simulator=simulator).chunks_run == 0
@@ -313,13 +311,12 @@ def test_the_command_merges_and_says_what_is_missing(tmp_path):
     """Sweeps of different repeats: the rest is named with the command that runs it."""
     run_sweep(changed(vary={"frequency": [0.5]}), tmp_path / "a", simulator=FakeSimulator())
     run_sweep(changed(vary={"frequency": [0.7]}, randomize={"repeats": 2}), tmp_path / "b", simulator=FakeSimulator())
-    command = ["merge", str(tmp_path / "a"), str(tmp_path / "b"), "--out", str(tmp_path / "c")]
-    result = CliRunner().invoke(main, command)
+    command = ("merge", tmp_path / "a", tmp_path / "b", "--out", tmp_path / "c")
+    result = call(*command)
     assert result.exit_code == 0, result.stderr
     assert "of 4 runs are in" in result.stdout
     assert f"--use {tmp_path / 'a'} --use {tmp_path / 'b'}" in result.stdout
-    content = json.loads(CliRunner().invoke(main, [*command, "--json"]).stdout)
-    assert content["complete"] is False
+    assert json_of(*command)["complete"] is False
     simulator = Counting()
     whole = run_sweep(
         tmp_path / "c" / "sweep.yaml", tmp_path / "c", simulator=simulator, use=[tmp_path / "a", tmp_path / "b"]

@@ -12,7 +12,7 @@ import time
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from sweep_fake import SPEC, FakeSimulator, part_of
+from sweep_fake import SPEC, FakeSimulator, contents, part_of
 from test_rows import FullDisk
 
 from nermo_mjx.robot.quantity import ParameterError
@@ -41,10 +41,6 @@ def done(tmp_path):
     """A finished directory of 36 rows in 9 parts."""
     run_sweep(SPEC, tmp_path / "out", chunk=4, simulator=FakeSimulator())
     return tmp_path / "out"
-
-
-def contents(out):
-    return {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
 
 
 def goes_on(out, reference, at_most):

@@ -10,10 +10,9 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
-from click.testing import CliRunner
+from command import call
 from sweep_fake import SPEC, FakeSimulator, part_of, speed
 
-from nermo_mjx.cli import main
 from nermo_mjx.sweep import SpecError, Sweep, read_table, run_sweep, simulating
 from nermo_mjx.sweep.replay import find_row
 
@@ -89,17 +88,10 @@ def test_a_pareto_front_again_with_repeats_by_the_command(tmp_path):
     assert sweep.repeats == 2
     assert sweep.variants == len({row[:3] for row in fast}) > 1
     assert sweep.setup.spine == "stride_extension"
-    command = [
-        "sweep",
-        str(tmp_path / "grid" / "sweep.yaml"),
-        "--rows",
-        str(tmp_path / "best.parquet"),
-        "--out",
-        str(tmp_path / "out"),
-        "--engine",
-        "steam",
-    ]
-    assert CliRunner().invoke(main, command).exit_code == 2  # engines are checked; the rest is run here
+    words = ("--rows", tmp_path / "best.parquet", "--out", tmp_path / "out", "--engine", "steam")
+    assert (
+        call("sweep", tmp_path / "grid" / "sweep.yaml", *words).exit_code == 2
+    )  # engines are checked; rows are run here
     result = run_sweep(sweep, tmp_path / "out", simulator=FakeSimulator())
     assert result.rows == 2 * sweep.variants
 
@@ -108,8 +100,7 @@ def test_the_command_takes_rows_without_a_file(tmp_path, monkeypatch):
     """The defaults hold for all else."""
     monkeypatch.setattr(simulating, "Simulator", lambda setup, engine: FakeSimulator(engine=engine))
     (tmp_path / "two.csv").write_text("frequency,contact.friction\n0.8,1.2\n0.6,1.0\n")
-    command = ["sweep", "--rows", str(tmp_path / "two.csv"), "--out", str(tmp_path / "out"), "--engine", "c", "--quiet"]
-    result = CliRunner().invoke(main, command)
+    result = call("sweep", "--rows", tmp_path / "two.csv", "--out", tmp_path / "out", "--engine", "c", "--quiet")
     assert result.exit_code == 0, result.stderr
     table = read_table(tmp_path / "out")
     assert kept(table, "frequency", "contact.friction") == {"frequency": [0.8, 0.6], "contact.friction": [1.2, 1.0]}

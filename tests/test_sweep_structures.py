@@ -10,10 +10,9 @@ from typing import ClassVar
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from click.testing import CliRunner
+from command import call, json_of
 from sweep_fake import FakeSimulator, part_of
 
-from nermo_mjx.cli import main
 from nermo_mjx.plotting.shown import spoken
 from nermo_mjx.runs import codes_of
 from nermo_mjx.sweep import Results, SpecError, Sweep, read_table, run_sweep, sample, simulating
@@ -282,22 +281,20 @@ def test_on_the_engine_c_an_extended_directory_is_that_of_one_go_bit_for_bit(tmp
     for name in whole.table.column_names:
         np.testing.assert_array_equal(extended.table.column(name).to_numpy(), whole.table.column(name).to_numpy())
     assert set(before.column("speed").to_pylist()) < set(whole.table.column("speed").to_pylist())
-    shown = CliRunner().invoke(main, ["replay", str(tmp_path / "extended"), "--row", "10", "--json"])
-    report = json.loads(shown.stdout)
+    report = json_of("replay", tmp_path / "extended", "--row", "10")
     assert report["comparison"]["equal"]
     assert report["setup"]["gait"] == "trt"
 
 
 def test_parameters_and_structures_are_listed():
-    listed = json.loads(CliRunner().invoke(main, ["sweep", "--list-parameters", "--json"]).stdout)
+    listed = json_of("sweep", "--list-parameters")
     assert listed["structures"]["gait"]["allowed"][:5] == [*GAITS, "bound", "gallop"]
-    assert "trt, trt1, lat, bound, gallop" in CliRunner().invoke(main, ["sweep", "--list-parameters"]).stdout
+    assert "trt, trt1, lat, bound, gallop" in call("sweep", "--list-parameters").stdout
 
 
 def test_the_command_says_where_a_parameter_is_not_varied(tmp_path, asked):
     """One sentence on standard error, as such rows would be expected."""
     (tmp_path / "sweep.yaml").write_text("plots: false\nvary: {spine: [none, stride_extension], spine.phase: [0, 1]}\n")
-    command = ["sweep", str(tmp_path / "sweep.yaml"), "--out", str(tmp_path / "out"), "--engine", "c"]
-    result = CliRunner().invoke(main, command)
+    result = call("sweep", tmp_path / "sweep.yaml", "--out", tmp_path / "out", "--engine", "c")
     assert "spine.phase is varied in 1 of 2 structures: the others do not read it." in result.stderr
     assert read_table(tmp_path / "out").column("spine.phase").to_pylist() == [None, 0.0, 1.0]

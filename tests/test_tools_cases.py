@@ -19,6 +19,8 @@ import pyarrow.parquet as pq
 import pytest
 import search_fake
 from command import call
+from conftest import shared_simulator
+from sweep_fake import FakeSimulator
 
 from nermo_mjx import Run, Setup, Simulator, all_metrics, all_parameters, load_robot
 from nermo_mjx.optimize import Tuning, run_search
@@ -26,7 +28,7 @@ from nermo_mjx.optimize.run import costs_of
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.rollout.setup import TAKEN
 from nermo_mjx.runs import JobFailed
-from nermo_mjx.sweep import Sweep
+from nermo_mjx.sweep import Sweep, run_sweep
 
 BOUND = (Path(__file__).parents[1] / "docs" / "howto" / "controllers" / "bound.py").read_text()
 
@@ -392,7 +394,10 @@ def run_command(words: list[str], **given: Any) -> Any:
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full")
 @pytest.mark.parametrize(("stream", "code"), [("stdout", 1), ("stderr", 0)])
 def test_a_full_disk_under_the_log_stops_nothing(tmp_path: Path, stream: str, code: int) -> None:
+    """What is left to do is the summary, so that the process simulates nothing."""
     (tmp_path / "s.yaml").write_text("vary: {frequency: [0.6, 0.8]}\nrun: {duration: 0.1}\nplots: false\n")
+    run_sweep(tmp_path / "s.yaml", tmp_path / "out", simulator=FakeSimulator(engine="c"))
+    (tmp_path / "out" / "summary.json").unlink()
     with open("/dev/full", "w") as full:
         done = run_command(["sweep", str(tmp_path / "s.yaml"), "--out", str(tmp_path / "out")], **{stream: full})
         assert done.returncode == code
@@ -440,7 +445,7 @@ def test_an_objective_that_is_nan_is_told_after_the_first_batch(tmp_path: Path, 
 
 @pytest.mark.compiles
 def test_a_dry_run_refuses_the_recording_that_the_run_refuses(tmp_path: Path) -> None:
-    Simulator(engine="c").run({}, Run(duration=0.2), record=True).recording().save(tmp_path / "short.npz")
+    shared_simulator(engine="c").run({}, Run(duration=0.2), record=True).recording().save(tmp_path / "short.npz")
     (tmp_path / "text.npz").write_text("no recording")
     for name, message in (
         ("short.npz", "expected all of the run, from its start to 1 s"),

@@ -17,8 +17,9 @@ from typing import Any
 import numpy as np
 import pytest
 import wires
+from conftest import shared_simulator
 
-from nermo_mjx import Run, Setup, Simulator
+from nermo_mjx import Run, Setup
 from nermo_mjx.hardware import Channels, read_channels
 from nermo_mjx.hardware.live import PATIENCE, ROS_TYPE, TOPIC, NotSentError, SendError, linked
 from nermo_mjx.live.driving import replayed
@@ -35,7 +36,7 @@ from nermo_mjx.live.wire import (
 from nermo_mjx.recording import RecordingError
 from nermo_mjx.robot import ParameterError, load_robot
 
-pytestmark = pytest.mark.compiles
+pytestmark = [pytest.mark.compiles, pytest.mark.usefixtures("shared_simulators")]
 
 #: The author's order, with angles that are not cut to whole degrees.
 CHANNELS = dataclasses.replace(read_channels("published"), whole_degrees=None)
@@ -198,7 +199,7 @@ class Together:
 
 def test_over_topics_it_walks_as_far_as_without_and_almost_so_with_delay_and_loss(driving) -> None:
     """6 s, against the plain walk; then with 20 ms (10 to 30) and 1 % lost, both ways, within the 5 % allowed."""
-    history = Simulator(Setup(), "c").run({}, Run(duration=6.0), record=True).recording().sensors["position"]
+    history = shared_simulator(Setup(), "c").run({}, Run(duration=6.0), record=True).recording().sensors["position"]
     plain = np.linalg.norm((history[-1] - history[0])[:2])
     near = Together(driving)
     near.walk(6.0)
@@ -382,7 +383,7 @@ def channels(tmp_path) -> Path:
 @in_real_time
 def test_two_processes_walk_together(wire, channels) -> None:
     """At 100 Hz, with 20 ms of delay and 1 % of loss both ways, for 8 s, as far as without within 5 %."""
-    history = Simulator(Setup(), "c").run({}, Run(duration=8.0), record=True).recording().sensors["position"]
+    history = shared_simulator(Setup(), "c").run({}, Run(duration=8.0), record=True).recording().sensors["position"]
     measured, sent = Measured(load_robot(), CHANNELS), list[float]()
     with (
         linked(wire, "listener", ROS_TYPE, SENSORS_TOPIC, measured.receive) as _,

@@ -26,6 +26,8 @@ NEEDS: Final = {
 OF_FIXTURES: Final = {
     "simulator": "compiles",
     "walks": "compiles",
+    "of_leg": "compiles",
+    "of_spine": "compiles",
     "drawing": "draws",
     "program": "browser",
     "browser": "browser",

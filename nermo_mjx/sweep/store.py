@@ -305,7 +305,8 @@ def claim(held: RunDirectory, sweep: Sweep, *, extend: bool = False) -> Sweep:
             create_file(path, sweep.to_yaml(folder).encode())
         # Even if it was just written: another shard may have been faster, and have chosen another size.
         try:
-            begun = Sweep.from_directory(out)
+            same = path.read_bytes() == sweep.to_yaml(folder).encode()
+            begun = sweep if same else Sweep.from_directory(out)
         except SpecError as error:
             raise DirectoryError(
                 f"{out} holds a sweep that cannot be read ({error}); choose another directory."
