@@ -37,7 +37,8 @@ def read_bytes(path: Path, most: int) -> bytes:
         FileError: it is larger, or no regular file.
         OSError: it cannot be read.
     """
-    with open(path, "rb", opener=_opener) as file:
+    # A pipe without a writer would wait for one.
+    with open(path, "rb", opener=lambda name, flags: os.open(name, flags | getattr(os, "O_NONBLOCK", 0))) as file:
         about = path.stat()
         if not stat.S_ISREG(about.st_mode):
             raise FileError(f"{path}: not a regular file.")
@@ -143,10 +144,6 @@ def check_arrays(
         if not fits:
             expected = ", ".join("..." if each is ... else str(known.get(each, each)) for each in wanted)
             raise FileError(f"{called}: {name!r} has the shape {given.shape}: expected ({expected}).")
-
-
-def _opener(path: str, flags: int) -> int:
-    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))  # a pipe without a writer would wait for one
 
 
 @functools.cache

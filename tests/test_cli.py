@@ -26,7 +26,7 @@ from nermo_mjx import Recording, load_robot
 from nermo_mjx.cli import choices, main
 from nermo_mjx.cli.progress import COMPILING, Progress, duration
 from nermo_mjx.runs import RunDirectory
-from nermo_mjx.runs.text import plain
+from nermo_mjx.runs.files import plain
 from nermo_mjx.version import __version__
 
 pytestmark = pytest.mark.usefixtures("shared_simulators")

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from nermo_mjx.plotting.charts import horizontal_grid, page
 from nermo_mjx.plotting.files import write_figures
 from nermo_mjx.plotting.style import BEST, LINE, SERIES
-from nermo_mjx.runs.text import table
+from nermo_mjx.runs.files import table
 
 PAGE: Final = "gradients_pay.md"
 _COLOURS: Final = {"exact": LINE, "cma": BEST, "mixture": SERIES[2], "line_search": SERIES[3]}

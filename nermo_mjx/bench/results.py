@@ -19,9 +19,8 @@ from nermo_mjx.files import FileError, json_of
 from nermo_mjx.plotting.charts import horizontal_grid, page
 from nermo_mjx.plotting.files import Figures, write_figures
 from nermo_mjx.plotting.style import BEST, INK, LINE, MUTED
-from nermo_mjx.runs.files import DirectoryError, replace_file
+from nermo_mjx.runs.files import DirectoryError, replace_file, table
 from nermo_mjx.runs.status import Status
-from nermo_mjx.runs.text import table
 
 RESULTS: Final = "results.jsonl"
 #: Heading of runs that ended before they could report their machine.

@@ -571,7 +571,13 @@ def train_command(spec: Path, out: Path, onnx: bool, dry_run: bool, **how: Any) 
 
         cost = cost_of(training, how["engine"])
         return Outcome({"cost": dataclasses.asdict(cost)}, lambda: _print_training_cost(cost))
-    with _working("steps", how, details=_training_so_far) as given:
+
+    def details(done: Progress) -> str:
+        """The results of the last episodes."""
+        numbers = {name: done.numbers.get(name, math.nan) for name in ("return", "reward")}
+        return ", ".join(f"{name} {value:.3g}" for name, value in numbers.items() if math.isfinite(value))
+
+    with _working("steps", how, details=details) as given:
         from nermo_mjx.learn.run import run_training
 
         exported, result = None, run_training(training, out, **given)
@@ -584,12 +590,6 @@ def train_command(spec: Path, out: Path, onnx: bool, dry_run: bool, **how: Any) 
     content = {"out": result.out} | result.summary | _content(result, "iterations_run", "policy")
     content |= {"onnx": exported, "plots": result.plots}
     return Outcome(content, lambda: _print_training(result, exported))
-
-
-def _training_so_far(done: Progress) -> str:
-    """The results of the last episodes."""
-    numbers = {name: done.numbers.get(name, math.nan) for name in ("return", "reward")}
-    return ", ".join(f"{name} {value:.3g}" for name, value in numbers.items() if math.isfinite(value))
 
 
 def _print_training(result: TrainingResult, exported: Path | None) -> None:

@@ -209,7 +209,7 @@ def command(name: str, *, reads: bool = False, prints: bool = False) -> Callable
             with contextlib.redirect_stdout(sys.stderr):
                 outcome: Outcome = function(**chosen)
             if as_json:
-                from nermo_mjx.runs.text import plain
+                from nermo_mjx.runs.files import plain
 
                 click.echo(json.dumps(plain(outcome.content), indent=2, allow_nan=False, ensure_ascii=False))
             elif not quiet or outcome.always:

@@ -149,8 +149,7 @@ def bench_command(cases: tuple[str, ...], into: Path | None, **given: tuple[Any,
     from nermo_mjx.bench import run_bench
     from nermo_mjx.bench.results import RESULTS, append, draw_page
     from nermo_mjx.runs import RunDirectory, Written, session
-    from nermo_mjx.runs.files import clear_errors
-    from nermo_mjx.runs.text import plain
+    from nermo_mjx.runs.files import clear_errors, plain
 
     kept = 0
 

@@ -420,8 +420,7 @@ def replay_command(out: Path, row: int | None, engine: str | None, sweep: Path |
     if row is None or sweep is not None:
         raise WrongUse("Give --row N, a row of the table." if row is None else "--sweep belongs to a recorded drive.")
     from nermo_mjx.optimize.directory import find_evaluation
-    from nermo_mjx.runs.files import make_writable
-    from nermo_mjx.runs.text import plain
+    from nermo_mjx.runs.files import make_writable, plain
     from nermo_mjx.sweep.replay import find_row, replay_row, report_of
 
     found = (find_evaluation if (out / "search.yaml").exists() else find_row)(out, row)

@@ -281,8 +281,8 @@ def load_controller(where: str) -> Any:
         ParameterError: the file, module or name does not exist, it cannot be imported, or it is not a controller.
     """
     if is_data(where):
-        module, _, name = DATA_CONTROLLERS[Path(where).suffix].partition(":")
-        return getattr(importlib.import_module(module), name)(where)
+        home, _, reader = DATA_CONTROLLERS[Path(where).suffix].partition(":")
+        return getattr(importlib.import_module(home), reader)(where)
     source = _source(where)
     module = source.module()
     controller = getattr(module, source.name, None)

@@ -57,7 +57,9 @@ def kinematics(model: mjx.Model, data: mjx.Data) -> mjx.Data:
     position, orientation = model.body_pos, model.body_quat
     # A joint's anchor and axis, in the frame of its body's parent, before the joints after it on the same body.
     anchors, axes = jnp.zeros((model.njnt, 3), qpos.dtype), jnp.zeros((model.njnt, 3), qpos.dtype)
-    for joints in _by_place(bodies):
+    nth = np.array([np.sum(bodies[:joint] == body) for joint, body in enumerate(bodies)], int)
+    for each in range(nth.max(initial=-1) + 1):  # the first joints of all bodies, then the second ones, and so on
+        joints = np.flatnonzero(nth == each)
         at = bodies[joints]
         offset, before = model.jnt_pos[joints], orientation[at]
         anchor, axis = spatial.rotate(offset, before) + position[at], spatial.rotate(model.jnt_axis[joints], before)
@@ -117,12 +119,6 @@ def _joint_turns(
         found = spatial.normalized(qpos[where])
         turns, qpos = turns.at[loose].set(found), qpos.at[where].set(found)
     return turns, jnp.where(kinds == SLIDE, amount, 0.0), qpos
-
-
-def _by_place(bodies: np.ndarray) -> list[np.ndarray]:
-    """The first joints of all bodies, then the second ones, and so on."""
-    place = np.array([np.sum(bodies[:joint] == body) for joint, body in enumerate(bodies)], int)
-    return [np.flatnonzero(place == each) for each in range(place.max(initial=-1) + 1)]
 
 
 def _in_the_world(parents: np.ndarray, position: Array, orientation: Array) -> tuple[Array, Array]:

@@ -37,7 +37,7 @@ from nermo_mjx.plotting.charts import Page
 from nermo_mjx.plotting.style import BAND, BEST, COLOURS, INK, LINE, MUTED, SMALL
 from nermo_mjx.robot.model_parameters import ModelParameters
 from nermo_mjx.robot.quantity import quantities
-from nermo_mjx.runs.text import MISSING, table
+from nermo_mjx.runs.files import MISSING, table
 
 # --- the space: the free parameters, their physical bounds, and the unit cube that represents them
 

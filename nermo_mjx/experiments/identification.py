@@ -41,10 +41,19 @@ from nermo_mjx.rollout import Run, Setup, Simulator
 from nermo_mjx.runs import RunDirectory, Written, codes_of, engine_of, session
 from nermo_mjx.runs.code import CodeStamp, stamp
 from nermo_mjx.runs.directory import Session
-from nermo_mjx.runs.files import DirectoryError, append_line, clear_errors, content_of, stored_json
+from nermo_mjx.runs.files import (
+    MISSING,
+    DirectoryError,
+    append_line,
+    clear_errors,
+    content_of,
+    listed,
+    stored_json,
+    table,
+    to_json,
+)
 from nermo_mjx.runs.job import SILENT, Progress, Watch, resumable
 from nermo_mjx.runs.status import Status, last_command
-from nermo_mjx.runs.text import MISSING, listed, table, to_json
 from nermo_mjx.runs.workers import LocalWorkers, TaskFailed, Workers
 from nermo_mjx.specs.reading import changes
 

@@ -26,8 +26,7 @@ from nermo_mjx.experiments import walks
 from nermo_mjx.experiments.cases import PROFILES, SIMULATED, Outcome, clock, texts
 from nermo_mjx.experiments.published import AGREES, Line
 from nermo_mjx.kinematics.body import attitude
-from nermo_mjx.plotting import style
-from nermo_mjx.plotting.charts import Page
+from nermo_mjx.plotting.charts import Page, horizontal_grid, light
 from nermo_mjx.plotting.shown import shown as in_shown_unit
 from nermo_mjx.plotting.style import BEST, FOOT, GRID, INK, LINE, MISSING, MUTED, OKABE_ITO, SERIES, SHADE
 from nermo_mjx.recording import Recording
@@ -93,7 +92,7 @@ def profiles(outcome: Outcome) -> list[str]:
 
 def tone(colour: str, profile: str) -> str:
     """The colour in a profile."""
-    return style.light(colour) if profile == "exact" else colour
+    return light(colour) if profile == "exact" else colour
 
 
 def plain(name: str) -> str:
@@ -270,7 +269,7 @@ class Panel:
         ax.tick_params(axis="x", length=0)
         ax.set_xlim(-0.55, len(self.groups) - 0.45)
         ax.margins(y=0.08)
-        style.horizontal_grid(ax)
+        horizontal_grid(ax)
         return everything
 
 
@@ -494,7 +493,7 @@ def _speed_over_stride(outcome: Outcome, reported: Mapping[Any, float]) -> Figur
         mark_published(ax, 1.0, value)
     ax.set(xlabel="normalised stride [1]", ylabel=axis_label(outcome, "speed", "speed"))
     ax.margins(y=0.07)
-    style.horizontal_grid(ax)
+    horizontal_grid(ax)
     handles = [*spine_strokes(marker="o", ms=5), *profile_swatches(names), stroke("theory, no slip", INK, ls=":")]
     handles += [published_entry()] if marks else []
     note = "published with spine: by its ratio to the speed without; a cross at the foot: a repeat without result; "
@@ -523,7 +522,7 @@ def _orientation(outcome: Outcome, lines: Lines) -> Figure | None:
     for ax, name in zip(page.axes[:, 0], ANGLES, strict=True):
         ax.set(ylabel=f"{name} [deg]", xlim=(0, 2), xticks=np.arange(0, 2.1, 0.5))
         ax.margins(y=0.08)
-        style.horizontal_grid(ax)
+        horizontal_grid(ax)
         ax.axvline(1, color=MISSING, lw=0.8, zorder=0)
     page.axes[-1, 0].set_xlabel("gait cycles [1]")
     return page.finish(handles, f"{plain(labels['profile'])}; positive: leaning left, nose down, turned left")
@@ -754,7 +753,7 @@ def _over_time(runs: Lifts, profile: str, sensor: str, title: str, label: str, f
                 shade_phases(ax, run.metadata["phases"], named=not sbc or (limb, False) not in runs)
         ax.set_title(f"{plain(limb)} leg", pad=16)
         ax.margins(y=0.08)
-        style.horizontal_grid(ax)
+        horizontal_grid(ax)
         if sensor == "com_margin":
             low = min(ax.get_ylim()[0], -2.0)
             ax.axhspan(low, 0, color=FAIL, alpha=0.45, lw=0, zorder=-4)
@@ -878,7 +877,7 @@ def _sway(outcome: Outcome, runs: Mapping[str, Mapping[bool, Recording]]) -> Fig
         for ax, name in zip(pair, ("roll", "pitch"), strict=True):
             ax.set_ylabel(f"{name} [deg]")
             ax.margins(x=0, y=0.08)
-            style.horizontal_grid(ax)
+            horizontal_grid(ax)
         pair[0].set_title(plain(profile))
     page.axes[-1, 0].set_xlabel("time [s]")
     begins = f"each run from {_FROM:.0%} of its time on".replace("%", " %")

@@ -16,7 +16,7 @@ from nermo_mjx.experiments.cases import PROFILES, Column, Outcome, texts
 from nermo_mjx.experiments.published import AGREES, KINDS, Experiment, Line, counts, set_ups
 from nermo_mjx.plotting.shown import shown
 from nermo_mjx.recording import Recording
-from nermo_mjx.runs.text import MISSING, listed, table
+from nermo_mjx.runs.files import MISSING, listed, table
 from nermo_mjx.sweep.spec import START_SPREAD
 from nermo_mjx.sweep.table import Columns, meta
 

@@ -42,10 +42,9 @@ from nermo_mjx.robot import ParameterError, load_robot
 from nermo_mjx.robot.quantity import choice
 from nermo_mjx.runs import CodeStamp, DirectoryError, RunDirectory, Written, codes_of, engine_of, session, stamp
 from nermo_mjx.runs.directory import Session, read_record, remove_leftovers
-from nermo_mjx.runs.files import clear_errors, parquet_bytes, parquet_table, replace_file, stored_json
+from nermo_mjx.runs.files import clear_errors, parquet_bytes, parquet_table, replace_file, stored_json, to_json
 from nermo_mjx.runs.job import SILENT, JobFailed, Progress, Watch, resumable
 from nermo_mjx.runs.status import Status, last_command
-from nermo_mjx.runs.text import to_json
 from nermo_mjx.runs.workers import LocalWorkers, TaskFailed, Workers
 from nermo_mjx.view import RecordingError, VideoError, render, robot_of
 

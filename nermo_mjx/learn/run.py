@@ -35,9 +35,8 @@ from nermo_mjx.physics import resolve_engine
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.runs import RunDirectory, session
 from nermo_mjx.runs.checkpoints import KEPT
-from nermo_mjx.runs.files import content_of, parquet_bytes, parquet_table
+from nermo_mjx.runs.files import content_of, parquet_bytes, parquet_table, to_json
 from nermo_mjx.runs.job import SILENT, Interruption, Progress, TensorBoard, Watch, require_tensorboard, resumable
-from nermo_mjx.runs.text import to_json
 from nermo_mjx.runtime import compiler_options
 
 #: The table of what was tried: one row per checkpoint.

@@ -29,7 +29,7 @@ from nermo_mjx.rollout.loop import LoopState
 from nermo_mjx.rollout.setup import Window
 from nermo_mjx.rollout.simulator import MOST_RECORDED, TICK_BYTES, default_precision
 from nermo_mjx.runs.code import versions
-from nermo_mjx.runs.text import plain
+from nermo_mjx.runs.files import plain
 from nermo_mjx.specs.walk import WalkSpec
 
 #: Largest force of a push on each axis [N]; the robot weighs 2.65 N. Longest push [s].

@@ -58,10 +58,10 @@ from nermo_mjx.runs.files import (
     parquet_table,
     stored_json,
     stored_table,
+    to_json,
 )
 from nermo_mjx.runs.rows import RESULTS, Runs, opened, part_files
 from nermo_mjx.runs.status import Status, metadata_of, status_of
-from nermo_mjx.runs.text import to_json
 from nermo_mjx.specs.controllers import with_code_copied
 from nermo_mjx.specs.described import write_described
 from nermo_mjx.specs.reading import SpecError, changes

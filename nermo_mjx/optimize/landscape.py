@@ -44,18 +44,21 @@ from nermo_mjx.plotting.style import BAND, INK, LINE, MUTED
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.runs import RunDirectory, Written, engine_of, session, stamp
 from nermo_mjx.runs.files import (
+    MISSING,
     DirectoryError,
     WrongDirectory,
     clear_errors,
     content_of,
+    listed,
     parquet_bytes,
     parquet_table,
     stored_table,
+    table,
+    to_json,
 )
 from nermo_mjx.runs.job import SILENT, Interrupted, Progress, Watch
 from nermo_mjx.runs.rows import Runs, keys_of, part_files
 from nermo_mjx.runs.status import Status, last_command, metadata_of
-from nermo_mjx.runs.text import MISSING, listed, table, to_json
 from nermo_mjx.specs.described import write_described
 from nermo_mjx.specs.model import written
 from nermo_mjx.specs.reading import changes

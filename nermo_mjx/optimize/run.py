@@ -57,9 +57,9 @@ from nermo_mjx.rollout.differentiable import Rollout, choose_mode, cost
 from nermo_mjx.rollout.run import START_SPREAD
 from nermo_mjx.runs import RunDirectory, session, stamp
 from nermo_mjx.runs.directory import engine_of
+from nermo_mjx.runs.files import to_json
 from nermo_mjx.runs.job import SILENT, JobFailed, Progress, Watch, resumable
 from nermo_mjx.runs.rows import part_files
-from nermo_mjx.runs.text import to_json
 from nermo_mjx.runs.workers import LocalWorkers, TaskFailed, Workers
 from nermo_mjx.runtime import cpu_count
 from nermo_mjx.specs.reading import SpecError

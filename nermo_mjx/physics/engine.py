@@ -182,7 +182,11 @@ def choose_devices(wanted: int | None = None) -> Devices:
     """
     start_jax()
     local = jax.local_devices()
-    count = _wanted(wanted, len(local))
+    name, value = "devices", str(wanted)
+    if wanted is None:
+        name, value = VARIABLE, os.environ.get(VARIABLE) or str(len(local))
+    if not value.isdecimal() or not 1 <= (count := int(value)) <= len(local):
+        raise ParameterError(f"{name} is {value}: allowed is 1 to {len(local)}, as many as JAX finds here.")
     # Where batches must stay small to keep programs from hanging, they run in parts on one device.
     if count == 1 or batch_limit() is not None:
         return Devices()
@@ -192,15 +196,6 @@ def choose_devices(wanted: int | None = None) -> Devices:
 def batch_limit() -> int | None:
     """Maximum number of worlds in one program on this backend; see `runtime.cpu_batch_limit`."""
     return cpu_batch_limit() if jax.default_backend() == "cpu" else None
-
-
-def _wanted(wanted: int | None, available: int) -> int:
-    name, value = "devices", str(wanted)
-    if wanted is None:
-        name, value = VARIABLE, os.environ.get(VARIABLE) or str(available)
-    if not value.isdecimal() or not 1 <= int(value) <= available:
-        raise ParameterError(f"{name} is {value}: allowed is 1 to {available}, as many as JAX finds here.")
-    return int(value)
 
 
 # ---

@@ -287,7 +287,9 @@ class MjxSession:
         qvel = np.zeros((self.worlds, engine.model.nv))
         carry = engine.open_worlds(self.params, *put([np.asarray(each, real) for each in (qpos, qvel, at_rest)]))
         self.carry = engine.playing(carry, self.fields)
-        self.slices = _slices(engine.devices.padded(self.worlds), batch_limit())
+        padded = engine.devices.padded(self.worlds)
+        size = min(padded, batch_limit() or padded)
+        self.slices = [slice(start, start + size) for start in range(0, padded, size)]
 
     @property
     def loop_state(self) -> Any:
@@ -319,11 +321,6 @@ class MjxSession:
         if len(self.slices) == 1:
             return self.params, self.fields, self.carry
         return jax.tree.map(lambda leaf: leaf[span], (self.params, self.fields, self.carry))
-
-
-def _slices(worlds: int, limit: int | None) -> list[slice]:
-    size = worlds if limit is None else min(worlds, limit)
-    return [slice(start, start + size) for start in range(0, worlds, size)]
 
 
 def _join(parts: list[Any]) -> Any:
@@ -378,7 +375,10 @@ class WarpEngine(MjxEngine):
 
     def put(self, model: mujoco.MjModel) -> tuple[mjx.Model, mjx.Data]:
         """See `MjxEngine.put`."""
-        _silence()
+        import warp
+
+        # Warp's messages about its start and its kernels do not belong on standard output.
+        warp.config.log_level = max(warp.config.log_level, warp.LOG_WARNING)
         self._reference = copy.copy(model)
         # Warp does not support the flag, and never resets a world by itself.
         self._reference.opt.disableflags &= ~mujoco.mjtDisableBit.mjDSBL_AUTORESET.value
@@ -420,10 +420,3 @@ def _step(model: mjx.Model, data: mjx.Data) -> mjx.Data:
 @_step.defjvp
 def _(primals: Any, tangents: Any) -> tuple[Any, Any]:
     raise ParameterError("engine is 'warp': it has no derivatives; take the engine mjx for gradients.")
-
-
-def _silence() -> None:
-    """Keep Warp's messages about its start and its kernels off standard output."""
-    import warp
-
-    warp.config.log_level = max(warp.config.log_level, warp.LOG_WARNING)

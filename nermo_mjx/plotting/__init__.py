@@ -1,1 +1,1 @@
-"""A common look for all figures: fonts, sizes, colours, units, the page around the axes, and the files."""
+"""What all figures share: fonts, sizes, colours, units, the page around the axes, charts, and the files."""

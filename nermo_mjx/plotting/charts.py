@@ -320,7 +320,7 @@ def heat_maps(
                 look |= {"va": "center", "ha": "right" if left else "left", "textcoords": "offset points"}
                 look["bbox"] = {"boxstyle": "round,pad=0.2", "fc": "white", "alpha": 0.75, "lw": 0}
                 ax.annotate(_signed(candidates[i, j]), (xs[i], ys[j]), (-apart if left else apart, 0), **look)
-    columns = _columns(len(axes))
+    columns = axes[0].get_gridspec().ncols  # type: ignore[union-attr]
     for place, ax in enumerate(axes):  # labels at the outside of the panels only
         bottom, left = place + columns >= len(axes), place % columns == 0
         ax.tick_params(labelbottom=bottom, labelleft=left)
@@ -392,7 +392,7 @@ def pair_scatters(
 
 def panelled(count: int, size: float) -> tuple[Figure, list[Axes]]:
     """A figure with `count` panels of about `size` inches, and its axes, row by row."""
-    columns = _columns(count)
+    columns = min(count, 4 if count > 6 else 3)
     rows = math.ceil(count / columns)
     figure = blank(columns * size * 1.12 + 1.3, rows * size + 0.9)
     axes = list(figure.subplots(rows, columns, squeeze=False).ravel())
@@ -404,11 +404,6 @@ def panelled(count: int, size: float) -> tuple[Figure, list[Axes]]:
 def best_word(metric: ShownValues) -> str:
     """The name of the mark for a metric's best value."""
     return "best" if metric.side else "highest"
-
-
-def _columns(count: int) -> int:
-    """Panels in a row."""
-    return min(count, 4 if count > 6 else 3)
 
 
 def _signed(percent: float) -> str:

@@ -28,7 +28,7 @@ from nermo_mjx.rollout.run import LONGEST, Lanes, Run, StartPose, too_many
 from nermo_mjx.rollout.saving import Keeper, Saving, Series
 from nermo_mjx.rollout.setup import Setup, Window, WorldParameters, with_own, without_presettings
 from nermo_mjx.runs.code import versions
-from nermo_mjx.runs.text import plain
+from nermo_mjx.runs.files import plain
 
 # ---
 # The results of a batch of worlds: metrics, how each ended, and the recording if requested.

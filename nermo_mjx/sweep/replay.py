@@ -20,9 +20,8 @@ from nermo_mjx.recording import Recording, RecordingError, recording_of
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.rollout import History, Setup, Simulator
 from nermo_mjx.runs.directory import RunDirectory
-from nermo_mjx.runs.files import DirectoryError
+from nermo_mjx.runs.files import DirectoryError, plain
 from nermo_mjx.runs.rows import opened, part_files
-from nermo_mjx.runs.text import plain
 from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.sweep.spec import Keep, Rows, Sample, Sweep, sides_in
 from nermo_mjx.sweep.store import known

@@ -29,10 +29,9 @@ from nermo_mjx.rollout import METRICS, Simulator
 from nermo_mjx.rollout.run import too_many
 from nermo_mjx.runs.code import session
 from nermo_mjx.runs.directory import RunDirectory, engine_of
-from nermo_mjx.runs.files import DirectoryError, WrongDirectory, parquet_bytes
+from nermo_mjx.runs.files import DirectoryError, WrongDirectory, parquet_bytes, to_json
 from nermo_mjx.runs.job import SILENT, JobFailed, Progress, TensorBoard, Watch, require_tensorboard, resumable
 from nermo_mjx.runs.rows import Runs
-from nermo_mjx.runs.text import to_json
 from nermo_mjx.runs.workers import LocalWorkers, TaskFailed, Workers
 from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.specs.walk import unread

@@ -26,9 +26,8 @@ from nermo_mjx.rollout import Series
 from nermo_mjx.rollout.run import START_SPREAD
 from nermo_mjx.rollout.saving import Signal, chosen_signals
 from nermo_mjx.runs.directory import RunDirectory, remove_leftovers
-from nermo_mjx.runs.files import DirectoryError, WrongDirectory, clear_errors, content_of, create_file
+from nermo_mjx.runs.files import DirectoryError, WrongDirectory, clear_errors, content_of, create_file, to_json
 from nermo_mjx.runs.rows import FORMER, keys_of, retire
-from nermo_mjx.runs.text import to_json
 from nermo_mjx.specs.controllers import code_identity, with_code_copied
 from nermo_mjx.specs.reading import SpecError, differing
 from nermo_mjx.specs.walk import WalkSpec, unread

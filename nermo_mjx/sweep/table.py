@@ -29,11 +29,18 @@ from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.rollout.own_metrics import METRICS
 from nermo_mjx.runs.code import session
 from nermo_mjx.runs.directory import RunDirectory, Written, read_record
-from nermo_mjx.runs.files import DirectoryError, clear_errors, content_of, parquet_bytes, parquet_table, replace_file
+from nermo_mjx.runs.files import (
+    DirectoryError,
+    clear_errors,
+    content_of,
+    parquet_bytes,
+    parquet_table,
+    replace_file,
+    to_json,
+)
 from nermo_mjx.runs.rows import Columns as Columns
 from nermo_mjx.runs.rows import opened, part_files
 from nermo_mjx.runs.status import Status, metadata_of, status_of
-from nermo_mjx.runs.text import to_json
 from nermo_mjx.sweep.spec import OBJECTIVES, SIDES, Rows, Sweep, sides_in
 from nermo_mjx.sweep.structures import about_structure
 from nermo_mjx.trust import one_line

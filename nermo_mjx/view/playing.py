@@ -57,11 +57,16 @@ def play(
     data = mujoco.MjData(model)
     set_sample(data, recording, 0)
     mujoco.mj_forward(model, data)
-    if viewer is None and not _has_display():
-        raise RecordingError(
-            "MuJoCo's viewer needs a display, and there is none: write the recording with --xml FILE.xml "
-            "(write_keyframes), and open it where there is one."
-        )
+    if viewer is None:  # without a display, opening `mujoco.viewer` would terminate the process
+        import glfw
+
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            if not glfw.init():
+                raise RecordingError(
+                    "MuJoCo's viewer needs a display, and there is none: write the recording with --xml FILE.xml "
+                    "(write_keyframes), and open it where there is one."
+                )
     viewer = viewer or importlib.import_module("mujoco.viewer")
     try:
         window = viewer.launch_passive(model, data, show_left_ui=False, show_right_ui=False)
@@ -88,15 +93,6 @@ def play(
                 move_sun_above(model, data, data.xpos[root])
             window.sync()
             time.sleep(1.0 / _REFRESH)
-
-
-def _has_display() -> bool:
-    """Without one, opening `mujoco.viewer` would terminate the process."""
-    import glfw
-
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        return bool(glfw.init())
 
 
 def write_keyframes(
