@@ -18,7 +18,6 @@ import time
 from pathlib import Path
 from typing import Any, Final
 
-import nermo_mjx
 from nermo_mjx.version import __version__
 
 #: Rooms of the package that determine what a world does and what is measured.
@@ -106,7 +105,7 @@ def known(fields: Any) -> CodeStamp | None:
 @functools.cache
 def sources(more: tuple[str, ...] = ()) -> str:
     """Digest of the sources in `ROOMS`, and in more of them, and of the robot's model files."""
-    package = Path(nermo_mjx.__file__).parent
+    package = Path(__file__).parents[1]
     inside = package / "mjcf"
     roots = [*(package / room for room in (*ROOMS, *more)), inside if inside.is_dir() else package.parent / "mjcf"]
     total = hashlib.blake2b(digest_size=8)
