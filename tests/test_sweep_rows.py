@@ -89,9 +89,8 @@ def test_a_pareto_front_again_with_repeats_by_the_command(tmp_path):
     assert sweep.variants == len({row[:3] for row in fast}) > 1
     assert sweep.setup.spine == "stride_extension"
     words = ("--rows", tmp_path / "best.parquet", "--out", tmp_path / "out", "--engine", "steam")
-    assert (
-        call("sweep", tmp_path / "grid" / "sweep.yaml", *words).exit_code == 2
-    )  # engines are checked; rows are run here
+    # The engine's name is checked; the rows are run below.
+    assert call("sweep", tmp_path / "grid" / "sweep.yaml", *words).exit_code == 2
     result = run_sweep(sweep, tmp_path / "out", simulator=FakeSimulator())
     assert result.rows == 2 * sweep.variants
 

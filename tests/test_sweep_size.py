@@ -140,13 +140,9 @@ class Measuring(FakeSimulator):
         self.held = []
 
     def run(self, *args, **kwargs):
-        if not self.batches:
-            tracemalloc.start()
         if len(self.batches) in (20, 119):
             gc.collect()
             self.held.append(tracemalloc.get_traced_memory()[0] + pa.total_allocated_bytes())
-            if len(self.held) == 2:
-                tracemalloc.stop()
         result = super().run(*args, **kwargs)
         result.metrics = dict.fromkeys(METRICS, result.metrics["speed"] + 0.0)
         return result
@@ -157,7 +153,9 @@ def test_finished_chunks_are_not_kept_in_memory(tmp_path):
     """Over a hundred chunks, memory grows by less than five of their tables would take."""
     spec = {"vary": {"frequency": {"linspace": [0.5, 1.0, 1200]}, "duty": {"linspace": [0.4, 0.6, 10]}}, "plots": False}
     simulator = Measuring()
+    tracemalloc.start()
     result = run_sweep(spec, tmp_path, chunk=100, simulator=simulator)
+    tracemalloc.stop()
     early, late = simulator.held
     assert late - early < result.table.nbytes / 120 * 5
 

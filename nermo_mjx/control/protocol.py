@@ -12,6 +12,7 @@ import hashlib
 import importlib
 import importlib.util
 import inspect
+import pkgutil
 import sys
 import traceback
 from collections.abc import Iterator
@@ -281,8 +282,7 @@ def load_controller(where: str) -> Any:
         ParameterError: the file, module or name does not exist, it cannot be imported, or it is not a controller.
     """
     if is_data(where):
-        home, _, reader = DATA_CONTROLLERS[Path(where).suffix].partition(":")
-        return getattr(importlib.import_module(home), reader)(where)
+        return pkgutil.resolve_name(DATA_CONTROLLERS[Path(where).suffix])(where)
     source = _source(where)
     module = source.module()
     controller = getattr(module, source.name, None)
