@@ -6,7 +6,6 @@ import functools
 import inspect
 import json
 import os
-import re
 import shutil
 from pathlib import Path
 
@@ -135,8 +134,7 @@ def test_what_has_no_figures_says_why(sweep: Path, tmp_path: Path) -> None:
     assert result.exit_code == 2
     assert (
         "is not a results directory: it contains neither a sweep, a search, a tuning, a training, a landscape, "
-        "published experiments, an identification, a comparison, a sensitivity analysis nor benchmarks."
-        in result.stderr
+        "published experiments, an identification, a comparison nor a sensitivity analysis." in result.stderr
     )
     shutil.rmtree(sweep / "results")
     result = plot(sweep)
@@ -227,17 +225,3 @@ def test_a_landscapes_figures_are_remade(tmp_path: Path) -> None:
     assert set(made) == {f"line-{name}.{form}" for name in tuning.names for form in ("png", "svg")}
     (tmp_path / "there" / "landscape.parquet").unlink()
     assert "landscape.parquet is missing" in plot(tmp_path / "there").stderr
-
-
-def test_a_directory_of_benchmarks_is_drawn_again(tmp_path: Path) -> None:
-    shutil.copytree(Path(__file__).parents[1] / "docs" / "benchmarks", tmp_path / "benchmarks")
-    shutil.rmtree(tmp_path / "benchmarks" / "plots")
-    page = (tmp_path / "benchmarks" / "results.md").read_text()
-    result = plot(tmp_path / "benchmarks")
-    assert result.exit_code == 0, result.stderr
-    drawn = content(tmp_path / "benchmarks" / "plots")
-    assert {f"plots/{name}" for name in drawn if name.endswith(".png")} == set(re.findall(r"\((plots/.*?)\)", page))
-    (tmp_path / "benchmarks" / "results.jsonl").write_text("{}\n")
-    result = plot(tmp_path / "benchmarks")
-    assert result.exit_code == 1
-    assert "results.jsonl cannot be read" in result.stderr

@@ -17,7 +17,6 @@ from sweep_fake import SPEC, FakeSimulator, contents, part_of
 from tune_fake import SPEC as TUNE_SPEC
 from tune_fake import FakeProblem
 
-from nermo_mjx.bench.results import RESULTS, append
 from nermo_mjx.experiments import identification, plots
 from nermo_mjx.experiments.identification import CASES
 from nermo_mjx.experiments.run import run_experiments
@@ -199,18 +198,6 @@ def test_an_identification_counts_its_candidates(tmp_path: Path, monkeypatch: py
     identification.run_identification(tmp_path, **settings)
     assert known(said(tmp_path)) == ("identification", 21, 21, True)
     assert calls == walked, "what was found is only drawn"
-
-
-def test_benchmarks_say_what_failed_and_which_commits_were_measured(tmp_path: Path) -> None:
-    hardware = {"device": "1 x cpu", "cores": 2, "cpu": "some", "mujoco": "3", "jax": "0", "python": "3"}
-    (tmp_path / "run.json").write_text('{"kind": "benchmarks"}')
-    for commit, figures in (("abc", {"steps_per_second": 3.0}), ("def", {"error": "no memory"})):
-        line = {"case": "throughput", "engine": "c", "worlds": 64, **figures}
-        append(tmp_path / RESULTS, {"date": "2026-01-01", "commit": commit, "hardware": hardware, "cases": [line]})
-    content = said(tmp_path)
-    assert known(content) == ("benchmarks", 2, 2, True)
-    assert (content["engine"], content["code"]) == ("c", ["abc", "def"])
-    assert "failed: no memory. That was on 2026-01-01, commit def" in status(tmp_path).stdout
 
 
 def test_what_is_no_directory_of_results_is_refused_in_a_sentence(tmp_path: Path) -> None:

@@ -358,9 +358,6 @@ IDENTIFIED = {
     },
 }
 CHANNELS = {"rate": 50, "front_left_hip": {"channel": 0, "direction": 1, "zero": 90, "low": 20, "high": 160}}
-HARDWARE = {"device": "cpu", "cores": 2, "cpu": "some", "mujoco": "3", "jax": "0", "python": "3"}
-CASE = {"case": "throughput", "engine": "c", "worlds": 64, "steps_per_second": 3.0}
-MEASURED = {"date": "2026-01-01", "commit": "abc", "hardware": HARDWARE, "cases": [CASE]}
 ROWS = "frequency,spine.amplitude\n0.5,0.1\n0.8,0.2\n"
 
 
@@ -372,8 +369,8 @@ def kinds_of_files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[
     measured = {"metrics": "own.py", "plots": False}
     run_sweep(_file(top / "a.yaml", SWEEP | measured), sweep := top / "sweep", chunk=18, simulator=Measuring())
     run_search(_file(top / "b.yaml", SEARCH), search := top / "search", simulator=FakeSearched())
-    landscape, identified, bench = top / "landscape", top / "identified", top / "bench"
-    for folder in (landscape / "batches", identified, bench):
+    landscape, identified = top / "landscape", top / "identified"
+    for folder in (landscape / "batches", identified):
         folder.mkdir(parents=True)
     np.savez(landscape / "batches" / "a-5-000000.npz", value=np.zeros(5))
     columns = {
@@ -412,7 +409,6 @@ def kinds_of_files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[
             text,
             lambda: (identification.status(identified), identification.drawn(identified)),
         ),
-        "results.jsonl": (_file(bench / "results.jsonl", MEASURED), text, kind("benchmarks", bench)),
         "experiment": (experiments.path(name), table_like, kind("experiments", experiments.out)),
         "part": (part, table_like, lambda: (read_table(sweep), Results([part]), status(sweep), runs_of(sweep))),
         "rows.csv": (_text(top / "rows.csv", ROWS), [mutated_bytes], rows(top / "rows.csv")),

@@ -19,11 +19,9 @@ import numpy as np
 from hlo import Module, Work
 from jax.experimental import topologies
 from jax.sharding import SingleDeviceSharding
+from measuring import FREQUENCY, NAMES, append, compile_cold, differentiable_walk, run_of
 
-from nermo_mjx.bench import run_of
-from nermo_mjx.bench.cases import FREQUENCY, NAMES, differentiable_walk
-from nermo_mjx.bench.machine import compile_cold, describe, peak_bytes
-from nermo_mjx.bench.results import append
+from nermo_mjx.bench import peak_bytes
 from nermo_mjx.rollout import Setup, Simulator
 from nermo_mjx.rollout.differentiable import value_and_gradient
 
@@ -128,7 +126,7 @@ def main(target, program, worlds, into):
         **figures(compiled.program.as_text(), ticks, steps, worlds, TARGETS[target][11]),
         "peak_bytes": peak_bytes(),
     }
-    append(into, run_of(describe(), [line]))
+    append(into, run_of([line]))
     print(json.dumps(line, indent=2))
 
 

@@ -9,10 +9,8 @@ from typing import Any, Final
 
 import click
 import numpy as np
+from measuring import append, run_of
 
-from nermo_mjx.bench import run_of
-from nermo_mjx.bench.machine import describe
-from nermo_mjx.bench.results import append
 from nermo_mjx.optimize import Tuning
 from nermo_mjx.optimize.methods import initial_state
 from nermo_mjx.optimize.objective import Evaluation, Problem, from_unconstrained
@@ -182,7 +180,7 @@ def _wall() -> float:
 @click.option("--cpu", "cpu_s", type=float, default=60.0, help="Budget [CPU s].")
 @click.option("--into", type=click.Path(path_type=Path), default=Path(__file__).with_suffix(".jsonl"))
 def main(into: Path, **chosen: Any) -> None:
-    append(into, run_of(describe(), [{"case": "gradients-pay", **chosen, **paying_case(**chosen)}]))
+    append(into, run_of([{"case": "gradients-pay", **chosen, **paying_case(**chosen)}]))
 
 
 if __name__ == "__main__":

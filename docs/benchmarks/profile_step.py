@@ -18,8 +18,8 @@ import click
 import jax
 import mujoco
 import numpy as np
+from measuring import compile_cold, seconds
 
-from nermo_mjx.bench.machine import compile_cold, seconds
 from nermo_mjx.dynamics import differentiable
 from nermo_mjx.dynamics.impedance import make_constraint
 from nermo_mjx.dynamics.integration import integrate

@@ -15,10 +15,8 @@ from pathlib import Path
 
 import click
 import numpy as np
+from measuring import append, run_of
 
-from nermo_mjx.bench import run_of
-from nermo_mjx.bench.machine import describe
-from nermo_mjx.bench.results import append
 from nermo_mjx.optimize import run_search, run_tuning
 from nermo_mjx.rollout import Run, Setup, Simulator
 
@@ -128,7 +126,7 @@ def main(frequency, gradient, into):
     iterations = int(0.1 * runs / GRADIENT_COST)
     turned = [float((phase + turn + np.pi) % (2 * np.pi) - np.pi) for turn in (np.pi / 2, -np.pi / 2)]
     line["searches"] = found + [tuned(frequency, each, iterations, speed) for each in turned if gradient]
-    append(into, run_of(describe(), [line]))
+    append(into, run_of([line]))
     print(json.dumps(line, indent=2))
 
 

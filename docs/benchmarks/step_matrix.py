@@ -21,7 +21,7 @@ import mujoco
 import numpy as np
 from step_models import installed_models, load, models_below, touching
 
-from nermo_mjx.bench.machine import describe
+from nermo_mjx.bench import describe
 from nermo_mjx.dynamics.checking import WIDTHS, Trial, compared, distance, moved_entries, trial
 from nermo_mjx.dynamics.mjx_import import mjx
 from nermo_mjx.runtime import compiler_options

@@ -39,7 +39,6 @@ def of_package() -> dict[str, list[str]]:
 
     named = {
         "ENGINES": ENGINES,
-        "GRADIENT_MODES": CASES["gradient"].options["mode"].default,
         "BENCH_CASES": CASES,
         "ROBOTS": ROBOTS,
         "TAILS": TAILS,

@@ -64,7 +64,6 @@ _KINDS: Final = (
     Kind("identification", "an identification", f"{_IDENTIFIED}:drawn", f"{_IDENTIFIED}:status", True),
     Kind("comparison", "a comparison", "sweep.comparing:figures", "sweep.table:report_status", True),
     Kind("sensitivity", "a sensitivity analysis", "sweep.sensitivity:figures", "sweep.table:report_status", True),
-    Kind("benchmarks", "benchmarks", "bench.results:figures", "bench.results:status", True),
 )
 #: Kinds of directories, by name.
 KINDS: Final = {kind.name: kind for kind in _KINDS}
@@ -97,8 +96,8 @@ def status_command(path: Path) -> Outcome:
     """Show what DIR contains, its progress, what made it, and how to resume.
 
     DIR is the directory of a sweep, a search, a tuning, a training, a
-    landscape, experiments, an identification or benchmarks, of this release or
-    an earlier one, finished or in progress. It is only read.
+    landscape, experiments or an identification, of this release or an earlier
+    one, finished or in progress. It is only read.
 
     Examples:
       nermo-mjx status runs/quickstart
@@ -152,9 +151,8 @@ def plot_command(path: Path, out: Path | None, form: str | None, **chosen: str |
     """Redraw the figures of PATH from its tables; nothing is simulated.
 
     PATH is the directory of a sweep, a search, a tuning, a training, a
-    landscape, experiments, an identification or benchmarks, or a recording
-    FILE.npz: gait diagram, orientation, foot paths, servo angles, path over
-    the ground.
+    landscape, experiments or an identification, or a recording FILE.npz: gait
+    diagram, orientation, foot paths, servo angles, path over the ground.
 
     --x, --y and --color choose columns of a table: two parameters of a grid
     give a heat map, two metrics with a better direction a Pareto front, other

@@ -13,9 +13,9 @@ import click
 from click.shell_completion import get_completion_class
 
 from nermo_mjx.cli import options
-from nermo_mjx.cli.choices import BENCH_CASES, ENGINES, GRADIENT_MODES
+from nermo_mjx.cli.choices import BENCH_CASES, ENGINES
 from nermo_mjx.cli.options import number
-from nermo_mjx.cli.output import Failure, Outcome, command, print_table, say
+from nermo_mjx.cli.output import Failure, Outcome, command, print_table
 from nermo_mjx.cli.progress import Progress
 
 if TYPE_CHECKING:
@@ -125,66 +125,33 @@ def schema_command(kind: str, out: Path | None) -> None:
 @command("bench")
 @click.argument("cases", nargs=-1, type=click.Choice(BENCH_CASES), metavar="[CASE]...")
 @options.choice("--engine", ENGINES[1:], "Repeatable; c and mjx by default.", default=None, multiple=True)
-@number("--worlds", "Size of the batch; repeatable.", click.IntRange(1), multiple=True)
-@options.choice("--mode", GRADIENT_MODES, "How gradients are computed; repeatable.", default=None, multiple=True)
-@number("--cycles", "Gait cycles to differentiate; repeatable.", options.POSITIVE, multiple=True)
-@options.text("--into", "DIR", "Append to DIR/results.jsonl, and draw its page and plots.", type=options.FOLDER)
-def bench_command(cases: tuple[str, ...], into: Path | None, **given: tuple[Any, ...]) -> Outcome:
-    """Measure throughput, compile time and memory on this machine.
+@number("--worlds", "Size of the batch; repeatable; by default 64.", click.IntRange(1), multiple=True)
+def bench_command(cases: tuple[str, ...], engine: tuple[str, ...], worlds: tuple[int, ...]) -> Outcome:
+    """Measure throughput, start-up and memory on this machine.
 
-    The default CASE is throughput: the robot with its controller, and the
-    same physics without; their ratio is the cost of the controller.
+    The default CASE is throughput.
 
     Cases:
-      throughput  a walk with controller and metrics against plain physics
-      gradient    value and gradient of a walk against the walk alone
+      throughput  physics steps per second of a walk with controller and metrics
       startup     a new process to its first control tick, cold and warm cache
 
     Examples:
       nermo-mjx bench
       nermo-mjx bench --engine mjx --worlds 64 --worlds 1024 --json
-      nermo-mjx bench gradient --mode reverse --cycles 1 --cycles 4
-      nermo-mjx bench throughput startup --into docs/benchmarks
+      nermo-mjx bench throughput startup --engine c
     """
-    from nermo_mjx.bench import run_bench
-    from nermo_mjx.bench.results import RESULTS, append, draw_page
-    from nermo_mjx.runs import RunDirectory, Written, session
-    from nermo_mjx.runs.files import clear_errors, plain
+    from nermo_mjx.bench import run_bench, table_of
 
-    kept = 0
-
-    def keep(run: dict[str, Any]) -> None:
-        """Each measurement as soon as it is made."""
-        nonlocal kept
-        if into is not None:
-            append(into / RESULTS, plain(run))
-            kept += 1
-
-    # Held while it measures, so that an hour's results can be written.
-    with contextlib.nullcontext() if into is None else RunDirectory(into, "benchmarks") as held:
-        with Progress("bench", "measurements", compiles=True) as progress:
-            try:
-                result = run_bench(cases or ("throughput",), given, progress.count, keep=keep)
-            except KeyboardInterrupt:
-                number = "1 measurement is" if kept == 1 else f"{kept} measurements are"
-                sentence = f"stopped; {number} kept in {into / RESULTS}." if into and kept else ""
-                raise KeyboardInterrupt(sentence) from None
-        if held is not None:
-            held.note_session(session())
-            with Written(held) as written, clear_errors(held.out):
-                draw_page(held.out, written.write)
-            if written.aside:
-                say(written.sentence())
+    with Progress("bench", "measurements", compiles=True) as progress:
+        result = run_bench(cases or BENCH_CASES[:1], engine or ("c", "mjx"), worlds or (64,), progress.count)
 
     def show() -> None:
-        from nermo_mjx.bench.results import failure_of, table_of
-
-        if result["hardware"]:
-            click.echo("hardware: " + ", ".join(f"{key} {value}" for key, value in result["hardware"].items()))
-        for failure in filter(None, map(failure_of, result["cases"])):
-            click.echo(failure)
+        click.echo("hardware: " + ", ".join(f"{key} {value}" for key, value in result["hardware"].items()))
+        for line in result["cases"]:
+            if "error" in line:
+                click.echo(f"{line['case']} (engine {line['engine']}, worlds {line['worlds']}) failed: {line['error']}")
         for case in dict.fromkeys(line["case"] for line in result["cases"]):
-            headings, rows = table_of(case, [line for line in result["cases"] if line["case"] == case])
+            headings, rows = table_of([line for line in result["cases"] if line["case"] == case])
             if rows:
                 print_table(case.capitalize(), headings, rows)
 

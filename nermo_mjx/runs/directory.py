@@ -248,8 +248,9 @@ def remove_leftovers(folder: Path) -> None:
 
 
 def _with_article(kind: str) -> str:
-    one = {"experiments": "published experiments", "benchmarks": "benchmarks"}
-    return one.get(kind, f"{'an' if kind[0] in 'aeiou' else 'a'} {kind}")
+    if kind == "experiments":
+        return "published experiments"
+    return f"{'an' if kind[0] in 'aeiou' else 'a'} {kind}"
 
 
 # ---

@@ -1,37 +1,47 @@
-"""The machine that is measured; timing on it, though it is shared and noisy; and compiling without the cache."""
+"""What the studies beside this file share: timing on a noisy machine, and lines of results with their origin."""
 
 from __future__ import annotations
 
 import contextlib
-import importlib.metadata
-import platform
-import resource
+import datetime
+import json
 import statistics
 import subprocess
-import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import jax
 from jax.experimental.compilation_cache import compilation_cache
+from jaxtyping import Array
 
-from nermo_mjx.runs.code import processor
-from nermo_mjx.runtime import cpu_count
+from nermo_mjx.bench import describe
+from nermo_mjx.rollout.differentiable import Function, Rollout
+from nermo_mjx.rollout.run import Run
+from nermo_mjx.rollout.setup import Setup
+from nermo_mjx.runs.files import replace_file
+
+#: The derivative: of the mean speed by the two parameters of the stride extension.
+NAMES: Final = ("spine.amplitude", "spine.phase")
+FREQUENCY: Final = 0.8  # [Hz]
 
 
-def describe() -> dict[str, str | int]:
-    """Name of the processor and accelerator, memory, and versions of the numerical packages."""
-    devices = jax.devices()
-    versions = {name: importlib.metadata.version(name) for name in ("mujoco", "mujoco-mjx", "jax", "jaxlib")}
-    return {
-        "cpu": processor(),
-        "cores": cpu_count(),
-        "device": f"{len(devices)} x {devices[0].device_kind}",
-        "python": platform.python_version(),
-        **versions,
-    }
+def differentiable_walk(cycles: float) -> tuple[Rollout, Function]:
+    """A walk of a number of gait cycles, and its speed and metrics as a function of `NAMES`."""
+    rollout = Rollout(Setup(spine="stride_extension"), Run(cycles=cycles, warmup_cycles=0))
+
+    def walk(point: Array) -> tuple[Array, dict[str, Array]]:
+        metrics = rollout({"frequency": FREQUENCY, **dict(zip(NAMES, point, strict=True))})
+        return metrics["speed"], metrics
+
+    return rollout, walk
+
+
+def run_of(lines: list[dict[str, Any]]) -> dict[str, Any]:
+    """What is stored of measurements made now: date, commit, hardware and lines of figures."""
+    now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
+    return {"date": now, "commit": commit(), "hardware": describe(), "cases": lines}
 
 
 def commit() -> str | None:
@@ -44,13 +54,10 @@ def commit() -> str | None:
     return done.stdout.strip() or None
 
 
-def peak_bytes() -> int:
-    """Peak memory so far: of the accelerator, or of this process on a CPU."""
-    statistics = jax.local_devices()[0].memory_stats() if jax.default_backend() != "cpu" else None
-    if statistics and "peak_bytes_in_use" in statistics:
-        return int(statistics["peak_bytes_in_use"])
-    unit = 1 if sys.platform == "darwin" else 1024
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit
+def append(path: Path, run: Mapping[str, Any]) -> None:
+    """Append a run to a file as one line; existing lines are unchanged."""
+    before = path.read_bytes() if path.exists() else b""
+    replace_file(path, before + json.dumps(run).encode() + b"\n")
 
 
 def seconds(work: Callable[[], object]) -> float:
