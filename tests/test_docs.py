@@ -126,6 +126,7 @@ def beside(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[Path], 
 
 
 @pytest.mark.process
+@pytest.mark.release
 @pytest.mark.parametrize(("page", "example"), EXAMPLES)
 def test_an_example_works(page: Path, example: str, beside: Callable[[Path], None]) -> None:
     """That of the README at a small size."""
@@ -193,6 +194,7 @@ ELSEWHERE = {
 
 
 @pytest.mark.compiles
+@pytest.mark.release
 @pytest.mark.parametrize("name", WITH_EXAMPLES)
 def test_the_examples_of_a_module_run(name: str) -> None:
     failed, attempted = doctest.testmod(importlib.import_module(name))
@@ -222,7 +224,12 @@ def test_ci_runs_the_two_commands_that_a_fresh_machine_needs() -> None:
     assert chosen == [[line] for line in fresh]
     assert fresh[0].endswith("nermo-mjx sweep sweeps/quickstart.yaml --out runs/quickstart")
     assert fresh[1].endswith("-m pytest")
-    for line in ('eval "$tests"', 'eval "${job/python3/$python}"', "\n.ci/wheel\n.ci/size\n"):
+    for line in (
+        'eval "$tests"',
+        "pytest -m 'release and not long'",
+        'eval "${job/python3/$python}"',
+        "\n.ci/wheel\n.ci/size\n",
+    ):
         assert line in script
     for name in ("run", "wheel", "size"):
         subprocess.run(["bash", "-n", str(ROOT / ".ci" / name)], check=True)

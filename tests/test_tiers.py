@@ -32,7 +32,9 @@ class Item:
         (Item("parametrize"), ["parametrize", "fast"]),
         (Item("long"), ["long"]),
         (Item(fixturenames=("tmp_path", "simulator")), ["compiles"]),
-        (Item("slow", fixturenames=("browser",)), ["slow", "browser"]),
+        (Item("slow", fixturenames=("browser",)), ["slow", "browser", "release"]),
+        (Item("cluster", "release"), ["cluster", "release"]),
+        (Item("process", fixturenames=("site",)), ["process", "release"]),
     ],
 )
 def test_what_needs_nothing_is_fast(item: Any, marks: list[str]) -> None:

@@ -20,6 +20,7 @@ NEEDS: Final = {
     "draws": "draws figures, pictures or videos",
     "browser": "opens pages in a browser",
     "slow": "compiles MJX, or takes several seconds",
+    "release": "builds the site, runs notebooks, examples, experiments, a cluster or a browser: with -m release only",
     "long": "takes a minute or more and resembles other tests, or needs the machine for itself: with -m long only",
 }
 #: Fixtures that bring what they need to whatever asks for them.
@@ -32,6 +33,8 @@ OF_FIXTURES: Final = {
     "program": "browser",
     "browser": "browser",
 }
+#: Marks and fixtures of the tests that are marked `release`, beside those that say so themselves.
+RELEASED: Final = {"cluster", "browser", "site", "kernel"}
 #: When each test marked `long` last passed, null if it has not yet: `pytest -m long` writes it.
 LAST_RUN: Final = Path(__file__).with_name("long.json")
 
@@ -41,6 +44,9 @@ def mark(items: Iterable[pytest.Item]) -> None:
     for item in items:
         for fixture in OF_FIXTURES.keys() & set(getattr(item, "fixturenames", ())):
             item.add_marker(OF_FIXTURES[fixture])
+        needed = {name for name in NEEDS if item.get_closest_marker(name)} | set(getattr(item, "fixturenames", ()))
+        if needed & RELEASED and "release" not in needed:
+            item.add_marker("release")
         if not any(item.get_closest_marker(name) for name in NEEDS):
             item.add_marker("fast")
 
