@@ -2,14 +2,25 @@
 
 from __future__ import annotations
 
+import copy
+import functools
+from collections.abc import Callable
+
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from nermo_mjx.physics.c_engine import LANES, CEngine
-from nermo_mjx.rollout import Run
+from nermo_mjx.rollout import Run, RunResult, Simulator
+from nermo_mjx.rollout.path_metrics import begins_in_run, ticks_until
 from nermo_mjx.rollout.run import LANES as PIECE
 from nermo_mjx.rollout.run import Lanes
+from nermo_mjx.rollout.saving import Saving
+from nermo_mjx.rollout.setup import Window
+from nermo_mjx.rollout.simulator import BLOCK
 
 #: More worlds than one block, on any number of cores.
 WORLDS = LANES + 9
@@ -65,6 +76,94 @@ def test_the_number_of_threads_changes_no_bit(simulator, walks, threads: int) ->
         np.testing.assert_array_equal(getattr(trace[2], name), getattr(trace[threads], name), err_msg=name)
 
 
+@pytest.fixture(scope="module")
+def on_threads(simulator) -> Callable[[int], Simulator]:
+    """`on_threads(count)`: a simulator on so many threads, which shares its programs with the others."""
+
+    def make(count: int) -> Simulator:
+        sim = copy.copy(simulator(spine="stride_extension", physics="fast"))
+        sim.engine = copy.copy(sim.engine)
+        sim.engine.threads = count
+        sim.engine.__dict__.pop("pool", None)
+        return sim
+
+    return functools.cache(make)
+
+
+#: Ends of runs around the multiples of a block of ticks, and far from them [ticks].
+BESIDE = (-9.3, -1.5, -1.0, -0.9999, -0.5, -1e-3, -1e-7, 0.0, 1e-7, 1e-3, 0.4, 0.9995, 1.0, 1.3)
+ENDS = np.add.outer(BLOCK * np.array([1, 2, 3]), BESIDE).ravel()[:WORLDS]
+#: All runs by time; by distance, which some of them cover and others do not.
+RUNS = {
+    "time": Run(duration=0.01 * ENDS, warmup=np.full(WORLDS, 0.1)),
+    "distance": Run(duration=0.01 * ENDS, warmup=np.full(WORLDS, 0.1), distance=np.resize([0.01, 0.02, 1.0], WORLDS)),
+}
+
+
+def simulated(sim: Simulator, walks: dict[str, np.ndarray], run: Run, ids: np.ndarray, how: str) -> RunResult:
+    """Some of the walks, `plain`, `recorded`, or with a `series` or `both`; `run` has one length for each walk."""
+    lengths = {name: each[ids] for name, each in vars(run).items() if each is not None}
+    save = Saving(("position_y",), rate=50.0) if how in ("series", "both") else None
+    return sim.run(some(walks, ids), Run(**lengths), record=how in ("recorded", "both"), save=save)
+
+
+def assert_same_run(found: RunResult, place: int, plain: RunResult, kept: RunResult) -> None:
+    """A run in company is the same as alone, `plain` and with both a recording and series."""
+    same({name: column[place : place + 1] for name, column in found.metrics.items()}, plain.metrics)
+    assert found.status[place] == plain.status[0]
+    assert found.ticks[place] == plain.ticks[0]
+    if found.series is not None:
+        left, right = found.series.take(slice(place, place + 1)), kept.series
+        assert left.count == right.count
+        for name, values in right.values.items():
+            np.testing.assert_array_equal(left.values[name][:, : int(left.count[0])], values)
+    if found.trace is not None:
+        left, right = found.recording(place), kept.recording()
+        for name in ("time", "qpos", "qvel", "ctrl"):
+            np.testing.assert_array_equal(getattr(left, name), getattr(right, name), err_msg=name)
+
+
+@pytest.fixture(scope="module")
+def alone(on_threads, walks) -> Callable[[str, int, str], RunResult]:
+    """`alone(run, i, how)`: a walk that nothing shares its batch with."""
+    return functools.cache(lambda run, i, how: simulated(on_threads(1), walks, RUNS[run], np.array([i]), how))
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    st.lists(st.integers(0, WORLDS - 1), min_size=1, max_size=20, unique=True),
+    st.sampled_from([1, 2, 3, 4, 20]),
+    st.integers(1, 3),
+    st.sampled_from(["plain", "recorded", "series"]),
+    st.sampled_from(sorted(RUNS)),
+)
+def test_what_shares_its_batch_changes_no_bit_of_a_run(on_threads, walks, alone, order, size, threads, how, run):
+    """Beside shorter and longer ones, recorded or not, in any block and order, on any number of threads."""
+    for ids in np.split(np.array(order), range(size, len(order), size)):
+        found = simulated(on_threads(threads), walks, RUNS[run], ids, how)
+        for place, i in enumerate(ids):
+            assert_same_run(found, place, alone(run, int(i), "plain"), alone(run, int(i), "both"))
+
+
+@pytest.mark.parametrize(
+    ("run", "duration"),
+    [
+        (Run(duration=np.array([3.245, 4.0]), warmup=np.array([1.0, 1.0])), 2.245),
+        (Run(duration=np.array([3.255, 3.25]), warmup=np.array([1.0, 1.0])), 2.255),
+        (Run(cycles=np.array([3.0, 6.0]), warmup_cycles=np.array([1.0, 1.0])), 2.0 / 0.9246450430370259),
+    ],
+    ids=["within the last tick of a block", "beside a shorter one", "in cycles"],
+)
+def test_a_run_measures_all_of_its_time(on_threads, run: Run, duration: float) -> None:
+    """Alone, recorded and beside a longer or shorter run."""
+    walks = {"frequency": np.array([0.8 if run.cycles is None else 0.9246450430370259, 0.8])}
+    plain, kept = (simulated(on_threads(1), walks, run, np.array([0]), how) for how in ("plain", "both"))
+    for how in ("plain", "recorded", "series"):
+        found = simulated(on_threads(1), walks, run, np.array([1, 0]), how)
+        assert found.metrics["duration"][1] == pytest.approx(duration, abs=2e-6)
+        assert_same_run(found, 1, plain, kept)
+
+
 def test_worlds_that_rest_do_not_change_the_others(simulator, walks) -> None:
     """Retired after different times, among others that go on."""
     sim = simulator(spine="stride_extension")
@@ -112,3 +211,22 @@ def test_the_loop_is_one_function_that_runs_on_the_thread_of_its_block(simulator
     entry = program[program.index("ENTRY") :]
     assert entry.count("xla_cpu_small_call") == 1
     assert entry.count(" fusion(") < 16
+
+
+@pytest.mark.parametrize("dt", [0.01, 1.0 / 120.0])
+def test_no_tick_after_those_of_a_run_begins_in_it(dt: float) -> None:
+    """In float32, whose time is coarser than a tick at the end of the longest runs, and exactly for short ones."""
+    draw = np.random.default_rng(1)
+    whole = np.unique(np.geomspace(1, 1e5 / dt, 4000).astype(int))
+    ends = np.concatenate([whole, *(whole + draw.uniform(*beside, len(whole)) for beside in ((-1e-5, 1e-5), (0, 1)))])
+    ticks = ticks_until(ends * dt, dt)
+
+    @jax.jit
+    @jax.vmap
+    def begins(end: jax.Array, tick: jax.Array) -> jax.Array:
+        return begins_in_run(Window(begin=jnp.zeros(()), end=end, distance=jnp.asarray(1e6)), tick * dt, dt)
+
+    for later in range(3):
+        assert not np.asarray(begins(ends * dt, ticks + later)).any()
+    short = whole[whole * dt < 30.0]
+    np.testing.assert_array_equal(ticks_until(short * dt, dt), short + 1)

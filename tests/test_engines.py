@@ -149,6 +149,20 @@ def test_mjx_varies_the_body_within_a_batch_as_c_does(simulator, compilations):
     assert not np.array_equal(others.metrics["speed"], mjx["speed"])
 
 
+@pytest.mark.parametrize("engine", ["c", pytest.param("mjx", marks=pytest.mark.slow)])
+def test_a_run_that_may_end_early_measures_its_last_tick(walks, simulator, engine: str) -> None:
+    """Whatever is beside it: runs that end within the same tick, the last one of a block, or later ones."""
+    walks(engine)
+    sim, warmup = simulator(engine, spine="stride_extension"), np.full(8, 0.05)
+    alike, mixed = np.full(8, 0.245), 0.01 * np.array([24.5, 24.0, 25.0, 30.0, 49.5, 24.5, 26.0, 20.0])
+    found = [sim.run(WALKS, Run(duration=end, warmup=warmup, distance=1.0), record=True) for end in (alike, mixed)]
+    for result, end in zip(found, (alike, mixed), strict=True):
+        np.testing.assert_allclose(result.metrics["duration"], end - warmup, atol=1e-6)
+    for name in found[0].metrics:
+        same = [result.metrics[name][alike == mixed] for result in found]
+        np.testing.assert_allclose(*same, rtol=1e-5, atol=1e-7, err_msg=name)
+
+
 @pytest.mark.slow
 def test_new_values_never_recompile_on_mjx(walks, simulator, compilations):
     """Other parameters, and another length of the run, use the program that is there."""

@@ -24,6 +24,7 @@ from nermo_mjx.rollout import metrics as measures
 from nermo_mjx.rollout.electrical import Supply
 from nermo_mjx.rollout.loop import checked_loop, loop_parameters
 from nermo_mjx.rollout.own_metrics import OwnMetric
+from nermo_mjx.rollout.path_metrics import ticks_until
 from nermo_mjx.rollout.run import Run, StartPose
 from nermo_mjx.rollout.setup import Setup, Window, WorldParameters, with_own
 from nermo_mjx.shapes import Array, Scalar
@@ -139,7 +140,7 @@ class Rollout:
         begin, end = self.length.seconds(canonical(self.controller.cycle_rate(params.control)))
         window = Window(begin=jnp.asarray(begin, float), end=jnp.asarray(end, float), distance=jnp.asarray(1e6))
         loop = loop_parameters(self.robot, params, window, values)
-        ticks = math.ceil(self.seconds(values, policy) / self.controller.dt - 1e-6) + 1
+        ticks = int(ticks_until(self.seconds(values, policy), self.controller.dt))
         if qpos is None:
             geometry = params.model.geometry if names_geometry(values) else None
             qpos = self.start.qpos(self.loop.control_at(loop, 0.0), params.start, loop.terrain, geometry)

@@ -11,6 +11,7 @@ from typing import Any, Final, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Float
 
 from nermo_mjx.rollout.setup import Window
@@ -96,6 +97,21 @@ def measured_part(
 def begins_in_run(window: Window, time: Scalar, dt: float) -> Truth:
     """Whether the tick [time - dt, time] begins before the run's end, which every world of a batch simulates."""
     return time - window.end < (1.0 - _ROUNDING) * dt
+
+
+def ticks_until(end: Any, dt: float) -> np.ndarray:
+    """Control ticks of a run that ends then [s], after which no metric of it changes.
+
+    >>> ticks_until([3.25, 3.245], 0.01)
+    array([326, 326])
+
+    A tick is measured one tick later, when its readings have arrived. Where float32 time is coarser than `_ROUNDING` of
+    a tick, one more may begin before the end, and is simulated, too.
+    """
+    last = np.asarray(end, float) / dt
+    coarse = 2.0 * jnp.finfo(jax.dtypes.canonicalize_dtype(float)).eps * last
+    ticks: np.ndarray = np.ceil(last - _ROUNDING + coarse).astype(int) + 1
+    return ticks
 
 
 # ---

@@ -24,6 +24,7 @@ from nermo_mjx.rollout import metrics as measures
 from nermo_mjx.rollout.electrical import Supply
 from nermo_mjx.rollout.loop import LoopParameters, checked_loop, loop_parameters, terrain_of
 from nermo_mjx.rollout.own_metrics import OwnMetric
+from nermo_mjx.rollout.path_metrics import ticks_until
 from nermo_mjx.rollout.run import LONGEST, Lanes, Run, StartPose, too_many
 from nermo_mjx.rollout.saving import Keeper, Saving, Series
 from nermo_mjx.rollout.setup import Setup, Window, WorldParameters, with_own, without_presettings
@@ -51,6 +52,12 @@ class History:
     ctrl: np.ndarray
     sensors: dict[str, np.ndarray]
 
+    def until(self, ticks: int) -> History:
+        """The first ticks."""
+        arrays = {name: getattr(self, name)[:, :ticks] for name in ("qpos", "qvel", "ctrl")}
+        sensors = {name: values[:, :ticks] for name, values in self.sensors.items()}
+        return History(self.time[:ticks], **arrays, sensors=sensors)
+
 
 @dataclasses.dataclass(frozen=True)
 class RunResult:
@@ -64,6 +71,7 @@ class RunResult:
         named: the explicitly named ones.
         engine: that was used.
         steps: physics steps of one world.
+        ticks: control ticks of each world (n,), whatever ran beside it: until it was done.
         wall_seconds: time spent.
         compile_seconds: the part of it that JAX spent on tracing, and on compiling programs or reading them from its
             cache; 0 if all programs had run before.
@@ -79,6 +87,7 @@ class RunResult:
     named: tuple[str, ...]
     engine: str
     steps: int
+    ticks: np.ndarray
     wall_seconds: float = 0.0
     compile_seconds: float = 0.0
     trace: History | None = None
@@ -104,7 +113,8 @@ class RunResult:
             raise ParameterError("record is False: a recording needs Simulator.run(..., record=True).")
         if not 0 <= world < len(self.status):
             raise ParameterError(f"world is {world}: allowed is 0 to {len(self.status) - 1}.")
-        return recording_of(self.trace, self.setup.load().model, world=world, metadata=plain(self.about(world)))
+        model, metadata = self.setup.load().model, plain(self.about(world))
+        return recording_of(self.trace.until(int(self.ticks[world])), model, world=world, metadata=metadata)
 
     def about(self, world: int = 0) -> dict[str, Any]:
         """Description and results of one world: `metrics`, `parameters`, `setup`, `run`, `engine` and `versions`; and
@@ -161,7 +171,7 @@ class Batch:
         params: the loop's, every leaf with a leading world axis, in JAX's default precision.
         qpos: start poses (n, nq).
         fields: model fields that differ between worlds, (n, ...) each.
-        ticks: control ticks until the last world is done.
+        ticks: control ticks until each world is done (n,).
         may_end_early: whether worlds are finished when they have walked their distance.
         mass, gravity: of each robot (n,) [kg, m/s^2].
         supply: servos and battery, leaves (n,).
@@ -171,7 +181,7 @@ class Batch:
     params: LoopParameters
     qpos: np.ndarray
     fields: dict[str, np.ndarray]
-    ticks: int
+    ticks: np.ndarray
     may_end_early: bool
     mass: np.ndarray
     gravity: np.ndarray
@@ -266,7 +276,7 @@ class Simulator:
             params=default_precision(loop),
             qpos=self.start.batch(self.loop.control_at(loop, 0.0), params.start, terrain, geometry),
             fields=self.variation.batch(params.model, worlds, values),
-            ticks=int(np.ceil(window.end.max() / self.controller.dt - 1e-6)) + 1,
+            ticks=ticks_until(end, self.controller.dt),
             may_end_early=run.distance is not None,
             mass=mass,
             supply=Supply.of(params.model),
@@ -326,10 +336,10 @@ class Simulator:
         notify: Callable[[str], None] | None,
         keeper: Keeper | None,
     ) -> RunResult:
-        traced = record or keeper is not None
-        if (needed := TICK_BYTES * batch.ticks * len(batch.qpos)) > MOST_RECORDED and record:
+        traced, ends, ticks = record or keeper is not None, batch.ticks, int(batch.ticks.max())
+        if (needed := TICK_BYTES * ticks * len(batch.qpos)) > MOST_RECORDED and record:
             raise ParameterError(
-                f"the recording of {batch.ticks:,} ticks of {len(batch.qpos):,} worlds takes {needed / 1e9:,.1f} GB: "
+                f"the recording of {ticks:,} ticks of {len(batch.qpos):,} worlds takes {needed / 1e9:,.1f} GB: "
                 f"allowed are {MOST_RECORDED / 1e9:g} GB; take a shorter run, or fewer at once."
             )
         program = (len(batch.qpos), tuple(batch.fields), traced)
@@ -338,50 +348,53 @@ class Simulator:
         self._compiled.add(program)
         session = self.engine.open(batch.params, batch.qpos, batch.fields)
         # Whole blocks only: a recorded block of another length would need another program.
-        ticks = -(-batch.ticks // BLOCK) * BLOCK if traced else batch.ticks
+        ticks = -(-ticks // BLOCK) * BLOCK if traced else ticks
         traces: list[Trace] = []
+        unsolved = np.zeros(len(ends), int)
         for begin in range(0, ticks, BLOCK):
-            size = min(BLOCK, ticks - begin)
-            done = begin + size
+            done = min(begin + BLOCK, ticks)
             if traced:
-                trace = session.record(size)
+                trace = session.record(done - begin)
                 if record:
                     traces.append(trace)
                 if keeper is not None:
                     keeper.add(trace)
             else:
-                session.advance(size)
-            over = done * self.controller.dt > np.asarray(batch.params.window.end) + 1e-6
+                session.advance(done - begin)
             if batch.may_end_early:
                 state = session.loop_state.metrics
-                over |= np.asarray(state.finished) | np.asarray(state.fell) | np.asarray(state.diverged)
-                ticks = done if over.all() else ticks
+                early = np.asarray(state.finished) | np.asarray(state.fell) | np.asarray(state.diverged)
+                ends = np.where(early, np.minimum(ends, done), ends)
+            over = ends <= done
+            if (last := over & (ends > begin)).any():
+                unsolved[last] = session.unsolved[last]
             if not record:
                 session.retire(over)
             if progress:
-                progress(done / ticks)
-            if done >= ticks:
+                progress(1.0 if over.all() else done / ticks)
+            if over.all():
                 break
 
         measured = self._results(session.loop_state.metrics, batch.mass, batch.gravity, batch.supply)
         table = {name: np.asarray(column, float) for name, column in measured.items()}
-        unsolved = session.unsolved > UNSOLVED * ticks * self.loop.steps_per_tick
         return RunResult(
             metrics=table,
-            status=measures.endings(table, unsolved),
+            status=measures.endings(table, unsolved > UNSOLVED * ends * self.loop.steps_per_tick),
             setup=self.setup,
             length=batch.length,
             worlds=batch.worlds,
             named=batch.named,
             engine=self.engine.name,
-            steps=ticks * self.loop.steps_per_tick,
-            trace=self._history(traces, batch.ticks) if record else None,
-            series=None if keeper is None else keeper.series(self._ends(batch, table)),
+            steps=done * self.loop.steps_per_tick,
+            ticks=ends,
+            trace=self._history(traces, int(ends.max())) if record else None,
+            series=None if keeper is None else keeper.series(self._ends(batch, table, ends)),
         )
 
-    def _ends(self, batch: Batch, table: Mapping[str, np.ndarray]) -> np.ndarray:
+    def _ends(self, batch: Batch, table: Mapping[str, np.ndarray], ticks: np.ndarray) -> np.ndarray:
         """When each world's run ended (n,) [s]: at its distance or at its length, or before its state diverged."""
         begin, end = np.asarray(batch.params.window.begin, float), np.asarray(batch.params.window.end, float)
+        end = np.minimum(end, ticks * self.controller.dt)
         whole = np.where(table["fell"] > 0, end, begin + table["duration"])
         return np.where(table["diverged"] > 0, table["failure_time"] - self.controller.dt, whole)
 

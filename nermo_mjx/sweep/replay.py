@@ -198,12 +198,7 @@ def replay_row(
         engine=result.engine,
         metrics=metrics,
         status=status,
-        history=dataclasses.replace(
-            trace,
-            time=trace.time[:ticks],
-            **{name: getattr(trace, name)[:, :ticks] for name in ("qpos", "qvel", "ctrl")},
-            sensors={name: values[:, :ticks] for name, values in trace.sensors.items()},
-        ),
+        history=trace.until(ticks),
         about=result.about(),
         model=simulator.robot.model,
         comparison=None if found.stored is None else agreement(found.stored, metrics, str(found.engine)),
