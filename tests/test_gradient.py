@@ -10,7 +10,6 @@ import pytest
 
 from nermo_mjx.control.parameters import ControlParameters
 from nermo_mjx.dynamics.checkpointing import checkpointed_scan
-from nermo_mjx.dynamics.constants import MassConstants
 from nermo_mjx.robot import load_robot
 from nermo_mjx.rollout import Run, Setup
 from nermo_mjx.rollout.differentiable import MOST_FORWARD, Rollout, choose_mode, value_and_gradient
@@ -18,22 +17,6 @@ from nermo_mjx.rollout.differentiable import MOST_FORWARD, Rollout, choose_mode,
 pytestmark = pytest.mark.compiles
 
 ONE_CYCLE = Run(cycles=1, warmup_cycles=0)
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_constants_that_follow_from_masses_are_mujocos(seed):
-    """`mj_setConst` of a robot whose bodies weigh otherwise; armature, tendons and servos enter it too."""
-    model = load_robot().model
-    constants = MassConstants(model)
-    other = model.__copy__()
-    scale = np.random.default_rng(seed).uniform(0.3, 3.0, model.nbody)
-    other.body_mass[:] *= scale
-    other.body_inertia[:] *= scale[:, None]
-    mujoco.mj_setConst(other, mujoco.MjData(other))
-    with jax.enable_x64(True):
-        found = constants(jnp.asarray(other.body_mass), jnp.asarray(other.body_inertia))
-    for name, values in found.items():
-        np.testing.assert_allclose(values, getattr(other, name), rtol=1e-9, err_msg=name)
 
 
 def test_readings_at_rest_are_mujocos():

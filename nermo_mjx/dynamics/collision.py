@@ -44,7 +44,7 @@ def _collider(count: int) -> Callable[[Callable[[GeomInfo, GeomInfo], Contacts]]
             dist, pos, frame = jax.vmap(function)(*pair)
             return dist.reshape(-1), pos.reshape(-1, 3), frame.reshape(-1, 3, 3)
 
-        collide.ncon = count  # type: ignore[attr-defined]
+        collide.ncon, collide.of = count, function  # type: ignore[attr-defined]
         return collide
 
     return wrap
@@ -186,7 +186,7 @@ def _round(one: GeomInfo, other: GeomInfo, shapes: list[Matrix], segment: Vector
 
     The signed distance is the largest over unit vectors n of n . apart - h(n), with h the sum of the support functions:
     sqrt(n . Q n) of an ellipsoid with the matrix Q, the radius, and |n . segment|. Of points of the segment it is
-    convex, and Newton's method finds both together. The derivative is that of the solution.
+    convex, and Newton's method finds both together. The derivatives, of any order, are those of the solution.
 
     Args:
         one, other: the geoms.
@@ -202,8 +202,8 @@ def _round(one: GeomInfo, other: GeomInfo, shapes: list[Matrix], segment: Vector
     def distance(n: Vector, between: Vector) -> Scalar:
         return n @ between - sum(height for height, _ in supports(n, shapes)) - radius
 
-    def newton(n: Vector, t: Scalar, problem: Any, damped: bool) -> tuple[Vector, Scalar]:
-        apart, shapes, segment = problem
+    def newton(n: Vector, t: Scalar, damped: bool) -> tuple[Vector, Scalar]:
+        apart, shapes, segment = fixed
         found = supports(n, shapes)
         flat = jnp.eye(3, dtype=n.dtype) - jnp.outer(n, n)
         bend = flat @ sum((q - jnp.outer(g, g)) / h for q, (h, g) in zip(shapes, found, strict=True)) @ flat
@@ -212,28 +212,42 @@ def _round(one: GeomInfo, other: GeomInfo, shapes: list[Matrix], segment: Vector
         if damped:  # where it is not concave: the lesser of both curvatures
             size, square = jnp.trace(bend), jnp.sum(bend * bend)
             lift = jnp.maximum(lift, -0.45 * (size - jnp.sqrt(jnp.maximum(2.0 * square - size * size, 0.0))))
-        inverse = jnp.linalg.inv(jax.lax.stop_gradient(bend + lift * flat + jnp.outer(n, n)))
+        inverse = jnp.linalg.inv(bend + lift * flat + jnp.outer(n, n))
         across, moved = flat @ segment, inverse @ flat @ pull
-        soft = jnp.maximum(jax.lax.stop_gradient(across @ inverse @ across), mjMINVAL)
+        soft = jnp.maximum(across @ inverse @ across, mjMINVAL)
         place = jnp.clip(t + segment @ (n + moved) / soft, -1.0, 1.0)
         change = moved - inverse @ across * (place - t)
         if damped:
             change *= jnp.minimum(1.0, 0.5 / jnp.maximum(spatial.length(change), mjMINVAL))
         return _unit(n + change), place
 
-    problem = apart, shapes, segment
-    fixed = jax.lax.stop_gradient(problem)
+    fixed = jax.lax.stop_gradient((apart, shapes, segment))
     axes = jnp.concatenate([one.mat.T, other.mat.T])
     starts = jax.lax.stop_gradient(jnp.concatenate([_unit(apart)[None], axes, -axes]))
     middle = jnp.clip(fixed[0] @ fixed[2] / jnp.maximum(fixed[2] @ fixed[2], mjMINVAL), -1.0, 1.0)
 
     def converged(n: Vector) -> tuple[Vector, Scalar]:
-        return jax.lax.fori_loop(0, ROUNDS, lambda _, at: newton(at[0], at[1], fixed, True), (n, middle))
+        return jax.lax.fori_loop(0, ROUNDS, lambda _, at: newton(*at, True), (n, middle))
 
     found = jax.vmap(converged)(starts)
     best = jnp.argmax(jax.vmap(lambda n: distance(n, apart) - jnp.abs(n @ segment))(found[0]))
     n, t = found[0][best], found[1][best]
-    n, t = newton(jax.lax.stop_gradient(n), jax.lax.stop_gradient(t), problem, False)
+    n, t = newton(n, t, False)
+    slides = (jnp.abs(t) < 1.0) & (fixed[2] @ fixed[2] > mjMINVAL**2)
+
+    def off(at: Array) -> Array:
+        """Zero at the solution: the pull across n, the length of n less 1, and the slope along the segment."""
+        way, place = _unit(at[:3]), at[3]
+        pull = apart - place * segment - sum(g for _, g in supports(way, shapes))
+        across = pull - (way @ pull) * way + at[:3] - way
+        return jnp.append(across, jnp.where(slides, way @ segment, place - t))
+
+    def tangent(linear: Callable[[Array], Array], right: Array) -> Array:
+        solution: Array = jnp.linalg.solve(jax.vmap(linear)(jnp.eye(4, dtype=right.dtype)).T, right)
+        return solution
+
+    solved = jax.lax.custom_root(off, jnp.append(n, t), lambda _, at: at, tangent)
+    n, t = solved[:3], solved[3]
     *inner, (_, outer) = supports(n, shapes)
     touched = sum((g for _, g in inner), t * segment + radius * n)
     pos = 0.5 * (one.pos + other.pos + touched - outer)

@@ -23,6 +23,8 @@ from nermo_mjx.shapes import Array
 _GROUPED = {int(mujoco.mjtJoint.mjJNT_FREE): 2, int(mujoco.mjtJoint.mjJNT_BALL): 1}
 
 
+_ON_JOINTS: Final = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
+
 #: Prefixes of the fields that the reference pose depends on.
 _PLACES: Final = ("body_", "site_", "geom_")
 
@@ -47,36 +49,57 @@ class Constants:
     """Maps masses, inertias and Jacobians of a model to the constants."""
 
     def __init__(self, model: mujoco.MjModel) -> None:
+        data = mujoco.MjData(model)
+        mujoco.mj_forward(model, data)
+        if data.warning[mujoco.mjtWarning.mjWARN_INERTIA].number:
+            raise ValueError(
+                "the inertia of the joints has no inverse at qpos0: allowed are bodies with mass, each direction of "
+                "which is moved by one joint alone, or armatures."
+            )
         below = np.eye(model.nbody)
         for body in range(model.nbody - 1, 0, -1):
             below[model.body_parentid[body]] += below[body]
         self._below = below
         self._moves = model.body_weldid != 0
         self._group = _groups(model)
-        self._armature, self._tendon_armature = model.dof_armature.copy(), model.tendon_armature.copy()
+        joints, tendons = _of_actuators(model)
+        self._armature = model.dof_armature + joints[model.dof_jntid]
+        self._tendon_armature = model.tendon_armature + tendons
+        # Bodies that only slide, and their joints, have the inverse of their mass.
+        self._slides = model.body_simple == 2
+        self._slides_of_dof, self._body_of_dof = self._slides[model.dof_bodyid], model.dof_bodyid.copy()
+        within = np.zeros((model.nv, model.nv), bool)
+        within[np.repeat(np.arange(model.nv), model.M_rownnz), model.M_colind] = True
+        self._within_branches = within | within.T
 
     def __call__(
         self, body_mass: Float[Array, " nbody"], body_inertia: Float[Array, "nbody 3"], jacobians: Jacobians
     ) -> dict[str, Float[Array, ...]]:
         """The fields of `DERIVED_FIELDS`, shaped as in `mujoco.MjModel`; masses [kg], principal moments [kg m^2]."""
         linear, angular, principal, tendon, moment = (jnp.asarray(each, float) for each in jacobians)
-        inertia = (
+        bodies = (
             jnp.einsum("b,bki,bkj->ij", body_mass, linear, linear)
             + jnp.einsum("bk,bki,bkj->ij", body_inertia, principal, principal)
             + jnp.diag(jnp.asarray(self._armature, float))
-            + jnp.einsum("t,ti,tj->ij", jnp.asarray(self._tendon_armature, float), tendon, tendon)
         )
-        inverse = jnp.linalg.inv(inertia)
+        tendons = jnp.einsum("t,ti,tj->ij", jnp.asarray(self._tendon_armature, float), tendon, tendon)
+        inverse = jnp.linalg.inv(bodies + jnp.where(self._within_branches, tendons, 0.0))
 
         def weight(jacobian: Array) -> Array:
             return jnp.einsum("...i,ij,...j->...", jacobian, inverse, jacobian)
 
         body = jnp.stack([weight(part).mean(axis=-1) for part in (linear, angular)], axis=-1)
+        dof = jnp.asarray(self._group, float) @ jnp.diag(inverse)
+        if self._slides.any():
+            sliding = 1.0 / jnp.where(self._slides, body_mass, 1.0)
+            alone = jnp.stack([sliding, jnp.zeros_like(sliding)], axis=-1)
+            body = jnp.where(self._slides[:, None], alone, body)
+            dof = jnp.where(self._slides_of_dof, sliding[self._body_of_dof], dof)
         return {
             "body_subtreemass": jnp.asarray(self._below, float) @ body_mass,
             "body_invweight0": jnp.where(self._moves[:, None], body, 0.0),
-            "dof_invweight0": jnp.asarray(self._group, float) @ jnp.diag(inverse),
-            "dof_M0": jnp.diag(inertia),
+            "dof_invweight0": dof,
+            "dof_M0": jnp.diag(bodies),
             "tendon_invweight0": weight(tendon),
             "actuator_acc0": jnp.sqrt(jnp.sum((moment @ inverse) ** 2, axis=-1)),
         }
@@ -149,6 +172,16 @@ class PlaceConstants:
         principal = jnp.einsum("bij,bik->bjk", data.ximat, angular)
         jacobians = Jacobians(linear, angular, principal, rows.inner(data).ten_J, rows.inner(data).actuator_moment)
         return self._constants(model.body_mass, model.body_inertia, jacobians)
+
+
+def _of_actuators(model: mujoco.MjModel) -> tuple[Float[np.ndarray, " njnt"], Float[np.ndarray, " ntendon"]]:
+    """The armature that actuators give each joint and tendon: theirs, times the square of the gear."""
+    joints, tendons = np.zeros(model.njnt), np.zeros(model.ntendon)
+    given = model.actuator_armature * model.actuator_gear[:, 0] ** 2
+    for kinds, of in ((_ON_JOINTS, joints), ((mujoco.mjtTrn.mjTRN_TENDON,), tendons)):
+        chosen = np.isin(model.actuator_trntype, kinds)
+        np.add.at(of, model.actuator_trnid[chosen, 0], given[chosen])
+    return joints, tendons
 
 
 def _groups(model: mujoco.MjModel) -> Float[np.ndarray, "nv nv"]:

@@ -8,7 +8,8 @@ acceleration a and all that it depends on, p,
     H da = -(dg/dp) dp,    H = dg/da = M - J^T f'(r) J.
 
 The rule is linear in dp, so JAX can transpose it: it works in forward and reverse mode and under `vmap`, for any number
-of iterations. It covers every kind of row that MJX has.
+of iterations. It covers every kind of row that MJX has. In the rule, a depends on p by the rule itself, so that it can be
+differentiated any number of times.
 
 One more step of Newton's method converges to rounding. It starts from the solver's result, which reverse mode stores,
 and uses the problem of the state, which reverse mode recomputes.
@@ -203,8 +204,9 @@ def _solution(layout: Layout, qacc: Dofs, problem: Problem) -> Dofs:
 def _(layout: Layout, primals: Any, tangents: Any) -> tuple[Array, Array]:
     qacc, problem = primals
     _, change = tangents
+    qacc = _solution(layout, qacc, problem)  # depends on the problem, for derivatives of this rule
     _, residual = jax.jvp(lambda p: constraint.gradient(layout, p, qacc), (problem,), (change,))
-    return qacc, -cho_solve(cho_factor(constraint.hessian(layout, problem, qacc)), residual)
+    return qacc, -solve_definite(constraint.hessian(layout, problem, qacc), residual)
 
 
 def _newton(layout: Layout, qacc: Dofs, problem: Problem) -> Dofs:

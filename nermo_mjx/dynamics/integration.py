@@ -54,18 +54,18 @@ def integrate(model: mjx.Model, data: mjx.Data, forward: Forward) -> mjx.Data:
 
 
 def _damped_acceleration(model: mjx.Model, data: mjx.Data) -> Dofs:
-    """Acceleration of Euler's method, implicit in the joints' damping B: (M + h B) a = q + J^T f."""
+    """Acceleration of Euler's method, implicit in the joints' damping B: (M + h B) a' = q + J^T f = M a."""
     if model.opt.disableflags & mjx.DisableBit.EULERDAMP:
         qacc: Array = data.qacc
         return qacc
-    slope = damping(model.dof_damping, model.dof_dampingpoly, data.qvel)
-    matrix = mjx.full_m(model, data) + jnp.diag(model.opt.timestep * slope)
-    return solve_definite(matrix, data.qfrc_smooth + data.qfrc_constraint)
+    held = model.opt.timestep * damping(model.dof_damping, model.dof_dampingpoly, data.qvel)
+    # Not from the forces: those of a stiff contact magnify the acceleration's rounding.
+    return data.qacc - solve_definite(mjx.full_m(model, data) + jnp.diag(held), held * data.qacc)
 
 
 @with_point_jacobians
 def _implicit_acceleration(model: Model, data: mjx.Data) -> Dofs:
-    """Acceleration implicit in velocity: (M - h D) a = q + J^T f, D the derivative of q by v, without that of the bias.
+    """Acceleration implicit in velocity: (M - h D) a' = M a, D the derivative of q by v, without that of the bias.
 
     D has the entries of the tree's inertia matrix only, as in MuJoCo C.
     """
@@ -80,16 +80,16 @@ def _implicit_acceleration(model: Model, data: mjx.Data) -> Dofs:
     both = mjx.DisableBit.SPRING | mjx.DisableBit.DAMPER
     if model.opt._impl.has_fluid_params and model.opt.disableflags & both != both:
         slope += drag_slope(model, data)
-    matrix = mjx.full_m(model, data) - model.opt.timestep * jnp.where(rows.within_branches(model), slope, 0.0)
-    force = data.qfrc_smooth + data.qfrc_constraint
-    qacc = solve_definite(matrix, force)
+    inertia, slope = mjx.full_m(model, data), model.opt.timestep * jnp.where(rows.within_branches(model), slope, 0.0)
+    qacc = data.qacc + solve_definite(inertia - slope, slope @ data.qacc)
     for body, first in _lone_bodies(model):
         of = slice(first, first + 6)
         turned = jax.jacfwd(lambda turn, body=body: _lone_bias(model, data, body, turn))(
             data.qvel[first + 3 : first + 6]
         )
-        own = matrix[of, of] + model.opt.timestep * jnp.concatenate([jnp.zeros((6, 3), turned.dtype), turned], 1)
-        qacc = qacc.at[of].set(jnp.linalg.solve(own, force[of]))
+        more = slope[of, of] - model.opt.timestep * jnp.concatenate([jnp.zeros((6, 3), turned.dtype), turned], 1)
+        change = jnp.linalg.solve(inertia[of, of] - more, more @ data.qacc[of])
+        qacc = qacc.at[of].set(data.qacc[of] + change)
     return qacc
 
 

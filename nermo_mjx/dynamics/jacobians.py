@@ -194,7 +194,9 @@ def _root(a: Scalar, b: Scalar, angle: Scalar, rounds: int, tolerance: float, fi
     start = jnp.asarray(first, angle.dtype)
     z, lost = jax.lax.fori_loop(0, rounds, next_round, (start, _apart(start, *fixed) > 0.0))
     z = jnp.where(lost, 0.5, z)
-    return z - _apart(z, a, b, angle) / slope(z), lost
+    # At the solution, for derivatives of any order.
+    z -= _apart(z, *fixed) / slope(z)
+    return jax.lax.custom_root(lambda z: _apart(z, a, b, angle), z, lambda _, z: z, lambda f, y: y / f(1.0)), lost
 
 
 def _length(vector: Point) -> Scalar:

@@ -24,7 +24,7 @@ from nermo_mjx.shapes import Array, Count, Dofs, Scalar, Truth
 
 #: Maximum number of rounds. Walks, falls and impacts need 3.5 on average and 10 at most; at the ends of the contacts'
 #: ranges 1 to 3 states in 1,000 need more than 20.
-ROUNDS: Final = 20
+ROUNDS: Final = 100
 #: Rounds on an accelerator, where a loop with a stopping criterion would wait for the host in each round.
 FIXED: Final = 10
 #: Shares of a step at which the slope along it is evaluated, all at once, on a finer grid than a single step would
