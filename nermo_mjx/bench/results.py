@@ -15,7 +15,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 from pydantic import BaseModel, ConfigDict
 
 from nermo_mjx.bench import CASES
-from nermo_mjx.files import FileError, json_of
+from nermo_mjx.files import MOST_ARRAYS, FileError, json_of, read_bytes
 from nermo_mjx.plotting.charts import horizontal_grid, page
 from nermo_mjx.plotting.files import Figures, write_figures
 from nermo_mjx.plotting.style import BEST, INK, LINE, MUTED
@@ -173,7 +173,7 @@ class History:
 
 def append(path: Path, run: Mapping[str, Any]) -> None:
     """Append a run, see `run_bench`, to a file as one line; existing lines are unchanged."""
-    before = path.read_bytes() if path.exists() else b""
+    before = read_bytes(path, MOST_ARRAYS) if path.exists() else b""
     if before and not before.endswith(b"\n"):  # truncated when the process was killed
         before += b"\n"
     replace_file(path, before + json.dumps(run).encode() + b"\n")
@@ -187,7 +187,7 @@ def read(folder: Path) -> History:
     """
     found: dict[str, dict[tuple[Any, ...], Measured]] = {}
     unreadable, remarks, commits, count = list[str](), list[str](), dict[str, None](), 0
-    for number, text in enumerate((folder / RESULTS).read_bytes().splitlines(), 1):
+    for number, text in enumerate(read_bytes(folder / RESULTS, MOST_ARRAYS).splitlines(), 1):
         try:
             run = json_of(text, _Run, RESULTS)
             about, day = run["hardware"], run["date"][:10]
