@@ -1,12 +1,13 @@
 """Files that a stranger may have made: read with a limit, against a declared shape, and never run.
 
-Every loader of the package reads its file here, and raises a `FileError` for whatever is wrong with it: sizes are
-looked at before anything of that size is made. What a command shows of such a file, and whose Python is run, is in
-`nermo_mjx.trust`.
+Every loader of the package opens its file here, and raises a `FileError` for whatever is wrong with it: nothing is
+waited for, and sizes are looked at before anything of that size is made. What a command shows of such a file, and whose
+Python is run, is in `nermo_mjx.trust`.
 """
 
 from __future__ import annotations
 
+import errno
 import functools
 import io
 import math
@@ -15,7 +16,7 @@ import stat
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, BinaryIO, Final
 
 import numpy as np
 from pydantic import TypeAdapter, ValidationError
@@ -26,25 +27,54 @@ from nermo_mjx.trust import FileError, one_line
 #: Bytes of a file of arrays or a table, and of all its arrays; of a JSON file, whose values take up to 30 times that.
 MOST_ARRAYS: Final = 1 << 28
 MOST_JSON: Final = 1 << 24
+#: Bytes of any file: those of the longest walk that is recorded.
+MOST_FILE: Final = 1 << 32
 #: Arrays in a file.
 _MOST_NAMES: Final = 1000
+
+
+class UnfitFile(FileError, OSError):
+    """A file that is not read: a pipe, a device, or one that is too large."""
+
+    def __init__(self, path: Path, why: str) -> None:
+        OSError.__init__(self, errno.EINVAL, why, str(path))
+
+    def __str__(self) -> str:
+        return f"{self.filename}: {self.strerror}."
+
+
+def opened(path: Path) -> BinaryIO:
+    """A regular file, open for reading.
+
+    Raises:
+        UnfitFile: it is none.
+        OSError: it cannot be opened.
+    """
+
+    def ready(name: str, flags: int) -> int:  # a pipe without a writer would wait for one
+        return os.open(name, flags | getattr(os, "O_NONBLOCK", 0))
+
+    file = open(path, "rb", opener=ready)  # noqa: SIM115 - the caller closes it
+    # What is judged is what was opened: a name may mean another file by now.
+    if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+        file.close()
+        raise UnfitFile(path, "not a regular file")
+    return file
 
 
 def read_bytes(path: Path, most: int) -> bytes:
     """The content of a regular file of at most `most` bytes.
 
     Raises:
-        FileError: it is larger, or no regular file.
+        UnfitFile: it is larger, or no regular file.
         OSError: it cannot be read.
     """
-    # A pipe without a writer would wait for one.
-    with open(path, "rb", opener=lambda name, flags: os.open(name, flags | getattr(os, "O_NONBLOCK", 0))) as file:
-        about = path.stat()
-        if not stat.S_ISREG(about.st_mode):
-            raise FileError(f"{path}: not a regular file.")
-        if about.st_size > most:
-            raise FileError(f"{path}: it has {_megabytes(about.st_size)}: allowed are {_megabytes(most)}.")
-        return file.read(most)
+    with opened(path) as file:
+        size = os.fstat(file.fileno()).st_size
+        content = file.read(most + 1) if size <= most else b""  # some have more than they say, as in /proc
+    if max(size, len(content)) > most:
+        raise UnfitFile(path, f"it has {_megabytes(max(size, len(content)))}: allowed are {_megabytes(most)}")
+    return content
 
 
 def json_of(content: bytes | str, shape: Any, called: object) -> Any:

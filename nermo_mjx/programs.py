@@ -22,6 +22,7 @@ from typing import Any, Final
 import jax
 from jax import export
 
+from nermo_mjx.files import MOST_ARRAYS, read_bytes
 from nermo_mjx.runtime import cache_directory, compiler_options
 
 #: Largest total size of all files; the least recently used are removed.
@@ -125,7 +126,7 @@ def _sources() -> str:
 def _read(path: Path) -> export.Exported | None:
     """The program of a file; None if there is none, or if it is damaged."""
     with contextlib.suppress(OSError):
-        content = path.read_bytes()
+        content = read_bytes(path, MOST_ARRAYS)
         head, content = content[: len(_HEAD) + 32], content[len(_HEAD) + 32 :]
         if head == _HEAD + hashlib.sha256(content).digest():
             with contextlib.suppress(Exception):  # any error from JAX about an unknown file

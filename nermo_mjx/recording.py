@@ -18,15 +18,12 @@ import numpy as np
 from jaxtyping import Float
 from pydantic import BaseModel
 
-from nermo_mjx.files import FileError, arrays_of, check_arrays, json_of, read_bytes
+from nermo_mjx.files import MOST_FILE, FileError, arrays_of, check_arrays, json_of, read_bytes
 
 #: Version of the file's layout; a reader refuses any other.
 LAYOUT: Final = 1
 _MARK: Final = "nermo_mjx recording"
 _REMEDY: Final = "nermo-mjx walk --record FILE.npz writes one"
-#: Most bytes of a file: those of the longest walk that is recorded.
-MOST_BYTES: Final = 1 << 32
-
 
 #: The arrays of a file, T samples each; with them a text `header`, and `sensor.NAME`.
 _ARRAYS: Final[dict[str, tuple[str, tuple[Any, ...]]]] = {
@@ -131,7 +128,7 @@ class Recording:
             RecordingError: there is no such file, it is something else, or of another version.
         """
         try:
-            arrays = arrays_of(read_bytes(Path(path), MOST_BYTES), path)
+            arrays = arrays_of(read_bytes(Path(path), MOST_FILE), path)
             if arrays.get("header", np.zeros(1)).dtype.kind != "U":
                 raise RecordingError(f"{path}: not a recording of nermo_mjx; {_REMEDY}.")
             header = json_of(str(arrays.pop("header")), _Header, path)

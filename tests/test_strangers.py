@@ -315,7 +315,7 @@ def mutated_table(content: bytes, draw: random.Random) -> bytes:
     assert table is not None
     at = draw.randrange(table.num_columns)
     field, column = table.schema.field(at), table.column(at)
-    act = draw.randrange(6)
+    act = draw.randrange(7)
     if act == 0:
         table = table.remove_column(at)
     elif act == 1:
@@ -333,6 +333,9 @@ def mutated_table(content: bytes, draw: random.Random) -> bytes:
         about = dict(table.schema.metadata or {b"a": b""})
         about[draw.choice([*about])] = draw.choice((b"", b"\xff", b"[1]", b"{", b"null", b"9" * 400, b'{"a": {}}'))
         table = table.replace_schema_metadata(about)
+    elif act == 5:
+        some = [None if draw.random() < 0.5 else value for value in column.to_pylist()]
+        table = table.set_column(at, field, pa.array(some, field.type))
     else:
         table = table.slice(0, draw.choice((0, 1)))
     stream = io.BytesIO()

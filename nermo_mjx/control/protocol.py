@@ -26,6 +26,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from nermo_mjx.control.path import PathPoint
+from nermo_mjx.files import MOST_ARRAYS, MOST_JSON, read_bytes
 from nermo_mjx.kinematics.leg import four_legs, inverse
 from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.parameters import Sensors, ServoAngles
@@ -184,7 +185,7 @@ class Source:
                 raise ParameterError(f"{self.subject}: there is no module {self.place!r} here; expected {self.form}.")
             path = Path(spec.origin)
         try:
-            return str(path.resolve()), path.read_bytes()
+            return str(path.resolve()), read_bytes(path, MOST_JSON)
         except OSError as error:
             raise ParameterError(f"{self.subject}: {path} cannot be read ({error.strerror}).") from None
 
@@ -302,7 +303,7 @@ def controller_digest(where: str) -> str:
     """
     if is_data(where):
         load_controller(where)
-        return hashlib.sha256(Path(where).read_bytes()).hexdigest()[:16]
+        return hashlib.sha256(read_bytes(Path(where), MOST_ARRAYS)).hexdigest()[:16]
     source = _source(where)
     return source.digest(source.name)
 

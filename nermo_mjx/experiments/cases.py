@@ -14,6 +14,7 @@ import yaml
 
 from nermo_mjx.control.parameters import AS_BUILT, PUBLISHED_CLOCK_RATIO, body_values, published_values
 from nermo_mjx.control.protocol import ActsUpon, controller_digest, load_controller
+from nermo_mjx.files import MOST_ARRAYS, read_bytes
 from nermo_mjx.recording import Recording, recording_of
 from nermo_mjx.robot import ParameterError
 from nermo_mjx.robot.quantity import choice, quantities
@@ -139,7 +140,7 @@ class ReplacementPolicy:
                 f"controller is {where!r}, which has parameters of its own: allowed is a policy FILE.npz, since the "
                 "cases of an experiment set those of the published controller."
             )
-        return cls(acts, f"{Path(where).name} {controller_digest(where)}", Path(where).read_bytes())
+        return cls(acts, f"{Path(where).name} {controller_digest(where)}", read_bytes(Path(where), MOST_ARRAYS))
 
     @property
     def file(self) -> str:

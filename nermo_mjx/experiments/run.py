@@ -140,7 +140,7 @@ class Directory:
                 slug = re.sub(r"[^a-z0-9.]+", "-", title.lower()).strip("-.").removeprefix(f"{name}-") or "run"
                 file = self.out / "recordings" / f"{name}-{slug}.npz"
                 files[title] = file if file not in files.values() else file.with_stem(f"{file.stem}-{len(files)}")
-                written.make(files[title], recording.save)
+                written.write(files[title], recording.content())
         notes = to_json({**about, "recordings": {title: file.name for title, file in files.items()}}).decode()
         written.write(path, parquet_bytes(table_of(outcome, {"about": notes}, about["code"])))
         written.note()

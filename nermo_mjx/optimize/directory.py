@@ -30,8 +30,8 @@ from typing import Any, Final, NamedTuple, TypeVar
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 
+from nermo_mjx.files import MOST_FILE, read_bytes
 from nermo_mjx.optimize.estimators import Mixture, Smoothed
 from nermo_mjx.optimize.methods import (
     Iterate,
@@ -447,8 +447,8 @@ def keep_recording(held: RunDirectory, tuning: Tuning, warn: Callable[[str], Non
     folder = held.out.resolve()
     if tuning.recording is None or tuning.recording.parent == folder:
         return tuning
-    content = tuning.recording.read_bytes()
-    if content_of(folder / RECORDING) != content:
+    content = read_bytes(tuning.recording, MOST_FILE)
+    if content_of(folder / RECORDING, MOST_FILE) != content:
         held.set_aside("another recording", [RECORDING], warn)
         held.write(RECORDING, content)
     return dataclasses.replace(tuning, recording=folder / RECORDING)
@@ -519,7 +519,10 @@ class Batches:
         if begun is None or begun.to_yaml(folder) != search.to_yaml(folder):  # as with more recordings
             held.write(SEARCH, search.to_yaml(folder).encode())
         self.runs = Runs(self.out, search.digest(), warn=warn, held=held)
-        self._parts = {int(pq.read_metadata(part.path).metadata[b"chunk"]): part for part in self.runs.parts}
+        self._parts = {}
+        for part in self.runs.parts:
+            with opened(part.path) as file:
+                self._parts[int(file.metadata.metadata[b"chunk"])] = part
 
     def read(self, batch: int, rows: Rows) -> pa.Table | None:
         """The table of a batch, if it is there with these rows (see `APART`); with others it is moved aside.
@@ -857,7 +860,8 @@ def find_evaluation(out: str | os.PathLike[str], row: int) -> SweepRow:
     values = {name: np.array([stored[name]]) for name in columns_of(table, "varied", "randomized")}
     index = {name: np.array([stored[name]]) for name in ("variant", "repeat", "seed")}
     line = Rows(**index, values=values, structure=np.zeros(1, int))
-    engine = pq.read_schema(part_files(out)[0]).metadata[b"engine"].decode()
+    with opened(part_files(out)[0]) as file:
+        engine = file.schema_arrow.metadata[b"engine"].decode()
     return SweepRow(out, search.sweep, row, line, engine, stored)
 
 

@@ -21,6 +21,7 @@ import mujoco
 import numpy as np
 from jax.typing import ArrayLike
 
+from nermo_mjx.files import opened, read_bytes
 from nermo_mjx.robot.model_parameters import ModelParameters, gravity_values
 from nermo_mjx.robot.parts import load_file, scene_files
 from nermo_mjx.robot.quantity import ParameterError, check_quantities, replace_quantities
@@ -94,6 +95,8 @@ def resolve_scene(scene: Scene) -> str:
         return str(scene)
     if isinstance(scene, str) and is_mjcf(scene):
         return _from_text(scene)
+    if not isinstance(scene, str | os.PathLike):
+        raise ParameterError(f"scene is {scene!r}: expected a name, or the path of an MJCF file (.xml).")
     path = Path(scene)
     if not os.path.isfile(path):
         if path.suffix != ".xml":
@@ -101,7 +104,7 @@ def resolve_scene(scene: Scene) -> str:
             raise ParameterError(f"scene is {str(scene)!r}: allowed is {names} or the path of an MJCF file (.xml).")
         raise ParameterError(f"scene is {str(scene)!r}: there is no such file.")
     with _refusals(repr(str(scene))):
-        _check_sizes(_tree(path), path.parent, repr(str(scene)))
+        _check_sizes(ElementTree.fromstring(read_bytes(path, _MOST_FILE)), path.parent, repr(str(scene)))
         spec = mujoco.MjSpec.from_file(str(path))
     return _text(spec, repr(str(scene)))
 
@@ -189,37 +192,36 @@ def _refusals(called: str) -> Iterator[None]:
 #: What MuJoCo may make of a scene: elements, and bytes of its textures, height fields and numbers.
 _MOST_ELEMENTS: Final = 100_000
 _MOST_BYTES: Final = 1 << 27
+#: Bytes of an MJCF file.
+_MOST_FILE: Final = 1 << 24
 #: Elements of which MuJoCo makes many that only the robot may have.
 _MAKERS: Final = ("composite", "flexcomp")
-
-
-def _tree(path: Path) -> ElementTree.Element:
-    """The elements of an MJCF file; raises as `_refusals` tells."""
-    if path.stat().st_size > _MOST_BYTES // 8:
-        raise ValueError(f"{path.name} has {path.stat().st_size:,} bytes, and allowed are {_MOST_BYTES // 8:,}")
-    return ElementTree.fromstring(path.read_bytes())
 
 
 def _check_sizes(root: ElementTree.Element, home: Path, called: str) -> None:
     """Refuse MJCF of which MuJoCo would make more than fits: it allocates whatever a few numbers ask for.
 
     Raises:
-        ParameterError: names the element, what it asks for, and what is allowed.
+        ParameterError: names the element, what it asks for, and what is allowed; for the others see `_refusals`.
     """
     elements = size = 0.0
-    waiting, files = [(root, 1.0)], set[Path]()
+    waiting, included = [(root, home, 1.0)], set[Path]()
     while waiting:
-        element, copies = waiting.pop()
+        element, home, copies = waiting.pop()
         given = element.attrib
         if element.tag in _MAKERS:
             raise ParameterError(f"scene is {called}: it has a {element.tag}: only the robot may move.")
         if element.tag == "replicate":
             copies *= max(_number(given, "count"), 1.0)
         elif element.tag in ("include", "model") and "file" in given:
-            path = (home / given["file"]).resolve()
-            if path not in files:  # MuJoCo includes no file twice
-                files.add(path)
-                waiting.append((_tree(path), copies))
+            path = home / given["file"]
+            if element.tag == "model" or path.resolve() not in included:  # MuJoCo includes no file twice
+                content = read_bytes(path, _MOST_FILE)
+                size += len(content)
+                # As MuJoCo does: a model's files are named from its own folder, those of an included file from here.
+                inside = path.parent if element.tag == "model" else home
+                waiting.append((ElementTree.fromstring(content), inside, copies))
+            included.add(path.resolve())
         elif element.tag == "size":
             size += 8 * _MOST_ELEMENTS * sum(_number(given, name) for name in given if name.startswith("nuser_"))
             size += 8 * (_number(given, "nkey") + _number(given, "nuserdata"))
@@ -236,7 +238,7 @@ def _check_sizes(root: ElementTree.Element, home: Path, called: str) -> None:
                 raise ParameterError(
                     f"scene is {called}: with its {element.tag} it asks for {count:,.0f} {what}: allowed are {most:,}."
                 )
-        waiting += [(child, copies) for child in element]
+        waiting += [(child, home, copies) for child in element]
 
 
 def _number(given: Mapping[str, str], name: str) -> float:
@@ -366,8 +368,8 @@ def _check_files(spec: mujoco.MjSpec, called: str) -> None:
         *(file for each in spec.textures for file in each.cubefiles),
     )
     for path in map(Path, filter(None, named)):
-        with open(path, "rb") as file:
-            size, head = path.stat().st_size, file.read(24)
+        with opened(path) as file:
+            size, head = os.fstat(file.fileno()).st_size, file.read(24)
         if head.startswith(b"\x89PNG"):
             size = 4 * int.from_bytes(head[16:20], "big") * int.from_bytes(head[20:24], "big")
         if size > _MOST_BYTES:

@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 import orbax.checkpoint as ocp
 
+from nermo_mjx.files import MOST_FILE, read_bytes
 from nermo_mjx.runs.directory import RunDirectory
 from nermo_mjx.runs.files import DirectoryError, replace_file
 
@@ -93,8 +94,8 @@ class Checkpoints:
             for number in sorted(self._manager.all_steps(), reverse=True):
                 try:  # distinguish an unresponsive disk from a damaged file, which Orbax does not
                     for path in (self.folder / str(number)).rglob("*"):
-                        if path.is_file():
-                            path.read_bytes()
+                        if not path.is_dir():
+                            read_bytes(path, MOST_FILE)
                 except OSError as error:
                     raise self._unreadable(number, error) from error
                 found = self._read(number, like)

@@ -21,7 +21,7 @@ from typing import Any, Final, TypeVar
 
 from pydantic import BaseModel
 
-from nermo_mjx.files import MOST_JSON, FileError, json_of, read_bytes
+from nermo_mjx.files import MOST_FILE, MOST_JSON, FileError, UnfitFile, json_of, read_bytes
 from nermo_mjx.runs.code import CodeStamp, known
 from nermo_mjx.runs.files import (
     TEMPORARY,
@@ -377,7 +377,10 @@ class Written:
         with clear_errors(self.held.out):
             if path.is_dir():
                 return "a folder"
-            return digest(path.read_bytes()) if path.exists() else None
+            try:
+                return digest(read_bytes(path, MOST_FILE)) if path.exists() else None
+            except UnfitFile:
+                return "not the program's own"
 
 
 def digest(content: bytes) -> str:

@@ -12,6 +12,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from nermo_mjx.files import MOST_ARRAYS, MOST_JSON, json_of, opened, read_bytes
 from nermo_mjx.trust import FileError
 
 if TYPE_CHECKING:
@@ -130,14 +131,14 @@ def parquet_bytes(table: pa.Table) -> bytes:
     return bytes(sink.getvalue().to_pybytes())
 
 
-def content_of(path: Path) -> bytes | None:
-    """The content of a file; None if it does not exist.
+def content_of(path: Path, most: int = MOST_ARRAYS) -> bytes | None:
+    """The content of a file of at most `most` bytes; None if it does not exist.
 
     Raises:
         DirectoryError: it cannot be read now. It may be intact, so it must not be recreated.
     """
     try:
-        return path.read_bytes()
+        return read_bytes(path, most)
     except FileNotFoundError:
         return None
     except OSError as error:
@@ -164,7 +165,8 @@ _MOST_CELLS: Final = 1 << 28
 _MOST_SPREAD: Final = 100
 
 
-def parquet_file(source: Any, ours: bool = True, **options: Any) -> pq.ParquetFile:
+@contextlib.contextmanager
+def parquet_file(source: Path | pa.BufferReader, ours: bool = True, **options: Any) -> Iterator[pq.ParquetFile]:
     """A Parquet file whose pages are checked as they are read, opened; `ours` as for `parquet_table`.
 
     Raises:
@@ -174,30 +176,45 @@ def parquet_file(source: Any, ours: bool = True, **options: Any) -> pq.ParquetFi
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    file = pq.ParquetFile(source, page_checksum_verification=True, **options)
-    try:
-        about, size = file.metadata, source.size() if hasattr(source, "size") else os.path.getsize(source)
+    with opened(source) if isinstance(source, Path) else source as held:
+        size, options = held.seek(0, os.SEEK_END), {"page_checksum_verification": True, **options}
+        file, most = pq.ParquetFile(held, **options), max(_MOST_CELLS, _MOST_SPREAD * size)
+        about, schema = file.metadata, file.schema_arrow
         cells = 8 * about.num_rows * about.num_columns
-        if about.num_rows < 0 or cells > max(_MOST_CELLS, _MOST_SPREAD * size):
+        if about.num_rows < 0 or cells > most:
             raise ValueError(f"it promises {about.num_rows:,} rows of {about.num_columns:,} columns in {size:,} bytes")
-        schema = file.schema_arrow
+        texts = list[str]()
         for field in schema:
-            plain = pa.types.is_primitive(field.type) or pa.types.is_string(field.type) or pa.types.is_null(field.type)
-            if ours and (not plain or schema.names.count(field.name) > 1):
-                raise ValueError(f"its column {field.name!r} is of type {field.type}, or there twice")
+            kind = field.type.value_type if pa.types.is_dictionary(field.type) and not ours else field.type
+            if not (pa.types.is_primitive(kind) or pa.types.is_null(kind)):
+                texts.append(field.name)
+                of_text = pa.types.is_string(kind) or (pa.types.is_large_string(kind) and not ours)
+                if not of_text:
+                    raise ValueError(f"its column {field.name!r} is of type {field.type}")
+            if ours and schema.names.count(field.name) > 1:
+                raise ValueError(f"its column {field.name!r} is there twice")
         for each in (schema, *schema):
             for key, value in (each.metadata or {}).items():
                 (key + value).decode()
-    except BaseException:
-        file.close()
-        raise
-    return file
+        if texts:
+            encoded = pq.ParquetFile(held, read_dictionary=texts, **options)
+            for batch in encoded.iter_batches(1 << 16, columns=texts, use_threads=False):
+                cells += sum(_length(column) for column in batch.columns)
+                if cells > most:
+                    raise ValueError(f"its texts unpack to more than {most:,} bytes")
+        yield file
+
+
+def _length(texts: pa.Array) -> int:
+    """Bytes of all texts, whose different ones are there once each."""
+    import pyarrow.compute as pc
+
+    lengths = pc.binary_length(getattr(texts, "dictionary", texts))
+    return pc.sum(lengths.take(texts.indices) if hasattr(texts, "indices") else lengths).as_py() or 0
 
 
 def stored_json(path: Path, shape: Any = dict[str, Any]) -> Any:
     """What a JSON file of a directory says; None if it is absent or damaged, or has not its declared shape."""
-    from nermo_mjx.files import MOST_JSON, json_of, read_bytes
-
     try:
         return json_of(read_bytes(path, MOST_JSON), shape, path)
     except (OSError, FileError):

@@ -29,6 +29,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
+from nermo_mjx.files import MOST_FILE, read_bytes
 from nermo_mjx.runs.code import CodeStamp
 from nermo_mjx.runs.directory import OtherCode, RunDirectory, codes_of, digest, remove_leftovers
 from nermo_mjx.runs.files import DirectoryError, clear_errors, parquet_bytes, parquet_file, parquet_table, sync_folder
@@ -181,8 +182,10 @@ class Runs:
                 if content is not None:
                     with parquet_file(pa.BufferReader(content)) as file:
                         part = Part.of(path, file.metadata.num_rows, file.metadata.metadata or {})
-                        numbers = file.read(["row"])["row"].to_numpy() if own else None
-                    if self._series and (part.series is None or _content(part.series)[0] is None):
+                        row = file.read(["row"])["row"]
+                        flaw = "has rows without a number" if row.null_count else ""
+                        numbers = row.to_numpy() if own and not flaw else None
+                    if not flaw and self._series and (part.series is None or _content(part.series)[0] is None):
                         flaw = "has no time series, or damaged ones"
                 if not flaw:
                     parts.append(part)
@@ -372,7 +375,7 @@ def _move(source: Path, target: Path, wanted: Callable[[str], bool]) -> int:
 def _content(path: Path) -> tuple[bytes | None, str]:
     """The content of a file whose name has its digest, or what is wrong with it."""
     try:
-        content = path.read_bytes()
+        content = read_bytes(path, MOST_FILE)
     except OSError as error:
         return None, f"cannot be read ({error.strerror})"
     found = _NAME.fullmatch(path.name)

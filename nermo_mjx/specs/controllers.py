@@ -12,6 +12,7 @@ from typing import Any, Final
 from nermo_mjx.control.protocol import FORM as CONTROLLER_FORM
 from nermo_mjx.control.protocol import controller_digest, is_data
 from nermo_mjx.control.schedule import MOST, Schedule
+from nermo_mjx.files import MOST_ARRAYS, read_bytes
 from nermo_mjx.robot.quantity import ParameterError, quantities
 from nermo_mjx.rollout import Setup, all_metrics
 from nermo_mjx.rollout.own_metrics import FORM, KEPT, kept_metrics, metrics_digest, source_of
@@ -148,9 +149,9 @@ def _kept(where: str, called: str, folder: Path, write: Callable[[str, bytes], A
     source, name = _split(where)
     if not (source.endswith(".py") or is_data(source)) or Path(source).parent == folder:
         return where
-    content = Path(source).read_bytes()
+    content = read_bytes(Path(source), MOST_ARRAYS)
     own = (folder / called).with_suffix(Path(source).suffix)
-    if own.exists() and own.read_bytes() != content:
+    if own.exists() and read_bytes(own, MOST_ARRAYS) != content:
         own = own.with_stem(f"{own.stem}-{hashlib.sha256(content).hexdigest()[:8]}")
     if not own.exists():
         write(own.name, content)

@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, ClassVar, Self, TypeVar
 
+from nermo_mjx.files import MOST_JSON, read_bytes
 from nermo_mjx.runs.directory import RunDirectory
 from nermo_mjx.specs.reading import Document, SpecError, dump, read_file, read_mapping, read_text
 
@@ -80,7 +81,7 @@ def write_described(
         begun = read(path)
     if begun == wanted:
         return
-    if begun is None or begun.to_yaml(folder) != path.read_text(encoding="utf-8"):
+    if begun is None or begun.to_yaml(folder).encode() != read_bytes(path, MOST_JSON):
         held.set_aside("another", [name], warn)
     held.write(name, wanted.to_yaml(folder).encode())
 

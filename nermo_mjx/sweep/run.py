@@ -19,7 +19,6 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
-import pyarrow.parquet as pq
 
 from nermo_mjx.physics import resolve_engine
 from nermo_mjx.plotting.files import write_figures
@@ -29,7 +28,7 @@ from nermo_mjx.rollout import METRICS, Simulator
 from nermo_mjx.rollout.run import too_many
 from nermo_mjx.runs.code import session
 from nermo_mjx.runs.directory import RunDirectory, engine_of
-from nermo_mjx.runs.files import DirectoryError, WrongDirectory, parquet_bytes, to_json
+from nermo_mjx.runs.files import DirectoryError, WrongDirectory, parquet_bytes, parquet_table, to_json
 from nermo_mjx.runs.job import SILENT, JobFailed, Progress, TensorBoard, Watch, require_tensorboard, resumable
 from nermo_mjx.runs.rows import Runs
 from nermo_mjx.runs.workers import LocalWorkers, TaskFailed, Workers
@@ -127,8 +126,8 @@ class Work:
         self.runs = Runs(out, sweep.digest(), sources, watch.warn, sweep.save is not None, held)
         self._log = None if board is None else BatchLog(board)
         if self._log is not None:
-            for table in (pq.read_table(part.path) for part in self.runs.parts):  # of earlier sessions
-                if np.isin(table["row"].to_numpy(), self._share).any():
+            for table in (parquet_table(part.path) for part in self.runs.parts):  # of earlier sessions
+                if table is not None and np.isin(table["row"].to_numpy(), self._share).any():
                     self._log.add(table)
         self._resumed, self.simulated, self.reused = len(self._share) - len(self.unfinished), 0, 0
         self._finished, self._left = 0, 0.0

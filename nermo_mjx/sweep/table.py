@@ -262,7 +262,13 @@ class Results:
                     read = file.read([*dict.fromkeys(["row", *names])], use_threads=False)
                     few.append(read.replace_schema_metadata(None))
             joined.append(joined_tables(few, path).select(names).combine_chunks())
-        return pa.concat_tables(joined)
+        table = pa.concat_tables(joined)
+        for name, column in zip(table.column_names, table.columns, strict=True):
+            # What the code of some rows did not know is null, but none of these.
+            known = name in ("status", "code") or pa.types.is_integer(column.type)
+            if column.null_count and (known or (self.is_grid and meta(self.schema.field(name))["role"] == "varied")):
+                raise DirectoryError(f"{self._called} has rows without {name!r}: run the same command again.")
+        return table
 
 
 def read_table(out: str | os.PathLike[str]) -> pa.Table:
@@ -283,7 +289,8 @@ def read_table(out: str | os.PathLike[str]) -> pa.Table:
     metadata = _common(parts[0].schema)
     table = joined_tables([part.replace_schema_metadata(metadata) for part in parts], out)
     del parts
-    if "row" not in table.column_names or not pa.types.is_integer(table.schema.field("row").type):
+    known = "row" in table.column_names and not table.column("row").null_count
+    if not known or not pa.types.is_integer(table.schema.field("row").type):
         raise DirectoryError(
             f"{out} has results without their numbers, in the column 'row': run the same command again."
         )
