@@ -863,20 +863,16 @@ def _mark(colour: str, label: str) -> Line2D:
 
 
 def _runs(rows: Sequence[Row]) -> str:
-    """How many runs went into it, and which share of them was lost."""
-    most = dict[tuple[int, str], list[float]]()
-    for row in rows:
-        for side in ("base", "other"):
-            seen = most.setdefault((row["group"], side), [0.0, 0.0])
-            seen[:] = max(seen[0], row[f"runs_{side}"]), max(seen[1], row[f"lost_{side}"])
-    told_of = []
-    for side in ("base", "other"):
-        own = [each for (_, of), each in most.items() if of == side]
-        runs, share = sum(each[0] for each in own), max((each[1] for each in own), default=0.0)
-        told_of.append(
-            f"{runs:,.0f} runs of the {side}" + (f" (up to {share:.0%} lost)".replace("%", " %") if share else "")
-        )
-    return ", ".join(told_of) + ("" if any(each[1] for each in most.values()) else "; none is lost")
+    """How many runs went into it, and how many of them failed."""
+    groups = {row["group"]: row for row in rows}.values()
+    base, other = (
+        sum(max(own["runs_" + side] for own in rows if own["group"] == row["group"]) for row in groups)
+        for side in ("base", "other")
+    )
+    failed = [sum(row["failed_" + side] for row in groups) for side in ("base", "other")]
+    fell = f"; {failed[0]} of the base and {failed[1]} of the other fell or were lost" if any(failed) else "; none fell"
+    some = any(row[f"lost_{side}"] and not row[f"failed_{side}"] for row in rows for side in ("base", "other"))
+    return f"{base:,} runs of the base, {other:,} of the other{fell}" + "; some have no number" * some
 
 
 def _percent(share: float) -> str:
