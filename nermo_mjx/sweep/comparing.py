@@ -342,11 +342,11 @@ def differences(
             ]
             measured, counted = _differences(partners.match(numbers, masks), owner, parts)
             for place, label in enumerate(labels):
-                tail = [int(each[place]) for each in counted]
-                tail += [*(int(each[place]) for each in failed), *(float(each[place]) for each in lost)]
+                whole = [int(each[place]) for each in (*counted, *failed)]
+                tail = [*whole, *(float(each[place]) for each in lost)]
                 for i, name in enumerate(few):
                     base, other, difference, low, high, p, beyond = (float(each[place, i]) for each in measured)
-                    least = 2.0 ** (1 - min(tail[4:6]))  # by the exact test of signs, of what is yes or no
+                    least = 2.0 ** (1 - min(whole[4:6]))  # by the exact test of signs, of what is yes or no
                     if name in OF_ALL_RUNS and p < least:
                         p = least
                         low, high = (math.nan, math.nan) if low == high else (low, high)
@@ -566,7 +566,13 @@ def compare(
     drawn = drawn or [name for name in GAINS if name in shared] or shared[:1]
     lines, lost, unpaired = list[dict[str, Any]](), list[str](), list[str]()
     status: dict[str, dict[str, int]] = {}
-    for done, other in enumerate(arms[1:]):
+    parts: list[Sequence[str]] = [(), groups] if groups else [()]
+    done = 0
+
+    def report(share: float) -> None:
+        progress((done + share) / (len(parts) * (len(arms) - 1)))
+
+    for other in arms[1:]:
         pairing = pair(arms[0], other)
         notes += pairing.notes
         variants = len(pairing.values)
@@ -579,14 +585,13 @@ def compare(
         for side in pairing.sides:
             found = collections.Counter(side.results.column("status")[side.runs.index].tolist())
             status.setdefault(side.name, dict(sorted(found.items())))
-        own = _lines(pairing, shared, (), lambda share, done=done: progress((done + 0.5 * share) / len(arms[1:])))
-        lost += _lost(pairing, [line for line in own if line["metric"] in drawn])
-        unpaired += _left_out(pairing, next(line for line in own if line["metric"] == drawn[0]))
-        lines += own
-        if groups:
-            lines += _lines(
-                pairing, shared, groups, lambda share, done=done: progress((done + 0.5 * (1 + share)) / len(arms[1:]))
-            )
+        for names in parts:
+            own = _lines(pairing, shared, names, report)
+            done += 1
+            lines += own
+            if not names:
+                lost += _lost(pairing, [line for line in own if line["metric"] in drawn])
+                unpaired += _left_out(pairing, next(line for line in own if line["metric"] == drawn[0]))
     if not any(math.isfinite(line["low"]) for line in lines):
         notes.append("No interval: each side has one run of one variant, which tells no noise; give repeats.")
     return Comparison(
@@ -614,9 +619,9 @@ def _lost(pairing: Pairing, lines: Sequence[Mapping[str, Any]]) -> Iterator[str]
                 why |= {NO_NUMBER: without} if without > 0 else {}
                 each.append((side.name, sum(why.values()), runs, f" ({told(why)})" if why else ""))
             found.setdefault(tuple(each), []).append(line["metric"])
-    for each, names in found.items():
-        p = stats.fisher_exact([[many, runs - many] for _, many, runs, _ in each]).pvalue
-        shares = " and ".join(f"{many:,} of {runs:,} runs of {name}{why}" for name, many, runs, why in each)
+    for both, names in found.items():
+        p = stats.fisher_exact([[many, runs - many] for _, many, runs, _ in both]).pvalue
+        shares = " and ".join(f"{many:,} of {runs:,} runs of {name}{why}" for name, many, runs, why in both)
         yield (
             f"Of {', '.join(map(spoken, names))}, {shares} are lost (p {p:.2g} by Fisher's exact test): what is "
             "left on the two sides may not be the same robots."

@@ -6,6 +6,7 @@ Runs are repeats of a variant if all that is varied is the same, and partners if
 
 from __future__ import annotations
 
+import dataclasses
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Final, NamedTuple
@@ -58,7 +59,8 @@ def half_width(std: np.ndarray, count: np.ndarray) -> np.ndarray:
     return np.asarray(stats.t.ppf((1 + LEVEL) / 2, freedom) * std / np.sqrt(freedom + 1))
 
 
-class Tally(NamedTuple):
+@dataclasses.dataclass(frozen=True)
+class Tally:
     """A metric over the runs of v variants.
 
     Attributes:
