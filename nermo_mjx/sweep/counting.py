@@ -14,12 +14,10 @@ from typing import Final, NamedTuple
 import numpy as np
 from scipy import sparse, stats
 
-from nermo_mjx.plotting.shown import cost
+from nermo_mjx.plotting.shown import LEVEL, cost, half_width
 
 #: Metrics that say what became of a run; all runs have them.
 OF_ALL_RUNS: Final = ("fell", "diverged")
-#: Of all intervals.
-LEVEL: Final = 0.95
 #: Why a run that ended well is lost, beside the other statuses.
 NO_NUMBER: Final = "no number"
 
@@ -47,16 +45,6 @@ def told(lost: Mapping[str, int]) -> str:
     """
     words = {NO_NUMBER: ("has no number", "have no number"), "unsolved": ("was not solved", "were not solved")}
     return ", ".join(f"{many:,} {words.get(why, (why, why))[many != 1]}" for why, many in lost.items())
-
-
-def half_width(std: np.ndarray, count: np.ndarray) -> np.ndarray:
-    """Half the 95 % interval of a mean, by Student's t; NaN of fewer than two values, whose spread is unknown.
-
-    >>> float(half_width(np.array(1.0), np.array(4)).round(3))
-    1.591
-    """
-    freedom = np.where(np.asarray(count) > 1, np.asarray(count) - 1.0, np.nan)
-    return np.asarray(stats.t.ppf((1 + LEVEL) / 2, freedom) * std / np.sqrt(freedom + 1))
 
 
 @dataclasses.dataclass(frozen=True)
