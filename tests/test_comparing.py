@@ -18,7 +18,8 @@ from sweep_fake import FakeSimulator
 from nermo_mjx import ParameterError, compare, read_table, run_sweep
 from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.sweep import Sweep
-from nermo_mjx.sweep.comparing import figures_of, two_stage
+from nermo_mjx.sweep.comparing import figures_of
+from nermo_mjx.sweep.counting import two_stage
 from nermo_mjx.sweep.table import Columns
 
 GAITS, SPINES, FREQUENCIES = ("trt", "trt1", "lat"), ("none", "stride_extension"), (0.4, 0.6, 0.8)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import collections
 import contextlib
 import dataclasses
 import importlib
@@ -12,11 +13,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import click
+import numpy as np
 
 from nermo_mjx.cli import options
 from nermo_mjx.cli.choices import FORMATS, METRICS
-from nermo_mjx.cli.options import FileKind, column
-from nermo_mjx.cli.output import Failure, Outcome, WrongUse, command, in_unit, print_pairs, print_table, say
+from nermo_mjx.cli.options import FileKind, column, flag
+from nermo_mjx.cli.output import Failure, Outcome, WrongUse, command, in_unit, print_pairs, print_table, room, say
+from nermo_mjx.cli.progress import Progress
 
 if TYPE_CHECKING:
     from nermo_mjx.plotting.files import Figures
@@ -230,16 +233,18 @@ _report_out = options.text(
 @column("--for", "An interval for each value of a column; repeatable: for each combination.", multiple=True)
 @options.text("--where", "NAME=VALUE", "Only runs with this value of a column.", multiple=True)
 @column("--metric", "Metric to show for the groups; by default the speed.", among=METRICS, multiple=True)
+@flag("--all", "Every row and column, also those that are equal, empty or too wide.")
 @_report_out
 def compare_command(
     a: Path, b: Path | None, by: str | None, base: str | None, where: tuple[str, ...], out: Path | None, **chosen: Any
 ) -> Outcome:
     """Compare two sweeps, A and B, or with --by the values of a column of A.
 
-    Runs are paired over the variants that both have. Each metric's
-    difference, B minus A or value minus base, has a 95 % interval, by a
-    bootstrap of variants and repeats. Differences beyond noise are
-    marked with a star: at most 5 % of them are expected to be false.
+    Runs are paired by variant and seed; the partner of a lost run is left
+    out. Each metric's difference, B minus A or value minus base, has a 95 %
+    interval, by Student's t over the variants, or the runs of one. Those
+    beyond noise are marked with a star: at most 5 % of them are expected to
+    be false. A terminal shows what differs, and the columns that fit.
 
     Examples:
       nermo-mjx compare runs/stiff runs/bending --for frequency --out runs/gain
@@ -258,8 +263,10 @@ def compare_command(
         wanted[name.strip()] = value.strip()
     from nermo_mjx.sweep.comparing import compare, figures_of
 
-    found = compare(a, b, by=by, base=base, groups=chosen["for"], where=wanted, drawn=chosen["metric"])
-    return _report("comparison", found, figures_of, out, lambda: _print_comparison(found))
+    with Progress("compare") as shown:
+        told_of = {"groups": chosen["for"], "where": wanted, "drawn": chosen["metric"]}
+        found = compare(a, b, by=by, base=base, **told_of, progress=shown.share)
+    return _report("comparison", found, figures_of, out, lambda: _print_comparison(found, whole=chosen["all"]))
 
 
 def _report(
@@ -276,43 +283,87 @@ def _report(
     return Outcome({**found.about(), "files": files}, show, files)
 
 
-def _print_comparison(found: Comparison) -> None:
-    """Tables for people: every metric over all variants, and the chosen ones by groups."""
+#: Groups of a metric that a terminal shows: those that differ most surely.
+_MOST_GROUPS = 30
+
+
+def _print_comparison(found: Comparison, *, whole: bool) -> None:
+    """Tables for people: every metric over all variants, and the chosen ones by groups; where lines have an end, what
+    differs, in the columns that fit."""
+    from nermo_mjx.rollout.own_metrics import headed
+
+    headings, hidden, columns = headed(), collections.Counter[str](), dict[str, None]()
+    whole = whole or room() is None
 
     def unit(row: Mapping[str, Any]) -> str:
         return in_unit(row["metric"], row["metric_unit"])[1] or "1"
 
+    def chosen(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+        """Rows that say something, and among groups the surest."""
+        if whole:
+            return rows
+        kept = []
+        for row in rows:
+            equal = "equal on both sides" if row["difference"] == 0 and row["low"] == row["high"] else ""
+            if why := equal if row["variants"] else "without a run":
+                hidden[why] += 1
+            else:
+                kept.append(row)
+        if kept and kept[0]["group"] >= 0 and len(kept) > _MOST_GROUPS:
+            hidden["less sure"] += len(kept) - _MOST_GROUPS
+            order = np.argsort([row["p"] for row in kept], kind="stable")[:_MOST_GROUPS]  # NaN last
+            kept = [kept[i] for i in sorted(order.tolist())]
+        return kept
+
+    def show(title: str, heads: list[Any], numbers: list[Any], cells: list[list[Any]]) -> None:
+        first = len(heads)
+        lost = [] if any(line[first + 6] for line in cells) else [first + 6]
+        units = [1] if heads[1:] == ["unit"] else []
+        spare = [] if whole else [*lost, first + 5, first, first + 1, first + 4, *units]
+        columns.update(dict.fromkeys(filter(None, print_table(title, [*heads, *numbers], cells, spare))))
+
+    for sentence in found.lost:
+        click.echo(f"{sentence}\n")
     for other in found.others:
         numbers: list[Any] = [(found.base, "right"), (other, "right")]
-        numbers += ["difference>", "95 % interval", "relative>", "variants>", ""]
-        rows = [[row["metric"], unit(row), *_cells(row)] for row in found.rows(other)]
-        print_table(f"{other} minus {found.base}", ["metric", "unit", *numbers], rows)
+        numbers += ["difference>", "95 % interval", "relative>", "variants>", "lost", ""]
+        cells, heading = list[list[Any]](), ""
+        for row in chosen(found.rows(other)):
+            if (now := headings.get(row["metric"], "Own metrics")) != heading:
+                heading = now
+                cells.append([f"{heading}:", *[""] * (1 + len(numbers))])
+            cells.append([row["metric"], unit(row), *_cells(row)])
+        show(f"{other} minus {found.base}", ["metric", "unit"], numbers, cells)
         for metric in found.drawn if found.groups else ():
-            lines = [row for row in found.rows(other, grouped=True) if row["metric"] == metric]
+            lines = chosen([row for row in found.rows(other, grouped=True) if row["metric"] == metric])
             cells = []
             for row in lines:
-                failed = row["failed_base"], row["failed_other"]
                 group = [f"{each:.6g}" if isinstance(each, float) else each for each in map(row.get, found.groups)]
-                lost = "{} and {} fell or were lost".format(*failed) if any(failed) else ""
-                cells.append([*group, *_cells(row), lost])
-            heads: list[Any] = [*((name, "right") for name in found.groups), *numbers, ""]
-            print_table(f"{metric} [{unit(lines[0])}]: {other} minus {found.base}" if lines else metric, heads, cells)
+                cells.append([*group, *_cells(row)])
+            heads: list[Any] = [(name, "right") for name in found.groups]
+            show(f"{metric} [{unit(lines[0])}]: {other} minus {found.base}" if lines else metric, heads, numbers, cells)
     for side, counts in found.status.items():
         click.echo(f"{side}: {', '.join(f'{count:,} {status}' for status, count in counts.items())}")
-    for note in found.notes:
+    for note in found.notes[len(found.lost) :]:
         click.echo(note)
+    left = [f"{many:,} rows {why}" for why, many in hidden.items() if many]
+    left += [f"the columns {', '.join(columns)}"] if columns else []
+    if left:
+        click.echo(f"Not shown, but with --all: {'; '.join(left)}.")
     click.echo("* beyond noise; at most 5 % of all marked differences are expected to be false")
 
 
 def _cells(row: Mapping[str, Any]) -> list[str]:
+    shares = row["lost_base"], row["lost_other"]
+    lost = ", ".join(f"{100 * share:.2g} %" for share in shares) if any(shares) else ""
     if not row["variants"]:
-        return ["", "", "no run has it", "", "", "0", ""]
+        return ["", "", "no run has it", "", "", "0", lost, ""]
     values = (row[name] for name in ("base_mean", "other_mean", "difference", "low", "high"))
     (base, other, difference, low, high), _ = in_unit(row["metric"], row["metric_unit"], *values)
     interval = f"[{low:.3g}, {high:.3g}]" if math.isfinite(low) else ""
     relative = f"{row['relative']:+.1%}".replace("%", " %") if math.isfinite(row["relative"]) else ""
     means = [f"{base:.4g}", f"{other:.4g}", f"{difference:+.3g}"]
-    return [*means, interval, relative, str(row["variants"]), "*" if row["beyond_noise"] else ""]
+    return [*means, interval, relative, str(row["variants"]), lost, "*" if row["beyond_noise"] else ""]
 
 
 @command("sensitivity", reads=True)

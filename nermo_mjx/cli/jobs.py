@@ -205,6 +205,7 @@ def _print_sweep(result: SweepResult) -> None:
     effort = f"{summary['steps_per_second']:,.0f} steps/s on the engine {summary['engine']}"
     click.echo(f"{summary['rows']:,} runs ({counts}) in {duration(summary['wall_seconds'])}, {effort}")
     from nermo_mjx.runs.rows import part_files
+    from nermo_mjx.sweep.counting import told
     from nermo_mjx.sweep.table import Results, meta
 
     schema, rows = Results(part_files(result.out)).schema, []
@@ -218,11 +219,12 @@ def _print_sweep(result: SweepResult) -> None:
                 f"{key} {value if isinstance(value, str) else _with_unit(key, unit(key), value)}"
                 for key, value in best["parameters"].items()
             ]
-            (mean, std), shown = in_unit(name, unit(name), best["mean"], best["std"])
-            spread = f" ± {std:.2g}" if best["runs"] > 1 and math.isfinite(std) else ""
-            rows.append([name, best["side"], f"{mean:.4g}{spread}", shown, ", ".join(at)])
+            (mean, high), shown = in_unit(name, unit(name), best["mean"], best["high"])
+            half = f" ± {high - mean:.2g}" if math.isfinite(high) else ""
+            lost = f"{best['lost']:.0%}".replace("%", " %") + (f" ({told(best['why'])})" if best["why"] else "")
+            rows.append([name, best["side"], f"{mean:.4g}{half}", shown, lost, ", ".join(at)])
     if rows:
-        print_table("Best variants", "metric, best is, value>, , at", rows)
+        print_table("Best variants", "metric, best is, mean ± 95 % interval>, , runs lost, at", rows)
     places = {name: f"{name}.parquet" for name in ("comparison", "sensitivity") if name in summary}
     print_places(result.out, table="results", summary="summary.json", **places, plots=result.plots and "plots")
     if result.recordings:

@@ -11,6 +11,7 @@ import io
 import json
 import os
 import re
+import shutil
 import signal
 import sys
 import threading
@@ -264,14 +265,26 @@ def in_unit(name: str, unit: str, *values: float) -> tuple[list[float], str]:
     return quantity.values.tolist(), quantity.unit
 
 
-def print_table(title: str, headings: str | Iterable[str | tuple[str, str]], rows: Iterable[Sequence[Any]]) -> None:
-    """A table for people. Without a terminal, lines are never wrapped.
+def room() -> int | None:
+    """How many characters a line has, by the terminal or COLUMNS; None where it may have any number."""
+    known = sys.stdout.isatty() or os.environ.get("COLUMNS")
+    return shutil.get_terminal_size().columns if known else None
+
+
+def print_table(
+    title: str,
+    headings: str | Iterable[str | tuple[str, str]],
+    rows: Iterable[Sequence[Any]],
+    spare: Sequence[int] = (),
+) -> list[str]:
+    """A table for people; returns the headings that it leaves out. Without a terminal, lines are never wrapped.
 
     Args:
         title: above it.
         headings: of its columns, or a text of them separated by ", "; each is (heading, "left" or "right"), or a
             heading, which ends with > where texts are on the right.
         rows: a text for each column.
+        spare: the columns that it leaves out where the lines have no room, the least important first.
     """
     from rich.box import SIMPLE_HEAD
     from rich.console import Console
@@ -282,14 +295,22 @@ def print_table(title: str, headings: str | Iterable[str | tuple[str, str]], row
         (each.removesuffix(">"), "right" if each.endswith(">") else "left") if isinstance(each, str) else each
         for each in (headings.split(", ") if isinstance(headings, str) else headings)
     ]
-    table = Table(box=SIMPLE_HEAD, pad_edge=False, show_edge=False, show_header=any(heading for heading, _ in columns))
-    for heading, side in columns:
-        table.add_column(Text(one_line(heading)), justify="right" if side == "right" else "left")
-    for row in rows:
-        table.add_row(*(Text(one_line(str(cell))) for cell in row))
-    console = Console(file=sys.stdout, width=None if sys.stdout.isatty() else 200, highlight=False)
+    width = room() if spare else None
+    console = Console(file=sys.stdout, width=width or (None if sys.stdout.isatty() else 200), highlight=False)
+    texts, kept = [[one_line(str(cell)) for cell in row] for row in rows], list(range(len(columns)))
+    for out in range(len(spare) + 1):
+        kept = [i for i in kept if i not in spare[:out]]
+        header = any(columns[i][0] for i in kept)
+        table = Table(box=SIMPLE_HEAD, pad_edge=False, show_edge=False, show_header=header)
+        for heading, side in (columns[i] for i in kept):
+            table.add_column(Text(one_line(heading)), justify="right" if side == "right" else "left")
+        for row in texts:
+            table.add_row(*(Text(row[i]) for i in kept))
+        if width is None or console.measure(table, options=console.options.update(width=10_000)).maximum <= width:
+            break
     with console.capture() as capture:
         console.print(Text(one_line(title), style="bold"))
         console.print(table)
     lines = (line.rstrip() for line in capture.get().splitlines())
     getattr(sys.stdout, "styled", sys.stdout.write)("\n".join(lines) + "\n\n")
+    return [heading for i, (heading, _) in enumerate(columns) if i not in kept]

@@ -48,6 +48,7 @@ from nermo_mjx.optimize.spec import (
     is_turn,
 )
 from nermo_mjx.robot.quantity import ParameterError
+from nermo_mjx.sweep.counting import counts
 from nermo_mjx.sweep.sampling import Axis
 
 
@@ -438,14 +439,15 @@ class Scores:
 def scores_of(aim: Aim, repeats: int, metrics: Mapping[str, np.ndarray], well: np.ndarray) -> Scores:
     """The scores of points, each with all of its repeats side by side.
 
-    A metric counts by its mean over the repeats. A point of which one run failed counts as the worst.
+    A metric counts by its mean over the repeats. A point of which one run is lost counts as the worst.
 
     Args:
         metrics: name -> (n * repeats,), at least those of the aim.
         well: which runs succeeded (n * repeats,).
     """
     means = {name: np.asarray(metrics[name], float).reshape(-1, repeats).mean(axis=1) for name in aim.metrics}
-    ok: np.ndarray = np.logical_and.reduce(np.asarray(well, bool).reshape(-1, repeats), axis=1)
+    good = [counts(name, np.asarray(metrics[name], float), np.asarray(well, bool)) for name in aim.metrics]
+    ok: np.ndarray = np.logical_and.reduce(good).reshape(-1, repeats).all(axis=1)
     terms = [np.asarray(term.value(means[term.metric]), float) for term in aim.objective.terms]
     cost = np.stack(terms, axis=1) if aim.pareto else np.sum(terms, axis=0)[:, None]
     measures = np.empty((len(ok), len(aim.measures)))

@@ -27,7 +27,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patheffects import Normal, Stroke
 from matplotlib.ticker import FormatStrFormatter, FuncFormatter, LogLocator, MaxNLocator, NullLocator
 
-from nermo_mjx.plotting.shown import ShownValues, cost, spoken, titled
+from nermo_mjx.plotting.shown import ShownValues, cost, half_width, spoken, titled
 from nermo_mjx.plotting.style import BAND, BEST, COLOURS, GAIN_COLOURS, GRID, INK, LINE, MISSING, MUTED, SERIES, SMALL
 
 # ---
@@ -334,10 +334,11 @@ def heat_maps(
 
 
 def line(x: ShownValues, z: ShownValues, title: str, note: str) -> Figure:
-    """Mean over x, with a band of one standard deviation where points share an x, and the best point as a star."""
+    """Mean over x, with a band of its 95 % interval where points share an x, and the best point as a star."""
     figure, (ax,) = panelled(1, 4.4)
-    xs, mean, std = binned(x.values, z.values, np.unique(x.values))
-    ax.fill_between(xs, mean - std, mean + std, color=BAND, alpha=0.6, lw=0)
+    xs, mean, half = binned(x.values, z.values, np.unique(x.values))
+    ax.fill_between(xs, mean - half, mean + half, color=BAND, alpha=0.6, lw=0)
+    note += "band: 95 % interval of the mean; " if np.isfinite(half).any() else ""
     ax.plot(xs, mean, "-o", color=LINE, ms=4, mec="white", mew=0.6)
     if np.isfinite(mean).any():
         at = int(np.nanargmin(cost(z.side, mean)))
@@ -421,13 +422,20 @@ def _cell_means(x: np.ndarray, y: np.ndarray, z: np.ndarray, xs: np.ndarray, ys:
 
 
 def binned(x: np.ndarray, z: np.ndarray, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Mean x, mean z and standard deviation of z in the bin of each node that holds anything."""
+    """Mean x, mean z and half the 95 % interval of it in the bin of each node that holds anything."""
     nodes = np.unique(nodes)
     bins = np.clip(np.searchsorted(nodes, x, side="right") - 1, 0, len(nodes) - 1)
     bins = bins if len(nodes) < 3 or np.isin(x, nodes).all() else np.minimum(bins, len(nodes) - 2)
     groups: list[Any] = [bins == b for b in np.unique(bins) if np.isfinite(z[bins == b]).any()]
-    stat = [(x[g].mean(), np.nanmean(z[g]), np.nanstd(z[g])) for g in groups]
+    stat = [(x[g].mean(), *_mean(z[g])) for g in groups]
     return tuple(np.array(stat).reshape(-1, 3).T)  # type: ignore[return-value]
+
+
+def _mean(values: np.ndarray) -> tuple[float, float]:
+    """The mean of what is known of values, and half its 95 % interval."""
+    good = values[np.isfinite(values)]
+    spread = good.std(ddof=1) if len(good) > 1 else math.nan
+    return float(good.mean()) if len(good) else math.nan, float(half_width(spread, len(good)))
 
 
 def _edges(centres: np.ndarray, log: bool) -> np.ndarray:
@@ -496,28 +504,24 @@ def groups_of(structures: Sequence[ShownValues]) -> Groups | None:
 def dots(groups: Groups, z: ShownValues, title: str, note: str, *, spread: bool) -> Figure:
     """A dot for each structure at the mean of its runs, the best one in orange.
 
-    With `spread`, where runs of a structure are repeats, a bar of one standard deviation.
+    With `spread`, where runs of a structure are repeats, a bar of the mean's 95 % interval.
     """
     count = len(groups.names)
-    mean, std = np.full(count, np.nan), np.zeros(count)
-    for place in range(count):
-        own = z.values[(groups.of == place) & np.isfinite(z.values)]
-        if len(own):
-            mean[place], std[place] = own.mean(), own.std()
+    mean, half = np.array([_mean(z.values[groups.of == place]) for place in range(count)]).T
     best = int(np.nanargmin(cost(z.side, mean))) if np.isfinite(mean).any() else -1
     figure = blank(7.2, 1.3 + 0.3 * count)
     ax = figure.subplots()
     for place in range(count):
         colour = BEST if place == best else SERIES[0]
         if spread:
-            ax.errorbar(mean[place], place, xerr=std[place], color=colour, elinewidth=2, alpha=0.5)
+            ax.errorbar(mean[place], place, xerr=half[place], color=colour, elinewidth=2, alpha=0.5)
         ax.plot(mean[place], place, "o", color=colour, ms=7, mec="white")
     ax.set_yticks(range(count), groups.names, color=INK)
     ax.set(xlabel=z.label, ylim=(count - 0.5, -0.5))
     ax.grid(axis="x", color=GRID, lw=0.8)
     ax.set_axisbelow(True)
     told = f"; orange: {best_word(z)}, {z.shown(mean[best])}" if best >= 0 else ""
-    what = "mean of its runs, bar: their standard deviation" if spread else "mean of all its runs"
+    what = "mean of its runs, bar: its 95 % interval" if spread else "mean of all its runs"
     return around(figure, title, f"{note}{groups.what}: {what}{told}")
 
 
@@ -525,7 +529,7 @@ def lines(x: ShownValues, z: ShownValues, groups: Groups, title: str, note: str,
     """A line for each structure: the mean at each value of x, or in bins with as many runs where x is `even`.
 
     A structure that has no such parameter is a level line at its mean. With `spread`, where runs of a structure at one
-    x are repeats, a band of their standard deviation.
+    x are repeats, a band of the mean's 95 % interval.
     """
     spread = spread and len(groups.names) <= _MOST_BANDS
     figure, (ax,) = panelled(1, 4.6)
@@ -543,15 +547,15 @@ def lines(x: ShownValues, z: ShownValues, groups: Groups, title: str, note: str,
                 level = True
             continue
         nodes = np.quantile(x.values[there], np.linspace(0, 1, _BINS)) if even else np.unique(x.values[there])
-        xs, mean, std = binned(x.values[there], z.values[there], nodes)
+        xs, mean, half = binned(x.values[there], z.values[there], nodes)
         if spread:
-            ax.fill_between(xs, mean - std, mean + std, color=style["color"], alpha=0.15, lw=0)
+            ax.fill_between(xs, mean - half, mean + half, color=style["color"], alpha=0.15, lw=0)
         ax.plot(xs, mean, marker="o", ms=3.5, mec="white", mew=0.5, **style)
     set_scales(ax, x)
     horizontal_grid(ax)
     ax.set(xlabel=x.label, ylabel=z.label)
     said = [f"{groups.what}: " + ("running mean" if even else "mean over everything else")]
-    said += ["band: standard deviation of its runs"] if spread else []
+    said += ["band: 95 % interval of the mean"] if spread else []
     said += [f"level: without {x.spoken}"] if level else []
     return around(figure, title, note + "; ".join(said), handles)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import re
+from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -90,6 +91,22 @@ def shown(name: str, unit: str, values: ArrayLike, *, log: bool = False, side: s
     """A column in SI units as a `ShownValues`."""
     unit, factor = _SHOWN_UNITS.get(unit, ("" if unit == "1" else unit, 1.0))
     return ShownValues(name, unit, np.asarray(values, dtype=float) * factor, log, side=side)
+
+
+#: Of all intervals.
+LEVEL: Final = 0.95
+
+
+def half_width(std: np.ndarray | float, count: np.ndarray | int) -> np.ndarray:
+    """Half the 95 % interval of a mean, by Student's t; NaN of fewer than two values, whose spread is unknown.
+
+    >>> round(float(half_width(1.0, 4)), 3)
+    1.591
+    """
+    from scipy.special import stdtrit
+
+    freedom = np.where(np.asarray(count) > 1, np.asarray(count) - 1.0, np.nan)
+    return np.asarray(stdtrit(freedom, (1 + LEVEL) / 2) * std / np.sqrt(freedom + 1))
 
 
 def cost(side: str, values: np.ndarray) -> np.ndarray:

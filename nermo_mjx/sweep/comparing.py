@@ -7,9 +7,9 @@ import dataclasses
 import itertools
 import math
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 import numpy as np
 import pyarrow as pa
@@ -27,6 +27,18 @@ from nermo_mjx.robot.quantity import ParameterError, did_you_mean
 from nermo_mjx.runs.files import DirectoryError
 from nermo_mjx.runs.rows import part_files
 from nermo_mjx.specs.reading import SpecError
+from nermo_mjx.sweep.counting import (
+    NO_NUMBER,
+    OF_ALL_RUNS,
+    Matched,
+    Partners,
+    counts,
+    losses,
+    same_values,
+    sums,
+    told,
+    two_stage,
+)
 from nermo_mjx.sweep.spec import OBJECTIVES
 from nermo_mjx.sweep.structures import label_of
 from nermo_mjx.sweep.table import (
@@ -142,7 +154,7 @@ def _runs_of(results: Results) -> pd.DataFrame:
     for name, values in results.columns(columns_of(results, "varied")):
         text = values.dtype == object
         texts = ["" if each is None else str(each) for each in values] if text else []
-        found[name] = np.array(texts, object) if text else values.astype(float)
+        found[name] = np.array(texts, object) if text else same_values(values.astype(float))
     return pd.DataFrame(found, index=range(results.rows))
 
 
@@ -187,112 +199,6 @@ def value_text(value: Value) -> str:
 
 
 # ---
-# Confidence intervals of a mean over variants whose runs are repeated: a two-stage bootstrap.
-#
-# Variants are drawn with replacement, and within each drawn variant its runs. Both stages together would count the
-# runs' noise twice, because the variants' means already contain it, so these are shrunk towards their mean first
-# (Davison and Hinkley, Bootstrap Methods and their Application, 1997, section 3.8; Ng, Grieve and Carpenter, Stata
-# Journal 13, 2013). Few repeats are treated with caution: deviations from a mean of n are scaled by sqrt(n / (n - 1)),
-# and the whole by the ratio of Student's t quantile to the normal one. `scipy.stats.bootstrap` has one stage only.
-
-
-#: Resamples; the same ones in each call, so that the same table gives the same intervals.
-RESAMPLES: Final = 4000
-#: Variants above which only their means are resampled: that many show the runs' noise without a second stage.
-MANY_VARIANTS: Final = 400
-#: Variants above which nothing is resampled: the resampled mean of that many is normal.
-MOST_DRAWN: Final = 10_000
-_LEVEL: Final = 0.95
-#: Numbers of a block of resamples that are held at once.
-_HELD: Final = 4_000_000
-
-
-class Interval(NamedTuple):
-    """Estimates of m metrics, (m,) each.
-
-    Attributes:
-        estimate: the mean over the variants.
-        low, high: its 95 % confidence interval; NaN where the noise is unknown (one variant, and one run per cell).
-        p: probability of an estimate as far from 0 by chance, two-sided; NaN without an interval. It is the larger of
-            the share of resamples beyond 0 and Student's t, because few runs have no resamples far out.
-    """
-
-    estimate: np.ndarray
-    low: np.ndarray
-    high: np.ndarray
-    p: np.ndarray
-
-
-def two_stage(values: np.ndarray, cell: np.ndarray, variant: np.ndarray) -> Interval:
-    """The mean over variants of the sum of their cells' means.
-
-    >>> two_stage(np.array([[1.0], [1.0], [3.0], [3.0]]), np.array([0, 0, 1, 1]), np.array([0, 1])).estimate
-    array([2.])
-
-    Args:
-        values: of each run, (n, m), all finite; those of the side to subtract carry a minus sign.
-        cell: the cell of each run, (n,), from 0 to c - 1; runs of a cell are exchangeable.
-        variant: the variant of each cell, (c,), from 0 to v - 1.
-    """
-    cells, variants = len(variant), int(variant.max()) + 1
-    count = np.bincount(cell, minlength=cells)
-    mean = _sums(values, cell, cells) / count[:, None]
-    apart = values - mean[cell]
-    rounding = 1e-12 * np.abs(values).max(axis=0)
-    apart[np.abs(apart) <= rounding] = 0.0
-    # Squared standard error of each cell's mean; unknown for a single run.
-    noise = _sums(apart**2, cell, cells) / (count * np.maximum(count - 1, 1))[:, None]
-    each = _sums(mean, variant, variants)
-    each[np.abs(each) <= rounding] = 0.0
-    estimate = each.mean(axis=0)
-    within = noise.sum(axis=0) / variants**2
-    across = each.var(axis=0, ddof=1) / variants if variants > 1 else np.zeros_like(within)
-    deviation, shrink = each - estimate, np.ones_like(within)
-    runs_too = variants <= MANY_VARIANTS
-    if runs_too:
-        shrink = np.sqrt(np.maximum(1 - np.divide(within, across, out=np.ones_like(within), where=across > 0), 0))
-    deviation = deviation * shrink * np.sqrt(variants / max(variants - 1, 1))
-    apart = apart * np.sqrt(count / np.maximum(count - 1, 1))[cell][:, None]
-    rng, drawn = np.random.default_rng(0), np.empty((RESAMPLES, values.shape[1]))
-    members = np.split(np.argsort(cell, kind="stable"), np.cumsum(count)[:-1])
-    block = max(1, _HELD // max(variants, len(cell)))
-    if variants > MOST_DRAWN:
-        drawn[:] = rng.normal(size=(RESAMPLES, 1)) * np.sqrt(across)
-    for start in range(0, RESAMPLES if variants <= MOST_DRAWN else 0, block):
-        size = min(block, RESAMPLES - start)
-        picked = rng.integers(variants, size=(size, variants)) + variants * np.arange(size)[:, None]
-        often = np.bincount(picked.ravel(), minlength=size * variants).reshape(size, variants)
-        part = often @ deviation
-        for k, runs in enumerate(members) if runs_too else ():
-            picks = rng.multinomial(often[:, variant[k]] * len(runs), np.full(len(runs), 1 / len(runs)))
-            part += picks @ apart[runs] / len(runs)
-        drawn[start : start + size] = part / variants
-    # Degrees of freedom of the estimate's variance, by Satterthwaite's rule: from the cells' shares in it, and what the
-    # variants add beyond the noise of their runs.
-    share, between, known = noise / variants**2, np.maximum(across - within, 0), count > 1
-    square = (share[known] ** 2 / (count[known] - 1)[:, None]).sum(axis=0) + between**2 / max(variants - 1, 1)
-    whole = (share.sum(axis=0) + between) ** 2
-    freedom = np.divide(whole, square, out=np.full_like(whole, np.inf), where=square > 0)
-    drawn *= stats.t.ppf((1 + _LEVEL) / 2, freedom) / stats.norm.ppf((1 + _LEVEL) / 2)
-    unknown = variants == 1 and bool((count == 1).any())
-    low, high = estimate + np.quantile(drawn, [(1 - _LEVEL) / 2, (1 + _LEVEL) / 2], axis=0)
-    beyond = np.minimum((estimate + drawn <= 0).sum(axis=0), (estimate + drawn >= 0).sum(axis=0))
-    variance = np.maximum(across, within)
-    far = np.divide(np.abs(estimate), np.sqrt(variance), out=np.full_like(estimate, np.inf), where=variance > 0)
-    p = np.minimum(np.maximum(2 * (beyond + 1) / (len(drawn) + 1), 2 * stats.t.sf(far, freedom)), 1.0)
-    p = np.where(estimate == 0, 1.0, p)
-    nan = np.full_like(estimate, np.nan)
-    return Interval(estimate, *((nan, nan, nan) if unknown else (low, high, p)))
-
-
-def _sums(values: np.ndarray, place: np.ndarray, places: int) -> np.ndarray:
-    """Sums of rows (n, m) by their place, (places, m)."""
-    total = np.zeros((places, values.shape[1]))
-    np.add.at(total, place, values)
-    return total
-
-
-# ---
 # Which runs are compared with which: variants that both sides have, groups of them, and seeds that both share.
 
 
@@ -315,25 +221,35 @@ class Pairing:
     alone: Mapping[str, int]
     notes: tuple[str, ...]
 
-    def groups(self, names: Sequence[str]) -> Iterator[tuple[dict[str, Value], Sequence[Arm]]]:
-        """The two sides of each combination of values of some keys."""
+    def groups(self, names: Sequence[str]) -> tuple[list[dict[str, Value]], list[tuple[np.ndarray, np.ndarray]]]:
+        """The combinations of values of some keys, and of each side the places of their runs, and which one each is in.
+
+        Of no keys, all runs are one combination. A run may be in several, where the other side has a key alone.
+        """
         for name in names:
             check_name(name, [*self.values, *self.alone], "for")
         shared, alone = ([name for name in names if (name in self.alone) == one] for one in (False, True))
         label = _numbered(self.values[shared])
-        for each in np.unique(label):
-            here = label == each
-            sides = [side.where(here[side.runs["variant"]]) for side in self.sides]
-            known = {name: self.values[name].iloc[[here.argmax()]].item() for name in shared}
-            columns = [sides[self.alone[name]].runs[name] for name in alone]
-            for values in itertools.product(*(sorted(_values(column)) for column in columns)):
-                part = list(sides)
-                for name, value in zip(alone, values, strict=True):
+        of_runs = [label[side.runs["variant"]] for side in self.sides]
+        members = [np.split(np.argsort(own, kind="stable"), np.cumsum(np.bincount(own))[:-1]) for own in of_runs]
+        labels, parts = list[dict[str, Value]](), list[Sequence[np.ndarray]]()
+        for own in zip(*members, strict=True):
+            first = self.sides[0].runs["variant"].iloc[own[0][0]]
+            known = {name: self.values[name].iloc[[first]].item() for name in shared}
+            columns = [self.sides[self.alone[name]].runs[name] for name in alone]
+            each = (column.iloc[own[self.alone[name]]] for name, column in zip(alone, columns, strict=True))
+            for values in itertools.product(*(sorted(_values(column)) for column in each)):
+                part = list(own)
+                for name, column, value in zip(alone, columns, values, strict=True):
                     at = self.alone[name]
-                    part[at] = part[at].where(part[at].runs[name] == value)
-                if all(len(side.runs) for side in part):
+                    part[at] = part[at][column.iloc[part[at]].to_numpy() == value]
+                if all(len(side) for side in part):
                     known |= dict(zip(alone, values, strict=True))
-                    yield {name: known[name] for name in names}, part
+                    labels.append({name: known[name] for name in names})
+                    parts.append(part)
+        group = [np.repeat(np.arange(len(parts)), [len(part[i]) for part in parts]) for i in (0, 1)]
+        place = [np.concatenate([part[i] for part in parts]) if parts else np.empty(0, int) for i in (0, 1)]
+        return labels, list(zip(place, group, strict=True))
 
 
 def pair(base: Arm, other: Arm) -> Pairing:
@@ -346,6 +262,8 @@ def pair(base: Arm, other: Arm) -> Pairing:
 
     sides, notes, alone = (base, other), list[str](), dict[str, int]()
     keys = pd.concat([base.runs, other.runs], ignore_index=True)  # NaN in a column that a side lacks
+    for name in keys.select_dtypes("number"):
+        keys[name] = same_values(keys[name].to_numpy())
     split, absent = len(base.runs), _absent(keys)
     for name in list(keys):
         lacking = [bool(absent[name][:split].all()), bool(absent[name][split:].all())]
@@ -385,72 +303,106 @@ def _numbered(keys: pd.DataFrame) -> np.ndarray:
     return label
 
 
-#: Metrics that say what became of a run; all runs have them.
-OF_ALL_RUNS: Final = ("fell", "diverged")
-
-
-def differences(sides: Sequence[Arm], metrics: Sequence[str]) -> Iterator[dict[str, Any]]:
-    """The numbers of each metric's row in the table. Failed runs count in `fell` and `diverged` alone."""
-    well = [side.results.well[side.runs.index] for side in sides]
-    schema, found = sides[0].results.schema, dict[str, dict[str, Any]]()
-    at_once = max(1, HELD // max(sum(len(side.runs) for side in sides), 1))
+def differences(
+    pairing: Pairing, groups: Sequence[str], metrics: Sequence[str], progress: Callable[[float], None]
+) -> Iterator[dict[str, Any]]:
+    """The rows of the table about each combination of the groups' values, and each metric."""
+    labels, chosen = pairing.groups(groups)
+    sides, parts = pairing.sides, len(labels)
+    index = [side.runs.index.to_numpy()[place] for side, (place, _) in zip(sides, chosen, strict=True)]
+    seeds = [side.runs["seed"].to_numpy()[place] for side, (place, _) in zip(sides, chosen, strict=True)]
+    variants = len(pairing.values)
+    units = [
+        each * variants + side.runs["variant"].to_numpy()[place]
+        for side, (place, each) in zip(sides, chosen, strict=True)
+    ]
+    known, code = np.unique(np.concatenate(units), return_inverse=True)
+    partners, owner = Partners(np.split(code, [len(units[0])]), seeds), known // variants
+    well = [side.results.well[own] for side, own in zip(sides, index, strict=True)]
+    all_runs = [np.bincount(each, minlength=parts) for _, each in chosen]
+    failed = [np.bincount(each[~good], minlength=parts) for (_, each), good in zip(chosen, well, strict=True)]
+    schema, found = sides[0].results.schema, dict[tuple[int, str], dict[str, Any]]()
+    at_once = max(1, HELD // max(sum(map(len, index)), 1))
     for start in range(0, len(metrics), at_once):
         names = metrics[start : start + at_once]
-        columns = [{name: column[side.runs.index] for name, column in side.results.columns(names)} for side in sides]
+        columns = [
+            {name: column[own] for name, column in side.results.columns(names)}
+            for side, own in zip(sides, index, strict=True)
+        ]
         alike: dict[bytes, tuple[list[np.ndarray], list[str]]] = {}  # metrics of which the same runs have a number
         for name in names:
-            masks = [
-                np.isfinite(column[name]) & (good | (name in OF_ALL_RUNS))
-                for column, good in zip(columns, well, strict=True)
-            ]
+            masks = [counts(name, column[name], good) for column, good in zip(columns, well, strict=True)]
             alike.setdefault(b"".join(each.tobytes() for each in masks), (masks, []))[1].append(name)
-        for masks, few in alike.values():
+        for done, (masks, few) in enumerate(alike.values()):
+            progress((start + done / len(alike) * len(names)) / len(metrics))
             numbers = [np.stack([column[name] for name in few], axis=1) for column in columns]
-            base, other, known, interval, counts = _difference(sides, numbers, masks)
-            for i, name in enumerate(few):
-                difference, low, high = (float(each[i]) for each in (interval.estimate, interval.low, interval.high))
-                scale = abs(float(base[i])) if known[i] else math.nan
-                numbers_of = (float(base[i]), float(other[i]), difference, low, high)
-                relative = (difference / scale, low / scale, high / scale)
-                failed = (int((~good).sum()) for good in well)
-                found[name] = {
-                    "metric": name,
-                    "metric_unit": meta(schema.field(name))["unit"],
-                    "better": better(schema.field(name)),
-                    **dict(zip(_NUMBERS, (*numbers_of, *relative, float(interval.p[i])), strict=True)),
-                    **dict(zip(_COUNTS, (*counts, *failed), strict=True)),
-                }
-    yield from (found[name] for name in metrics)
+            lost = [
+                1 - np.bincount(each[mask], minlength=parts) / all_of
+                for (_, each), mask, all_of in zip(chosen, masks, all_runs, strict=True)
+            ]
+            measured, counted = _differences(partners.match(numbers, masks), owner, parts)
+            for place, label in enumerate(labels):
+                whole = [int(each[place]) for each in (*counted, *failed)]
+                tail = [*whole, *(float(each[place]) for each in lost)]
+                for i, name in enumerate(few):
+                    base, other, difference, low, high, p, beyond = (float(each[place, i]) for each in measured)
+                    least = 2.0 ** (1 - min(whole[4:6]))  # by the exact test of signs, of what is yes or no
+                    if name in OF_ALL_RUNS and p < least:
+                        p = least
+                        low, high = (math.nan, math.nan) if low == high else (low, high)
+                    scale = abs(base) if beyond else math.nan
+                    relative = (difference / scale, low / scale, high / scale)
+                    found[place, name] = {
+                        "group": place if groups else -1,
+                        **label,
+                        "metric": name,
+                        "metric_unit": meta(schema.field(name))["unit"],
+                        "better": better(schema.field(name)),
+                        **dict(zip(_NUMBERS, (base, other, difference, low, high, *relative, p), strict=True)),
+                        **dict(zip(_COUNTS, tail, strict=True)),
+                    }
+    yield from (found[place, name] for place in range(parts) for name in metrics)
 
 
-def _difference(
-    sides: Sequence[Arm], numbers: Sequence[np.ndarray], masks: Sequence[np.ndarray]
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, Interval, tuple[int, int, int]]:
-    """The sides' means over common variants (m,), where the base's is beyond its noise (m,), the interval of their
-    difference, and how many variants and runs there are, of numbers (runs, m) where the masks (runs,) hold."""
-    at = [side.runs["variant"].to_numpy() for side in sides]
-    both = np.intersect1d(*(each[mask] for each, mask in zip(at, masks, strict=True)))
-    if not len(both):
-        nothing = np.full(numbers[0].shape[1], np.nan)
-        return nothing, nothing, nothing > 0, Interval(nothing, nothing, nothing, nothing), (0, 0, 0)
-    masks = [mask & np.isin(each, both) for each, mask in zip(at, masks, strict=True)]
-    numbers = [each[mask] for each, mask in zip(numbers, masks, strict=True)]
-    variant = [np.searchsorted(both, each[mask]) for each, mask in zip(at, masks, strict=True)]
-    seed = [side.runs["seed"].to_numpy()[mask] for side, mask in zip(sides, masks, strict=True)]
-    order = [np.lexsort(each) for each in zip(seed, variant, strict=True)]
-    keys = [np.stack([v[by], s[by]]) for v, s, by in zip(variant, seed, order, strict=True)]
-    once = keys[0].shape[1] == np.unique(keys[0], axis=1).shape[1]
-    if not (once and np.array_equal(keys[0], keys[1])):  # a seed is on one side alone: each side has its own cells
-        cell, values = np.concatenate([variant[0], variant[1] + len(both)]), np.concatenate([-numbers[0], numbers[1]])
-        owner = np.tile(np.arange(len(both)), 2)
-    else:  # runs with the same seed are paired: what they share cancels in the difference
-        cell, values, owner = variant[0][order[0]], numbers[1][order[1]] - numbers[0][order[0]], np.arange(len(both))
-    base, other = (
-        (_sums(each, at, len(both)) / np.bincount(at, minlength=len(both))[:, None]).mean(axis=0)
-        for each, at in zip(numbers, variant, strict=True)
-    )
-    known = np.abs(base) > 2 * numbers[0].std(axis=0) / np.sqrt(len(numbers[0]))
-    return base, other, known, two_stage(values, cell, owner), (len(both), len(variant[0]), len(variant[1]))
+def _differences(found: Matched, owner: np.ndarray, parts: int) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """Numbers of each part and metric, and counts of each part.
+
+    Args:
+        found: the values of both sides.
+        owner: the part of each unit, (units,).
+
+    Returns:
+        (parts, m) each: means of base and other, difference, its interval's ends, p, and 1 where the base's mean is
+        beyond its noise; (parts,) each: as `_COUNTS` begins.
+    """
+    (first, of_first), (second, of_second) = found.sides
+    metrics, units = first.shape[1], len(found.unit)
+    measured = [np.full((parts, metrics), np.nan) for _ in range(7)]
+    several, pairs = np.zeros(parts, int), np.zeros(parts, int)
+    if units:
+        there, group = np.unique(owner[found.unit], return_inverse=True)
+        several[there], pairs[there] = np.bincount(group), np.bincount(group, found.paired)
+        one, two = found.paired[of_first], found.paired[of_second]
+        values = np.concatenate([second[two] - first[one], -first[~one], second[~two]])
+        cells = np.concatenate([of_first[one], units + of_first[~one], 2 * units + of_second[~two]])
+        cell, place = np.unique(cells, return_inverse=True)
+        interval = two_stage(values, place, cell % units, group)
+        means = [
+            sums(sums(own, at, units) / np.bincount(at)[:, None], group, len(there)) / np.bincount(group)[:, None]
+            for own, at in found.sides
+        ]
+        # Where the base's mean is nothing but noise, no share of it says anything.
+        each, many = group[of_first], np.bincount(group[of_first])[:, None]
+        apart = first - (sums(first, each, len(there)) / many)[each]
+        beyond = np.abs(means[0]) > 2 * np.sqrt(sums(apart**2, each, len(there))) / many
+        for into, part in zip(measured, (*means, *interval, beyond), strict=True):
+            into[there] = part
+
+    def of_parts(each: np.ndarray) -> np.ndarray:
+        return np.bincount(owner, each, parts)
+
+    left_out = (of_parts(each.sum(axis=0)) for each in (found.partners, found.single))
+    return measured, [several, pairs, *left_out, *map(of_parts, found.runs)]
 
 
 def _first_apart(base: Arm, other: Arm) -> str:
@@ -486,10 +438,15 @@ _NUMBERS: Final = {
 }
 _COUNTS: Final = {
     "variants": "common variants with a number on both sides",
+    "paired": "those of them whose runs are pairs, by their seeds",
+    "partners": "runs left out because their partner on the other side is lost",
+    "single": "runs left out because no run on the other side has their seed",
     "runs_base": "runs of the base that count",
     "runs_other": "runs of the other that count",
-    "failed_base": "runs of the base that fell or were lost",
-    "failed_other": "runs of the other that fell or were lost",
+    "failed_base": "runs of the base that did not end well",
+    "failed_other": "runs of the other that did not end well",
+    "lost_base": "share of the base's runs that is lost: it did not end well, or has no number",
+    "lost_other": "share of the other's runs that is lost",
 }
 
 
@@ -500,14 +457,16 @@ class Comparison:
     Attributes:
         table: one row per metric, group and other side: `other`, what it is compared with; the columns of the groups
             (null in the rows over all variants); `metric` and `metric_unit`; base_mean, other_mean, difference, low,
-            high, relative, relative_low, relative_high, p, beyond_noise, better, variants, runs_base, runs_other,
-            failed_base, failed_other. Each field's metadata has its description.
+            high, relative, relative_low, relative_high, p, beyond_noise, better, variants, paired, partners, single,
+            runs_base, runs_other, failed_base, failed_other, lost_base, lost_other. Each field's metadata has its
+            description.
         base: what is compared with.
         others: what is compared with it; more than one if a column has more than two values.
         groups: the columns that make groups.
         drawn: the metrics of which figures and summaries have the groups.
         status: for each side, how often each status occurs in the common variants.
-        notes: what is left out or averaged, in sentences.
+        notes: what is left out or averaged, in sentences; first `lost`.
+        lost: where the sides lost different shares of their runs, in sentences.
     """
 
     table: pa.Table
@@ -517,6 +476,7 @@ class Comparison:
     drawn: tuple[str, ...]
     status: Mapping[str, Mapping[str, int]]
     notes: tuple[str, ...]
+    lost: tuple[str, ...]
 
     def rows(self, other: str, *, grouped: bool = False) -> list[dict[str, Any]]:
         """Rows of the table about one other side: those over all variants, or those of the groups."""
@@ -553,15 +513,17 @@ def compare(
     groups: Sequence[str] = (),
     where: Mapping[str, Value] | None = None,
     drawn: Sequence[str] = (),
+    progress: Callable[[float], None] = lambda _: None,
 ) -> Comparison:
     """Differences of every metric between two sweeps, or between two values of a column of one, with 95 % intervals.
 
-    Runs are paired over the variants that both sides have, and over seeds where both have the same. A difference is
-    the mean over the variants of the difference of their runs' means, B minus A, or other minus base. Intervals are
-    of a two-stage bootstrap, of the variants and of the runs in each. `beyond_noise` is stricter than an interval
-    without 0: it controls the share of false findings among all metrics, or among all groups of one metric, at 5 %, by
-    Benjamini and Hochberg's procedure. Runs that fell or diverged count in the metrics `fell` and `diverged`, and are
-    counted beside each of the others.
+    Runs are paired by variant and seed, metric by metric: where a run is lost, its partner is left out, too. Only in
+    variants without a common seed each side has its own runs. A difference is the mean over the variants of the
+    difference of their runs' means, B minus A, or other minus base. Intervals and p-values are of Student's t, over the
+    variants' differences, or over the runs of a single variant, see `nermo_mjx.sweep.counting`. `beyond_noise` is
+    stricter than an interval without 0: it controls the share of false findings among all metrics, or among all groups
+    of one metric, at 5 %, by Benjamini and Hochberg's procedure. Runs that did not end well count in the metrics `fell`
+    and `diverged` alone; beside each of the others stands the share that was lost.
 
     >>> import tempfile
     >>> from nermo_mjx import run_sweep
@@ -579,6 +541,7 @@ def compare(
         groups: varied columns: an additional interval for each combination of their values.
         where: varied columns and the value to which the runs are restricted.
         drawn: metrics of which figures and summaries have the groups; by default the speed and both costs of transport.
+        progress: called with the share done, in [0, 1].
 
     Raises:
         ParameterError: there is no such column or value, or no common variant.
@@ -601,21 +564,34 @@ def compare(
         if name not in shared:
             raise ParameterError(f"metric is {name!r}, which no table has or one lacks{did_you_mean(name, shared)}")
     drawn = drawn or [name for name in GAINS if name in shared] or shared[:1]
-    lines: list[dict[str, Any]] = []
+    lines, lost, unpaired = list[dict[str, Any]](), list[str](), list[str]()
     status: dict[str, dict[str, int]] = {}
+    parts: list[Sequence[str]] = [(), groups] if groups else [()]
+    done = 0
+
+    def report(share: float) -> None:
+        progress((done + share) / (len(parts) * (len(arms) - 1)))
+
     for other in arms[1:]:
         pairing = pair(arms[0], other)
         notes += pairing.notes
-        if 1 < len(pairing.values) <= FEW_VARIANTS and not groups:
+        variants = len(pairing.values)
+        if 1 < variants <= FEW_VARIANTS and not groups:
             notes.append(
-                f"The means are over {len(pairing.values)} variants only: their intervals are meant for variants "
-                "in general, and wide; groups have an interval for each variant."
+                f"The means are over {variants} variants only: their intervals are meant for variants in general, by "
+                f"Student's t with {variants - 1} degree{'s' * (variants > 2)} of freedom, and wide; groups have an "
+                "interval for each variant."
             )
         for side in pairing.sides:
-            counts = collections.Counter(side.results.column("status")[side.runs.index].tolist())
-            status.setdefault(side.name, dict(sorted(counts.items())))
-        lines += _lines(pairing, shared, ())
-        lines += _lines(pairing, shared, groups) if groups else []
+            found = collections.Counter(side.results.column("status")[side.runs.index].tolist())
+            status.setdefault(side.name, dict(sorted(found.items())))
+        for names in parts:
+            own = _lines(pairing, shared, names, report)
+            done += 1
+            lines += own
+            if not names:
+                lost += _lost(pairing, [line for line in own if line["metric"] in drawn])
+                unpaired += _left_out(pairing, next(line for line in own if line["metric"] == drawn[0]))
     if not any(math.isfinite(line["low"]) for line in lines):
         notes.append("No interval: each side has one run of one variant, which tells no noise; give repeats.")
     return Comparison(
@@ -625,19 +601,54 @@ def compare(
         groups=tuple(groups),
         drawn=tuple(drawn),
         status=status,
-        notes=tuple(dict.fromkeys(notes)),
+        notes=tuple(dict.fromkeys([*lost, *notes, *unpaired])),
+        lost=tuple(dict.fromkeys(lost)),
     )
 
 
-def _lines(pairing: Pairing, metrics: Sequence[str], groups: Sequence[str]) -> list[dict[str, Any]]:
+def _lost(pairing: Pairing, lines: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    """Where the sides lost different shares of their runs, a sentence for the metrics whose losses are the same."""
+    found = dict[tuple[tuple[str, int, int, str], ...], list[str]]()
+    for line in lines:
+        if line["lost_base"] != line["lost_other"]:
+            each = []
+            for side, word in zip(pairing.sides, ("base", "other"), strict=True):
+                results, index, runs = side.results, side.runs.index, len(side.runs)
+                why = losses(results.column("status")[index], results.well[index])
+                without = round(line[f"lost_{word}"] * runs) - line[f"failed_{word}"]
+                why |= {NO_NUMBER: without} if without > 0 else {}
+                each.append((side.name, sum(why.values()), runs, f" ({told(why)})" if why else ""))
+            found.setdefault(tuple(each), []).append(line["metric"])
+    for both, names in found.items():
+        p = stats.fisher_exact([[many, runs - many] for _, many, runs, _ in both]).pvalue
+        shares = " and ".join(f"{many:,} of {runs:,} runs of {name}{why}" for name, many, runs, why in both)
+        yield (
+            f"Of {', '.join(map(spoken, names))}, {shares} are lost (p {p:.2g} by Fisher's exact test): what is "
+            "left on the two sides may not be the same robots."
+        )
+
+
+def _left_out(pairing: Pairing, line: Mapping[str, Any]) -> Iterator[str]:
+    """What is not paired, of the metric of a row over all variants."""
+    first, second = (side.name for side in pairing.sides)
+    if partners := line["partners"]:
+        yield f"{partners:,} runs of {first} or {second} are left out, whose partner of the same seed is lost."
+    if single := line["single"]:
+        yield f"{single:,} runs of {first} or {second} are left out: on the other side no run has their seed."
+    if apart := line["variants"] - line["paired"]:
+        yield (
+            f"Not paired: {apart:,} of {line['variants']:,} variants of {first} and {second} have no seed in "
+            "common, so that what their runs share does not cancel."
+        )
+
+
+def _lines(
+    pairing: Pairing, metrics: Sequence[str], groups: Sequence[str], progress: Callable[[float], None]
+) -> list[dict[str, Any]]:
     """Rows of the table about all variants, whose metrics form one family of tests, or about each group, where
     the tests of one metric form a family."""
-    parts = list(pairing.groups(groups)) if groups else [({}, pairing.sides)]
-    lines = [
-        {"other": pairing.sides[1].name, "group": place if groups else -1, **label, **line}
-        for place, (label, part) in enumerate(parts)
-        for line in differences(part, metrics)
-    ]
+    found = differences(pairing, groups, metrics, progress)
+    lines: list[dict[str, Any]] = [{"other": pairing.sides[1].name, **line} for line in found]
     families = [[line for line in lines if line["metric"] == name] for name in metrics] if groups else [lines]
     for family in families:
         known = [line for line in family if math.isfinite(line["p"])]
@@ -674,7 +685,7 @@ def _table(
     add("better", "index", "whether high or low is better, or what is nearer to zero; empty if none is")
     for name, about in _COUNTS.items():
         add(name, "metric", about)
-    return columns.table({"comparison": base.name, "by": by, "drawn": " ".join(drawn), "resamples": RESAMPLES})
+    return columns.table({"comparison": base.name, "by": by, "drawn": " ".join(drawn)})
 
 
 def _by_metric(rows: Sequence[Mapping[str, Any]], groups: Sequence[str]) -> dict[str, dict[str, Any]]:
@@ -865,7 +876,8 @@ def _runs(rows: Sequence[Row]) -> str:
     )
     failed = [sum(row["failed_" + side] for row in groups) for side in ("base", "other")]
     fell = f"; {failed[0]} of the base and {failed[1]} of the other fell or were lost" if any(failed) else "; none fell"
-    return f"{base:,} runs of the base, {other:,} of the other{fell}"
+    some = any(row[f"lost_{side}"] and not row[f"failed_{side}"] for row in rows for side in ("base", "other"))
+    return f"{base:,} runs of the base, {other:,} of the other{fell}" + "; some have no number" * some
 
 
 def _percent(share: float) -> str:

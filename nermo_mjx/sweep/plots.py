@@ -38,6 +38,7 @@ from nermo_mjx.plotting.shown import ShownValues, cost, shown, spoken, titled
 from nermo_mjx.robot.quantity import ParameterError, did_you_mean
 from nermo_mjx.runs.files import DirectoryError
 from nermo_mjx.runs.rows import part_files
+from nermo_mjx.sweep.counting import counts
 from nermo_mjx.sweep.spec import sides_in
 from nermo_mjx.sweep.table import (
     LEADING,
@@ -319,7 +320,8 @@ class Points:
         parameters: names of what tells the points apart: the varied parameters, or else the randomized ones.
         rows: a row of each point, (n,), which has its parameters.
         metrics: name -> (n,), as shown; NaN where no run had the number.
-        runs: how many runs succeeded.
+        runs: how many runs ended well.
+        lost: how many did not.
     """
 
     results: Results
@@ -327,6 +329,7 @@ class Points:
     rows: np.ndarray
     metrics: dict[str, ShownValues]
     runs: int
+    lost: int
 
     def of(self, names: Sequence[str], chosen: np.ndarray) -> list[ShownValues]:
         """Columns of the chosen points, as shown; only those columns are read, and only those points kept."""
@@ -341,27 +344,28 @@ class Points:
 
     @property
     def what(self) -> str:
-        """How many points there are, and what they are."""
+        """How many points there are, what they are, and how many runs are lost."""
         count = len(self.rows)
-        if count == self.runs:
-            return f"{count:,} runs"
-        return f"{count:,} variants, each the mean of its runs"
+        what = "runs" if count == self.runs else "variants, each the mean of its runs"
+        return f"{count:,} {what}" + (f", {self.lost:,} of {self.lost + self.runs:,} runs lost" if self.lost else "")
 
 
 def points_of(results: Results, metrics: Sequence[str]) -> Points:
-    """The points of a table with these metrics; only successful runs count."""
+    """The points of a table with these metrics: the variants of which a run ended well, or else such runs."""
     well, varied = results.well, columns_of(results, "varied")
     columns = results.columns(["variant", *metrics])
-    variant = next(columns)[1]
-    places = np.flatnonzero(well)
-    if not len(places):
-        return Points(results, tuple(varied), places, {name: quantity(results, name, []) for name in metrics}, 0)
+    variant, lost = next(columns)[1], int((~well).sum())
     if not varied:
         found = {name: quantity(results, name, values[well]) for name, values in columns}
-        return Points(results, tuple(columns_of(results, "randomized")), places, found, len(places))
-    variants = Variants.of(variant, well)
-    found = {name: quantity(results, name, variants.means(values[well])[0]) for name, values in columns}
-    return Points(results, tuple(varied), places[variants.first], found, len(places))
+        drawn = tuple(columns_of(results, "randomized"))
+        return Points(results, drawn, np.flatnonzero(well), found, int(well.sum()), lost)
+    variants = Variants.of(variant)
+    some = np.bincount(variants.place, well) > 0
+    found = {
+        name: quantity(results, name, variants.tally(values, counts(name, values, well)).mean[some])
+        for name, values in columns
+    }
+    return Points(results, tuple(varied), variants.first[some], found, int(well.sum()), lost)
 
 
 def quantity(results: Results, name: str, values: np.ndarray | Sequence[float]) -> ShownValues:
@@ -385,14 +389,16 @@ def alike(values: np.ndarray) -> bool:
 
 
 def metric_of(results: Results, metric: str) -> ShownValues:
-    """A metric as shown, NaN where a run failed."""
-    return quantity(results, metric, np.where(results.well, results.column(metric), np.nan))
+    """A metric as shown, NaN where a run is lost."""
+    values = results.column(metric)
+    return quantity(results, metric, np.where(counts(metric, values, results.well), values, np.nan))
 
 
 def repeats_remark(results: Results) -> str:
-    """What the note of a figure says of repeats that share a point."""
-    repeats = int(np.max(results.column("repeat"))) + 1
-    return f"mean of {repeats} repeats; " if repeats > 1 else ""
+    """What the note of a figure says of repeats that share a point, and of runs that are lost."""
+    repeats, lost = int(np.max(results.column("repeat"))) + 1, int((~results.well).sum())
+    gone = f"{lost:,} of {results.rows:,} runs lost; " if lost else ""
+    return (f"mean of {repeats} repeats; " if repeats > 1 else "") + gone
 
 
 # ---

@@ -15,7 +15,6 @@ import mujoco
 import numpy as np
 
 from nermo_mjx.physics import ENGINES
-from nermo_mjx.plotting.shown import cost
 from nermo_mjx.recording import Recording, RecordingError, recording_of
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.rollout import History, Setup, Simulator
@@ -23,10 +22,11 @@ from nermo_mjx.runs.directory import RunDirectory
 from nermo_mjx.runs.files import DirectoryError, plain
 from nermo_mjx.runs.rows import opened, part_files
 from nermo_mjx.specs.reading import SpecError
+from nermo_mjx.sweep.counting import counts
 from nermo_mjx.sweep.spec import Keep, Rows, Sample, Sweep, sides_in
 from nermo_mjx.sweep.store import known
 from nermo_mjx.sweep.structures import Structure
-from nermo_mjx.sweep.table import RECORDINGS, Results
+from nermo_mjx.sweep.table import RECORDINGS, Results, Variants
 
 
 @dataclasses.dataclass(frozen=True)
@@ -274,17 +274,19 @@ def recording_file(out: Path, row: int) -> Path:
 def kept_rows(results: Results, keep: Keep) -> dict[int, str]:
     """The rows of a complete table that are kept, and why.
 
-    The best come first, each of a different variant; then those with another outcome, the first ones in the table.
+    The best variants come first, by their means, each as its run that is nearest to it; one with lost runs comes after
+    those with fewer. Then those with another outcome, the first ones in the table.
     """
     kept: dict[int, str] = {}
     if keep.best:
-        price = cost(sides_in(results.schema)[keep.metric], results.column(keep.metric))
-        price = np.where(results.well & np.isfinite(price), price, np.inf)
-        order = np.argsort(price, kind="stable")
-        order = order[np.isfinite(price[order])]
-        _, first = np.unique(results.column("variant")[order], return_index=True)
-        best = order[np.sort(first)[: keep.best]]
-        kept |= {int(row): f"number {i} by {keep.metric}" for i, row in enumerate(best, 1)}
+        values, variants = results.column(keep.metric), Variants.of(results.column("variant"))
+        good = counts(keep.metric, values, results.well)
+        tally = variants.tally(values, good)
+        far = np.where(good, np.abs(values - tally.mean[variants.place]), np.inf)
+        for i, at in enumerate(tally.ranked(sides_in(results.schema)[keep.metric])[: keep.best].tolist(), 1):
+            own = np.flatnonzero(variants.place == at)
+            why = f"number {i} by {keep.metric}" + (", its run nearest to the mean" if len(own) > 1 else "")
+            kept[int(own[np.argmin(far[own])])] = why
     status = results.column("status")
     for word in _STATUSES:
         for row in np.flatnonzero(status == word)[: getattr(keep, word)]:

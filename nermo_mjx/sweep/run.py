@@ -34,6 +34,7 @@ from nermo_mjx.runs.rows import Runs
 from nermo_mjx.runs.workers import LocalWorkers, TaskFailed, Workers
 from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.specs.walk import unread
+from nermo_mjx.sweep.counting import counts
 from nermo_mjx.sweep.plots import figures_of, findings
 from nermo_mjx.sweep.simulating import (
     PROBE,
@@ -329,8 +330,8 @@ class BatchLog:
         self._statuses.update(table.column("status").to_pylist())
         well = pc.equal(table.column("status"), "ok").to_numpy()
         for name in columns_of(table, "metric"):
-            values = np.asarray(table.column(name).to_numpy(), float)[well]
-            values = values[np.isfinite(values)]
+            values = np.asarray(table.column(name).to_numpy(), float)
+            values = values[counts(name, values, well)]
             if not len(values):
                 continue
             self._sums[name] += float(values.sum())  # type: ignore[assignment]

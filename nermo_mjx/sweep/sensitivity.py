@@ -21,8 +21,9 @@ from nermo_mjx.plotting.shown import spoken
 from nermo_mjx.plotting.style import BAND, GRID, INK, LINE, MUTED, OKABE_ITO
 from nermo_mjx.robot.quantity import ParameterError, did_you_mean
 from nermo_mjx.sweep.comparing import Source, opened
+from nermo_mjx.sweep.counting import counts
 from nermo_mjx.sweep.sampling import saltelli_size, unit_problem
-from nermo_mjx.sweep.table import LEADING, Columns, Results, columns_of, labelled, report_table
+from nermo_mjx.sweep.table import LEADING, Columns, Results, Variants, columns_of, labelled, report_table
 
 #: Resamples of SALib's bootstrap, the same ones in each call; SALib takes a seed of 0 for none.
 _BOOTSTRAP: Final[dict[str, Any]] = {"num_resamples": 1000, "seed": 1}
@@ -114,6 +115,10 @@ def sensitivity(source: Source, metric: str = LEADING) -> Sensitivity:
     noise = float(np.mean(noises))
     if method == "rbd_fast":
         notes.append("Interactions are not known from this sample: sample: {saltelli: N} gives total indices, too.")
+    if any(line["index"] < 0 for line in lines):
+        notes.append(
+            "A share below 0 is the estimate's noise: it is not told apart from 0. More points tell it better."
+        )
     if columns_of(results, "randomized") and columns_of(results, "varied"):
         about_noise = "; one repeat does not tell how much it is: give repeats"
         if math.isfinite(noise):
@@ -144,7 +149,7 @@ class _Data(NamedTuple):
     Attributes:
         names: the parameters.
         inputs: their values, (variants, p).
-        means: the metric's mean over the successful runs, (variants,); NaN where there is none.
+        means: the metric's mean over the runs that count, (variants,); NaN where there is none.
         noise: share of the variance of the means that the repeats make.
     """
 
@@ -158,25 +163,21 @@ def _data_of(results: Results, metric: str, rows: np.ndarray, notes: list[str]) 
     """The data of the structure of some rows (n,); notes about lost runs are added."""
     numbers = [name for name in columns_of(results, "varied") if name not in labelled(results)]
     names = numbers or columns_of(results, "randomized")
-    variant = results.column("variant")[rows] if numbers else rows
-    number, first, place = np.unique(variant, return_index=True, return_inverse=True)
+    variants = Variants.of(results.column("variant")[rows] if numbers else rows)
     values = results.column(metric)[rows]
-    good = results.well[rows] & np.isfinite(values)
-    count = np.bincount(place[good], minlength=len(number))
-    with np.errstate(invalid="ignore"):
-        means = np.bincount(place[good], values[good], len(number)) / count
-    spread = np.bincount(place[good], (values[good] - means[place[good]]) ** 2, len(number))
-    several = count > 1
-    within = np.mean(spread[several] / (count[several] - 1) / count[several]) if several.any() else math.nan
-    whole = np.nanvar(means) if count.any() else math.nan
-    inputs = np.column_stack([column[rows][first] for _, column in results.columns(names)])
+    good = counts(metric, values, results.well[rows])
+    tally = variants.tally(values, good)
+    means, several, some = tally.mean, tally.count > 1, tally.count > 0
+    within = np.mean(tally.std[several] ** 2 / tally.count[several]) if several.any() else math.nan
+    whole = np.nanvar(means) if some.any() else math.nan
+    inputs = np.column_stack([column[rows][variants.first] for _, column in results.columns(names)])
     read = ~np.isnan(inputs).all(axis=0)  # in this structure
     if not good.all():
-        notes.append(
-            f"{int((~good).sum()):,} of {len(good):,} runs fell or were lost, {int((count == 0).sum()):,} variants "
-            "with all of theirs."
-        )
-    if count.any() and whole <= (1e-12 * np.nanmax(np.abs(means))) ** 2:
+        well = results.well[rows]
+        words = ("fell or were lost", int((~well).sum())), ("have no number", int((well & ~good).sum()))
+        why = " and ".join(f"{many:,} of {len(good):,} runs {what}" for what, many in words if many)
+        notes.append(f"{why}, {int((~some).sum()):,} variants with all of theirs.")
+    if some.any() and whole <= (1e-12 * np.nanmax(np.abs(means))) ** 2:
         raise ParameterError(f"metric is {metric!r}, which is the same in all variants: it depends on nothing.")
     noise = float(min(within / whole, 1.0)) if whole > 0 else math.nan
     return _Data([name for name, there in zip(names, read, strict=True) if there], inputs[:, read], means, noise)
@@ -194,8 +195,8 @@ def _sobol(data: _Data, pairs: bool, notes: list[str]) -> Iterator[dict[str, Any
     whole = np.isfinite(blocks).all(axis=1)
     if lost := int((~whole).sum()):
         notes.append(
-            f"{lost:,} of {len(blocks):,} points are left out, of which a variant has no run that went "
-            "well: the indices are of where the robot walks."
+            f"{lost:,} of {len(blocks):,} points are left out, of which a variant has no run that "
+            "counts: the indices are of where the robot walks."
         )
     if whole.sum() < 4:
         raise ParameterError(f"only {int(whole.sum())} points have all of their variants: too few for indices.")

@@ -24,7 +24,6 @@ from typing_extensions import TypedDict
 
 from nermo_mjx.files import FileError, read_as
 from nermo_mjx.plotting.files import Figures, write_figures
-from nermo_mjx.plotting.shown import cost
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.rollout.own_metrics import METRICS
 from nermo_mjx.runs.code import session
@@ -41,6 +40,7 @@ from nermo_mjx.runs.files import (
 from nermo_mjx.runs.rows import Columns as Columns
 from nermo_mjx.runs.rows import opened, part_files
 from nermo_mjx.runs.status import Status, metadata_of, status_of
+from nermo_mjx.sweep.counting import OF_ALL_RUNS, Tally, counts, losses
 from nermo_mjx.sweep.spec import OBJECTIVES, SIDES, Rows, Sweep, sides_in
 from nermo_mjx.sweep.structures import about_structure
 from nermo_mjx.trust import one_line
@@ -365,26 +365,30 @@ def summarize(table: pa.Table | Results) -> dict[str, Any]:
     varied, metrics = columns_of(results, "varied"), columns_of(results, "metric")
     named = labelled(results)
     columns = results.columns(["variant", LEADING, *columns_of(results, "varied", "randomized")])
-    variants = Variants.of(next(columns)[1], well)
-    speed, correlations = next(columns)[1][well], {}
+    variants = Variants.of(next(columns)[1])
+    speed, correlations = next(columns)[1], {}
     for name, values in columns:
         if name not in named:
-            correlations[name] = rank_correlation(values[well], speed)
+            correlations[name] = rank_correlation(values[well], speed[well])
         if name in varied:
-            variants.values[name] = values[well][variants.first]
+            variants.values[name] = values[variants.first]
     spreads, best, sides = {}, {}, sides_in(results.schema)
-    for name, values in results.columns([name for name in metrics if name not in ("fell", "diverged")]):
-        good = values[well & np.isfinite(values)]
-        words = ("mean", "std", "min", "max") if len(good) else ()
-        spreads[name] = {word: float(getattr(good, word)()) for word in words}
+    for name, values in results.columns([name for name in metrics if name not in OF_ALL_RUNS]):
+        good = counts(name, values, well)
+        words = ("mean", "std", "min", "max") if good.any() else ()
+        spreads[name] = {word: float(getattr(values[good], word)()) for word in words}
+        spreads[name]["lost"] = float(1 - good.mean())
         if name in sides:
-            best[name] = _best(variants, values[well], sides[name])
-    mean, _ = variants.means(speed)
+            best[name] = _best(results, variants, values, good, sides[name])
+    tally = variants.tally(speed, counts(LEADING, speed, well))
     marginal: dict[str, list[dict[str, Any]]] = {}  # over everything else
     for name in varied if results.is_grid else ():
-        column = variants.values[name]
-        different = [value for value in np.unique(column).tolist() if value == value]
-        marginal[name] = [{"value": value, LEADING: float(np.nanmean(mean[column == value]))} for value in different]
+        column, marginal[name] = variants.values[name], []
+        for value in np.unique(column[column == column]).tolist():
+            here = column == value
+            if np.isfinite(tally.mean[here]).any():
+                lost = float(1 - tally.count[here].sum() / tally.runs[here].sum())
+                marginal[name].append({"value": value, LEADING: float(np.nanmean(tally.mean[here])), "lost": lost})
     return {
         "rows": results.rows,
         "variants": variants.all,
@@ -394,7 +398,7 @@ def summarize(table: pa.Table | Results) -> dict[str, Any]:
         "best": {name: best[name] for name in sides if name in best},
         "marginal_means": marginal,
         "rank_correlations": correlations,
-        "spine_gain": _spine_gain(variants.values, mean) if results.is_grid else [],
+        "spine_gain": _spine_gain(variants.values, tally) if results.is_grid else [],
     }
 
 
@@ -405,61 +409,67 @@ def spine_ratio(results: Results) -> dict[str, np.ndarray]:
         One entry per variant with a successful run: the varied parameters, `ratio` (speed over the mean speed at
         amplitude 0, all but the spine's phase equal; nan without such a run), and `base` (that mean speed).
     """
-    well = results.well
     columns = results.columns(["variant", LEADING, *columns_of(results, "varied")])
-    variants = Variants.of(next(columns)[1], well)
-    mean, _ = variants.means(next(columns)[1][well])
-    values = {name: column[well][variants.first] for name, column in columns}
-    ratio, base = _spine_ratio(values, mean)
+    variants = Variants.of(next(columns)[1])
+    speed = next(columns)[1]
+    mean = variants.tally(speed, counts(LEADING, speed, results.well)).mean
+    known = np.isfinite(mean)
+    values = {name: column[variants.first][known] for name, column in columns}
+    ratio, base = _spine_ratio(values, mean[known])
     return {**values, "ratio": ratio, "base": base}
 
 
 @dataclasses.dataclass(frozen=True)
 class Variants:
-    """The variants with a successful run.
+    """The variants of a table.
 
     Attributes:
-        all: the number of variants, those without such a run included.
-        number: index of each, (variants,).
-        first: its first run, by its place among those that went well, (variants,).
-        count: its successful runs, (variants,).
-        place: where the variant of each such run stands here, (runs,).
+        all: the number of variants, those without a run so far included.
+        number: index of each that has runs, (variants,).
+        first: its first run, (variants,).
+        place: where the variant of each run stands here, (runs,).
         values: the varied parameters, name -> (variants,).
     """
 
     all: int
     number: np.ndarray
     first: np.ndarray
-    count: np.ndarray
     place: np.ndarray
     values: dict[str, np.ndarray] = dataclasses.field(default_factory=dict)
 
     @classmethod
-    def of(cls, variant: np.ndarray, well: np.ndarray) -> Variants:
-        """Of the variant of each run, (rows,), and whether it went well, (rows,)."""
-        number, first, place, count = np.unique(variant[well], True, True, True)
-        return cls(int(variant.max()) + 1, number, first, count, place)
+    def of(cls, variant: np.ndarray) -> Variants:
+        """Of the variant of each run, (rows,)."""
+        number, first, place = np.unique(variant, return_index=True, return_inverse=True)
+        return cls(int(variant.max()) + 1, number, first, place)
 
-    def means(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Mean and standard deviation of a metric over the repeats, (variants,) each, of its values (runs,)."""
-        mean = np.bincount(self.place, values, len(self.number)) / self.count
-        squares = np.bincount(self.place, (values - mean[self.place]) ** 2, len(self.number))
-        return mean, np.sqrt(squares / np.maximum(self.count - 1, 1))
+    def tally(self, values: np.ndarray, good: np.ndarray) -> Tally:
+        """A metric over the repeats, of its values (runs,) and which runs count, (runs,)."""
+        return Tally.of(values, self.place, good, len(self.number))
 
 
-def _best(variants: Variants, values: np.ndarray, side: str) -> dict[str, Any] | None:
-    """The variant with the best mean over its repeats of a metric (runs,) with a better direction."""
-    mean, std = variants.means(values)
-    score = cost(side, mean)
-    if not np.isfinite(score).any():
+def _best(
+    results: Results, variants: Variants, values: np.ndarray, good: np.ndarray, side: str
+) -> dict[str, Any] | None:
+    """The variant with the best mean over its repeats of a metric (runs,) with a better direction; one with lost runs
+    comes after all with fewer of them."""
+    tally = variants.tally(values, good)
+    ranked = tally.ranked(side)
+    if not len(ranked):
         return None
-    at = int(np.nanargmin(score))
+    at = int(ranked[0])
+    own = variants.place == at
+    mean, std, half = (float(each[at]) for each in (tally.mean, tally.std, tally.half))
     return {
         "side": side,
         "variant": int(variants.number[at]),
-        "mean": float(mean[at]),
-        "std": float(std[at]),
-        "runs": int(variants.count[at]),
+        "mean": mean,
+        "low": mean - half,
+        "high": mean + half,
+        "std": std,
+        "runs": int(tally.count[at]),
+        "lost": float(tally.lost[at]),
+        "why": losses(results.column("status")[own], good[own]) if tally.lost[at] else {},
         "parameters": _plain_number(variants.values, at),
     }
 
@@ -492,8 +502,9 @@ def _spine_ratio(values: Mapping[str, np.ndarray], speed: np.ndarray) -> tuple[n
     return speed / np.where(base > 0, base, math.nan), base
 
 
-def _spine_gain(values: Mapping[str, np.ndarray], speed: np.ndarray) -> list[dict[str, Any]]:
-    """Speed with the spine relative to the stiff spine; best and worst a frequency."""
+def _spine_gain(values: Mapping[str, np.ndarray], tally: Tally) -> list[dict[str, Any]]:
+    """Speed with the spine relative to the stiff spine; best and worst a frequency, of those with the fewest lost."""
+    speed = tally.mean
     if "spine.amplitude" not in values:
         return []
     ratio, base = _spine_ratio(values, speed)
@@ -504,12 +515,14 @@ def _spine_gain(values: Mapping[str, np.ndarray], speed: np.ndarray) -> list[dic
         line: dict[str, Any] = {} if frequency is None else {"frequency": float(frequency)}
         for word, pick in (("best", np.argmax), ("worst", np.argmin)):
             if here.any():
+                here &= tally.lost == tally.lost[here].min()
                 at = int(np.flatnonzero(here)[pick(ratio[here])])
                 parameters = {name: each for name, each in _plain_number(values, at).items() if name != "frequency"}
                 line[word] = {
                     "ratio": float(ratio[at]),
                     "speed": float(speed[at]),
                     "speed_without": float(base[at]),
+                    "lost": float(tally.lost[at]),
                     "parameters": parameters,
                 }
         lines += [line] if here.any() else []

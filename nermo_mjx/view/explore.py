@@ -25,6 +25,7 @@ from nermo_mjx.rollout.own_metrics import headed
 from nermo_mjx.runs import DirectoryError, kind_of
 from nermo_mjx.runs.files import parquet_table
 from nermo_mjx.specs.reading import SpecError, read_file
+from nermo_mjx.sweep.counting import counts, same_values
 from nermo_mjx.sweep.spec import OBJECTIVES, sides_in
 from nermo_mjx.sweep.table import LEADING, Results, SweepRecord, meta
 from nermo_mjx.view.clip import COMPACT, Models, clip_of
@@ -100,6 +101,12 @@ class Runs:
     atlas: Mapping[str, Any] | None = None
     gain_over: tuple[str, ...] = ()
 
+    @property
+    def counts(self) -> np.ndarray:
+        """Which runs count for the leading metric, (n,)."""
+        values, status = self.columns[self.leading].values, self.columns.get("status")
+        return counts(self.leading, values, np.full(len(values), True) if status is None else status.values == "ok")
+
     def of(self, *roles: str) -> list[Column]:
         """Columns of these roles that differ between the runs."""
         return [each for each in self.columns.values() if each.role in roles and len(each.distinct) > 1]
@@ -141,6 +148,8 @@ def runs_of(path: Path, kept: Collection[int] = (), most: int = MOST_ROWS) -> Ru
     leading = usual if atlas is None else str(atlas["objective"]["metric"])
     number = column("row")
     price = _column(leading, fields[leading], sides, column(leading)).cost()
+    if "status" in fields:
+        price = np.where(column("status") == "ok", price, np.inf)
     places = np.arange(len(number))
     if len(number) > most:
         best = np.argsort(price, kind="stable")[: min(_BEST_KEPT, most // 2)]
@@ -296,7 +305,8 @@ def explore(
     notes = [f"{len(runs.rows):,} of {runs.total:,} runs: the best, and the others evenly."]
     notes = notes if len(runs.rows) < runs.total else []
     known = np.flatnonzero(np.isin(runs.rows, list(there)))
-    ranked = runs.rows[known[np.argsort(runs.columns[runs.leading].cost()[known], kind="stable")]]
+    price = np.where(runs.counts, runs.columns[runs.leading].cost(), np.inf)
+    ranked = runs.rows[known[np.argsort(price[known], kind="stable")]]
     chosen = ranked[thinned(np.arange(len(ranked)), recordings)].tolist() if recordings > 0 else []
     if len(chosen) < len(there):
         notes.append(f"{len(chosen)} of {len(there)} recordings, evenly from the best to the worst.")
@@ -352,16 +362,16 @@ def with_gain(path: Path, runs: Runs) -> Runs:
         comparison = {"by": "spine.amplitude", "base": 0.0, "for": ["spine.amplitude", "spine.phase"]}
     if comparison.get("by") not in names:
         return runs
-    by, leading, status = runs.columns[comparison["by"]], runs.columns[runs.leading], runs.columns.get("status")
+    by, leading, well = runs.columns[comparison["by"]], runs.columns[runs.leading], runs.counts
     if (base := comparison.get("base")) is None:
         base = "none" if by.is_text and "none" in by.distinct else by.values[0]
-    well = np.isfinite(leading.values) & (True if status is None else status.values == "ok")
     of_base = by.values == base if by.is_text else np.isclose(by.values, float(base), rtol=0.0, atol=1e-12)
     if not (of_base & well).any() or (of_base | ~well).all():
         return runs
     # A stiff spine has no phase, whatever its column says.
     left_out = {by.name, "spine.phase"} if by.name == "spine.amplitude" else {by.name}
     keys = [runs.columns[name].values for name in sorted(names - left_out)]
+    keys = [key if key.dtype == object else same_values(key) for key in keys]
     known = [key for key in keys if key.dtype == object or np.isfinite(key[of_base]).all()]
     texts = np.array([np.zeros(len(of_base)).astype(str), *(key.astype(str) for key in known)])
     alike = np.unique(texts, axis=1, return_inverse=True)[1]

@@ -131,7 +131,7 @@ export class Chart {
     const [w, h] = [width / this.across.bins, height / this.up.bins];
     const { field } = this.colouring;
     this.radius = Math.min(w, h) / 2;
-    this.items = cellsOf(this.across, this.up, field, this.passing, this.view.of);
+    this.items = cellsOf(this.across, this.up, field, this.passing, this.view.of, this.table.counting(field));
     const gap = Math.min(w, h) > 6 ? 1 : 0;
     Object.assign(paper, { textAlign: "center", textBaseline: "middle", font: "11px system-ui, sans-serif" });
     for (const item of this.items) {
@@ -297,6 +297,7 @@ function fillTip(chart, tip, item) {
   if (item.places?.length > 1) {
     const what = field.isText ? "most often" : { best: field.best, mean: "mean", worst: field.better ? "worst" : "lowest" }[view.of];
     lines.push(`${field.title}, ${what}: ${field.shown(item.value)}`);
+    if (item.lost) lines.push(`${item.lost} of ${item.places.length} runs lost`);
   }
   const names = new Set([view.x, view.y, ...(item.places?.length > 1 ? [] : [view.colour])]);
   for (const name of names) lines.push(`${table.field(name).title}: ${table.field(name).shownAt(item.place)}`);
@@ -383,15 +384,15 @@ class Axis {
 }
 
 /**
- * The cells that some runs fill. `of` is `best`, `mean` or `worst`; each has its bins, its runs from the best to the
- * worst, a value, and the run that stands for it.
+ * The cells that some runs fill. `of` is `best`, `mean` or `worst` of the runs that count; each has its bins, its runs
+ * from the best to the worst, a value, how many of them are lost, and the run that stands for it.
  */
-function cellsOf(across, up, colour, places, of) {
+function cellsOf(across, up, colour, places, of, counts) {
   const inside = Array.from(places).filter((place) => across.bin(place) >= 0 && up.bin(place) >= 0);
   return [...Map.groupBy(inside, (place) => up.bin(place) * across.bins + across.bin(place))].map(([cell, members]) => {
     if (!colour.isText) members.sort((a, b) => colour.order(a, b));
     const at = { x: cell % across.bins, y: Math.floor(cell / across.bins), places: members };
-    return { ...at, ...(colour.isText ? commonest(colour, members) : valued(colour, members, of)) };
+    return { ...at, ...(colour.isText ? commonest(colour, members) : valued(colour, members, of, counts)) };
   });
 }
 
@@ -401,14 +402,15 @@ function commonest(colour, places) {
   return { value, place };
 }
 
-function valued(colour, places, of) {
-  const good = places.filter((place) => Number.isFinite(colour.values[place]));
-  if (!good.length) return { value: NaN, place: places[0] };
+function valued(colour, places, of, counts) {
+  const good = places.filter(counts);
+  const lost = places.length - good.length;
+  if (!good.length) return { value: NaN, place: places[0], lost };
   const mean = good.reduce((sum, place) => sum + colour.values[place], 0) / good.length;
   const off = (place) => Math.abs(colour.values[place] - mean);
-  if (of === "mean") return { value: mean, place: good.reduce((best, place) => (off(place) < off(best) ? place : best)) };
+  if (of === "mean") return { value: mean, lost, place: good.reduce((best, place) => (off(place) < off(best) ? place : best)) };
   const place = of === "best" ? good[0] : good.at(-1);
-  return { value: colour.values[place], place };
+  return { value: colour.values[place], lost, place };
 }
 
 /** Losses up to this keep their colour [%]. */

@@ -7,6 +7,8 @@ const TAIL = 0.05;
 const MOST_OF = 0.5;
 /** A scale is logarithmic if the greatest values are this many times the median. */
 const SKEW = 12;
+/** Metrics that say what became of a run; all runs have them. */
+const OF_ALL_RUNS = ["fell", "diverged"];
 
 export class Table {
   constructor(header, parts) {
@@ -19,6 +21,13 @@ export class Table {
 
   field(name) {
     return this.fields.get(name);
+  }
+
+  /** Which runs count for a field: those that ended well and have a number; how a run ended counts of all. */
+  counting(field) {
+    const status = field.role === "metric" && !OF_ALL_RUNS.includes(field.name) ? this.field("status") : null;
+    const well = status?.texts.indexOf("ok");
+    return (place) => Number.isFinite(field.values[place]) && (!status || status.values[place] === well);
   }
 
   /** Fields of some roles, by default all, that differ between the runs. */

@@ -1,0 +1,268 @@
+"""Which runs count: the one notion of a variant's runs, for every mean, rank, interval, pair and figure.
+
+A run counts for a metric if it ended well and has a number for it; else it is lost. How a run ended counts of all runs.
+Runs are repeats of a variant if all that is varied is the same, and partners if their seed is the same, too.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+from scipy import sparse, stats
+
+from nermo_mjx.plotting.shown import LEVEL, cost, half_width
+
+#: Metrics that say what became of a run; all runs have them.
+OF_ALL_RUNS: Final = ("fell", "diverged")
+#: Why a run that ended well is lost, beside the other statuses.
+NO_NUMBER: Final = "no number"
+
+
+def counts(name: str, values: np.ndarray, well: np.ndarray) -> np.ndarray:
+    """Which runs (n,) count for a metric, of its values (n,) and whether the runs ended well (n,).
+
+    >>> counts("speed", np.array([0.1, np.nan, 0.2]), np.array([True, True, False])).tolist()
+    [True, False, False]
+    """
+    return np.isfinite(values) & (well | (name in OF_ALL_RUNS))
+
+
+def losses(status: np.ndarray, good: np.ndarray) -> dict[str, int]:
+    """Why runs do not count, and how many: their status (n,), or `NO_NUMBER` for those that ended well."""
+    found = Counter(NO_NUMBER if each == "ok" else each for each in status[~good].tolist())
+    return dict(sorted(found.items()))
+
+
+def told(lost: Mapping[str, int]) -> str:
+    """Losses in words.
+
+    >>> told({"diverged": 1, "fell": 3, NO_NUMBER: 2})
+    '1 diverged, 3 fell, 2 have no number'
+    """
+    words = {NO_NUMBER: ("has no number", "have no number"), "unsolved": ("was not solved", "were not solved")}
+    return ", ".join(f"{many:,} {words.get(why, (why, why))[many != 1]}" for why, many in lost.items())
+
+
+@dataclasses.dataclass(frozen=True)
+class Tally:
+    """A metric over the runs of v variants.
+
+    Attributes:
+        runs: of each variant, (v,), lost ones included.
+        count: those that count, (v,).
+        mean: of these, (v,); NaN without one.
+        std: their standard deviation, (v,); NaN of fewer than two, whose spread is unknown.
+    """
+
+    runs: np.ndarray
+    count: np.ndarray
+    mean: np.ndarray
+    std: np.ndarray
+
+    @classmethod
+    def of(cls, values: np.ndarray, place: np.ndarray, good: np.ndarray, variants: int) -> Tally:
+        """Of values (n,), the variant of each run, from 0, (n,), and which runs count, (n,)."""
+        here, own = place[good], np.asarray(values[good], float)
+        count = np.bincount(here, minlength=variants)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            mean = np.bincount(here, own, variants) / count
+            square = np.bincount(here, (own - mean[here]) ** 2, variants) / np.where(count > 1, count - 1.0, np.nan)
+        return cls(np.bincount(place, minlength=variants), count, mean, np.sqrt(square))
+
+    @property
+    def lost(self) -> np.ndarray:
+        """The share of each variant's runs that is lost, (v,)."""
+        return 1.0 - self.count / np.maximum(self.runs, 1)
+
+    @property
+    def half(self) -> np.ndarray:
+        """Half the 95 % interval of each mean, (v,)."""
+        return half_width(self.std, self.count)
+
+    def ranked(self, side: str) -> np.ndarray:
+        """The variants with a mean, the best first, (k,): one with lost runs comes after all with fewer lost.
+
+        Args:
+            side: which values are better, as `plotting.shown.cost` has it.
+        """
+        order = np.lexsort((cost(side, self.mean), self.lost))
+        return order[np.isfinite(self.mean[order])]
+
+
+def same_values(values: np.ndarray) -> np.ndarray:
+    """Values (n,), those that differ in their last digits by one of them; NaN stays NaN.
+
+    >>> len(set(same_values(np.array([0.7, 7 * 0.1, 0.8])).tolist()))
+    2
+    """
+    distinct, place = np.unique(values, return_inverse=True)
+    with np.errstate(invalid="ignore"):
+        apart = ~(np.diff(distinct) <= 1e-12 * np.abs(distinct[1:]) + 1e-15)
+    first = np.append(True, apart)[: len(distinct)]
+    return np.asarray(distinct[first][np.cumsum(first) - 1][place])
+
+
+def sums(values: np.ndarray, place: np.ndarray, places: int) -> np.ndarray:
+    """Sums of rows (n, m) by their place, (places, m), in the order of the rows."""
+    rows = np.arange(len(place))
+    return np.asarray(sparse.csr_matrix((np.ones(len(place)), (place, rows)), (places, len(place))) @ values)
+
+
+# ---
+# Partners: which runs of two sides are pairs.
+
+
+class Matched(NamedTuple):
+    """Values of two sides over common units, k of them; a unit is paired or not.
+
+    Attributes:
+        unit: units with a value on both sides, (k,).
+        paired: whether their runs are pairs, (k,).
+        sides: of each side (values (n, m), the place of each in `unit` (n,)), and of the paired ones the partners in
+            the same order; runs with the same unit and seed count once, by their mean.
+        partners: good runs that are left out because the partner is lost, of each side (units,).
+        single: good runs that are left out because they have no partner, of each side (units,).
+        runs: runs that are in the values, of each side (units,).
+    """
+
+    unit: np.ndarray
+    paired: np.ndarray
+    sides: tuple[tuple[np.ndarray, np.ndarray], ...]
+    partners: np.ndarray
+    single: np.ndarray
+    runs: np.ndarray
+
+
+class Partners:
+    """The runs of two sides, matched by unit (a variant, or one in a group) and seed.
+
+    In a unit where any seed is common, the runs with a common seed are pairs, and the others are left out. In a unit
+    without one, each side has its own runs.
+
+    >>> found = Partners([np.zeros(2, int), np.zeros(2, int)], [np.array([7, 8]), np.array([8, 7])])
+    >>> first, second = found.match([np.array([[1.0], [2.0]]), np.array([[5.0], [4.0]])], [np.ones(2, bool)] * 2).sides
+    >>> (second[0] - first[0]).ravel().tolist()
+    [3.0, 3.0]
+
+    Args:
+        units: of each side's runs, (n,) int from 0.
+        seeds: of each side's runs, (n,).
+    """
+
+    def __init__(self, units: Sequence[np.ndarray], seeds: Sequence[np.ndarray]) -> None:
+        split, unit = len(units[0]), np.concatenate(units).astype(np.int64)
+        seed = np.unique(np.concatenate(seeds), return_inverse=True)[1]
+        known, key = np.unique(unit * (int(seed.max(initial=0)) + 1) + seed, return_inverse=True)
+        self.units = int(unit.max(initial=-1)) + 1
+        self._keys = (key[:split], key[split:])
+        self._unit = np.zeros(len(known), np.int64)
+        self._unit[key] = unit
+        there = [np.bincount(own, minlength=len(known)) > 0 for own in self._keys]
+        self._common = there[0] & there[1]
+        #: Whether a unit has pairs, (units,).
+        self.paired = np.bincount(self._unit[self._common], minlength=self.units) > 0
+
+    def match(self, values: Sequence[np.ndarray], good: Sequence[np.ndarray]) -> Matched:
+        """The values (n, m) of both sides' runs, of which some count, (n,)."""
+        size = len(self._unit)
+        many = [np.bincount(own[here], minlength=size) for own, here in zip(self._keys, good, strict=True)]
+        both, paired = (many[0] > 0) & (many[1] > 0), self.paired[self._unit]
+        used = [np.where(paired, both, each > 0) for each in many]
+        there = [np.bincount(self._unit[each], minlength=self.units) > 0 for each in used]
+        unit = np.flatnonzero(there[0] & there[1])
+        at = np.full(self.units, -1)
+        at[unit] = np.arange(len(unit))
+        sides = []
+        for own, here, each, count, keep in zip(self._keys, good, values, many, used, strict=True):
+            keep &= at[self._unit] >= 0
+            total = sums(each[here], own[here], size)[keep] / count[keep, None]
+            sides.append((total, at[self._unit[keep]]))
+
+        def left_out(chosen: np.ndarray) -> np.ndarray:
+            return np.array([np.bincount(self._unit[chosen], each[chosen], self.units) for each in many]).astype(int)
+
+        partners, single = left_out(paired & self._common & ~both), left_out(paired & ~self._common)
+        runs = [np.bincount(self._unit[keep], each[keep], self.units) for each, keep in zip(many, used, strict=True)]
+        return Matched(unit, self.paired[unit], tuple(sides), partners, single, np.array(runs).astype(int))
+
+
+# ---
+# Intervals of a mean over variants whose runs are repeated, by Student's t.
+#
+# The variants count as drawn from all those that might have been swept, so their means alone tell how far off the mean
+# over them is: their spread contains the noise of their runs, whatever share of it that is, and whatever their numbers
+# of runs. Student's t with v - 1 degrees of freedom keeps its level of 5 % where the variances differ, too (Bakirov and
+# Szekely, J. Math. Sci. 139, 2006; Ibragimov and Mueller, J. Bus. Econ. Stat. 28, 2010). Where the variants' means are
+# closer together by chance than the noise of their runs allows, this noise alone has the wider interval, which counts.
+# Of one variant it is all there is, by Welch's t, with no more degrees of freedom than if both sides had the same
+# spread: two or three runs may have a small one by chance.
+
+
+class Interval(NamedTuple):
+    """Estimates of m metrics, (m,) each, or with groups (groups, m).
+
+    Attributes:
+        estimate: the mean over the variants.
+        low, high: its 95 % confidence interval; NaN where the noise is unknown (one variant, and one run per cell).
+        p: probability of an estimate as far from 0 by chance, two-sided; NaN without an interval.
+    """
+
+    estimate: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    p: np.ndarray
+
+
+def two_stage(values: np.ndarray, cell: np.ndarray, variant: np.ndarray, group: np.ndarray | None = None) -> Interval:
+    """The mean over variants of the sum of their cells' means, with its interval and p-value.
+
+    >>> two_stage(np.array([[1.0], [1.0], [3.0], [3.0]]), np.array([0, 0, 1, 1]), np.array([0, 1])).estimate
+    array([2.])
+
+    Args:
+        values: of each run, (n, m), all finite; those of the side to subtract carry a minus sign.
+        cell: the cell of each run, (n,), from 0 to c - 1; runs of a cell are exchangeable.
+        variant: the variant of each cell, (c,), from 0 to v - 1.
+        group: the group of each variant, (v,), from 0 to g - 1; none is empty. Without it, all are one.
+    """
+    cells, variants = len(variant), int(variant.max()) + 1
+    at = np.zeros(variants, int) if group is None else group
+    groups = int(at.max()) + 1
+    count, several = np.bincount(cell, minlength=cells)[:, None], np.bincount(at, minlength=groups)[:, None]
+    mean = sums(values, cell, cells) / count
+    rounding = 1e-12 * np.abs(values).max(axis=0)
+    apart = _without(values - mean[cell], rounding)
+    noise = sums(apart**2, cell, cells) / (count * np.maximum(count - 1, 1))  # squared standard error of a cell's mean
+    each = _without(sums(mean, variant, variants), rounding)
+    estimate = sums(each, at, groups) / several
+    spread = _without(each - estimate[at], rounding)
+    across = sums(spread**2, at, groups) / (several * np.maximum(several - 1, 1))
+    owner = at[variant]
+
+    def freedom(squares: np.ndarray) -> np.ndarray:
+        """Welch's degrees of freedom of the sum of cells' squared errors (c, m)."""
+        below = sums(squares**2 / np.maximum(count - 1, 1), owner, groups)
+        whole = sums(squares, owner, groups) ** 2
+        return np.divide(whole, below, out=np.full_like(whole, np.inf), where=below > 0)
+
+    ones, one = sums((count == 1) * 1.0, owner, groups), several == 1
+    welch = np.where(one, np.minimum(freedom(noise), freedom(1.0 / count)), np.inf)
+    runs = sums(noise, owner, groups) / several**2, welch
+    half, p = np.zeros_like(estimate), np.zeros_like(estimate)
+    for known, variance, degrees in ((~one, across, np.maximum(several - 1.0, 1.0)), (~one | (ones == 0), *runs)):
+        error = np.sqrt(variance)
+        far = np.divide(np.abs(estimate), error, out=np.full_like(error, np.inf), where=error > 0)
+        half = np.where(known, np.maximum(half, stats.t.ppf((1 + LEVEL) / 2, degrees) * error), half)
+        p = np.where(known, np.maximum(p, 2 * stats.t.sf(far, degrees)), p)
+    half, p = (np.where(one & (ones > 0), np.nan, each) for each in (half, np.where(estimate == 0, 1.0, p)))
+    found = (estimate, estimate - half, estimate + half, p)
+    return Interval(*((part[0] for part in found) if group is None else found))
+
+
+def _without(values: np.ndarray, rounding: np.ndarray) -> np.ndarray:
+    """Values (n, m) without what is rounding, (m,)."""
+    return np.where(np.abs(values) <= rounding, 0.0, values)
