@@ -7,6 +7,7 @@ Its contacts are those of `collision`, whose number `mjx.make_data` has to know.
 # No `from __future__ import annotations`: MJX reads the types of a class's fields.
 import contextlib
 import io as standard_io
+from typing import Any
 
 import jax
 import mujoco
@@ -20,7 +21,7 @@ with contextlib.redirect_stdout(standard_io.StringIO()):
 
     from nermo_mjx.dynamics import collision
 
-__all__ = ["Model", "collision_driver", "mjx"]
+__all__ = ["Model", "Solved", "collision_driver", "mjx"]
 
 
 class Model(mjx.Model):
@@ -36,6 +37,29 @@ class Model(mjx.Model):
     actuator_dampingpoly: jax.Array
     not_simulated: tuple[str, ...]
     approximated: tuple[str, ...]
+
+
+class Solved(mjx.Data):
+    """Data within a step, with how well the constraint problem was solved.
+
+    Attributes:
+        residual: see `differentiable.Verdict`.
+    """
+
+    residual: jax.Array
+
+    @classmethod
+    def of(cls, data: mjx.Data) -> "Solved":
+        """The data before a solve."""
+        return cls(**_fields(data), residual=jax.numpy.zeros((), data.qpos.dtype))
+
+    def plain(self) -> mjx.Data:
+        """The data alone."""
+        return mjx.Data(**_fields(self))
+
+
+def _fields(data: mjx.Data) -> dict[str, Any]:
+    return {field.name: getattr(data, field.name) for field in mjx.Data.fields()}
 
 
 _put = io._put_model_jax

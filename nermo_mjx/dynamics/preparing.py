@@ -86,7 +86,7 @@ def _flags(model: Model) -> dict[str, Any]:
         if isinstance(loss, jax.core.Tracer):
             changes[f"_impl.{name}"] = np.ones(loss.shape, bool)
         elif np.any((np.asarray(loss) != 0) & ~getattr(model._impl, name)):
-            changes[f"_impl.{name}"] = np.asarray(loss) != 0
+            changes[f"_impl.{name}"] = (np.asarray(loss) != 0) | getattr(model._impl, name)
     if isinstance(model.tendon_frictionloss, jax.core.Tracer):
         # MuJoCo C has no row where it is negative, as it has for a joint: at 0 the derivative is the mean of both
         # sides.
