@@ -270,9 +270,10 @@ def nearest(name: str, allowed: Iterable[str]) -> str | None:
 
     def likeness(full: str) -> tuple[float, float]:
         parts = _parts(full)
-        # As many parts as it has, or one more, which is joined where a sign is left out; and all.
-        ends = [".".join(parts[-count:]) for count in (len(wanted), len(wanted) + 1, len(parts))]
-        ratios = [difflib.SequenceMatcher(None, ".".join(wanted), end).ratio() for end in ends]
+        # As many parts as it has, or one more, which is joined where a sign is left out; all in any order; and all.
+        pairs = [(wanted, parts[-count:]) for count in (len(wanted), len(wanted) + 1)]
+        pairs += [(sorted(wanted), sorted(parts)), (wanted, parts)]
+        ratios = [difflib.SequenceMatcher(None, ".".join(one), ".".join(other)).ratio() for one, other in pairs]
         return max(ratios), ratios[-1]
 
     ranked = sorted(((likeness(full), full) for full in allowed), key=lambda each: each[0], reverse=True)
