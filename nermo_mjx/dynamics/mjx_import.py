@@ -13,7 +13,7 @@ import jax
 import mujoco
 import numpy as np
 
-from nermo_mjx.dynamics.coverage import approximated, not_simulated, side_sites
+from nermo_mjx.dynamics.coverage import approximated, not_simulated, refused, side_sites
 
 with contextlib.redirect_stdout(standard_io.StringIO()):
     from mujoco import mjx
@@ -66,7 +66,9 @@ _put = io._put_model_jax
 
 
 def _put_model(model: mujoco.MjModel, device: jax.Device | None = None) -> Model:
-    """As MJX's `_put_model_jax`, which every `mjx.put_model` calls."""
+    """As MJX's `_put_model_jax`, which every `mjx.put_model` calls; what MJX refuses is said in a sentence."""
+    for what in refused(model):
+        raise NotImplementedError(f"{what}.")
     ours = _put(model, device)
     fields = {field.name: getattr(ours, field.name) for field in mjx.Model.fields()}
     more = {name: getattr(model, name) for name in ("actuator_armature", "actuator_damping", "actuator_dampingpoly")}
