@@ -162,6 +162,101 @@ def test_what_is_not_simulated_is_said_of_the_element(name: str) -> None:
             function(device, mjx.make_data(device))
 
 
+MESH = '<asset><mesh name="m" vertex="0 0 0 .1 0 0 0 .1 0 0 0 .1"/></asset>'
+#: What MJX itself refuses to put, or to make data of, and the sentence.
+PUT: dict[str, tuple[tuple[str, ...], str]] = {
+    "integrator": (
+        (HINGE, "", '<option integrator="implicit"/>'),
+        "integrator is implicit, which MJX lacks: allowed are e",
+    ),
+    "solver": ((HINGE, "", '<option solver="PGS"/>'), "solver is pgs, which MJX lacks: allowed are cg, newton."),
+    "flag": (
+        (HINGE, "", '<option><flag energy="enable"/></option>'),
+        "flag energy is enabled, which MJX lacks: disable",
+    ),
+    "fluid": (
+        (HINGE, "", '<option integrator="implicitfast" wind="1 0 0"/>'),
+        "integrator is implicitfast, in a fluid",
+    ),
+    "slider-crank": (
+        (HINGE, '<actuator><general name="a" cranksite="s" slidersite="s" cranklength=".1"/></actuator>'),
+        "trntype of actuator 'a' is slidercrank, which MJX lacks: allowed are joint,",
+    ),
+    "sensor of energy": (
+        (HINGE, '<sensor><e_kinetic name="p"/></sensor>'),
+        "type of sensor 'p' is e_kinetic, which MJX",
+    ),
+    "flex": (
+        (HINGE + '<flexcomp name="x" type="grid" count="2 2 1" spacing=".1 .1 .1" dim="2" radius=".01"/>',),
+        "flex 'x' is soft",
+    ),
+    "bodies' contacts": (
+        (HINGE, '<sensor><contact name="p" body1="b"/></sensor>'),
+        "sensor 'p' matches contacts by body, which MJX cannot: allowed are geoms.",
+    ),
+    "net force": (
+        (BALL.format(""), '<sensor><contact name="p" geom1="g" reduce="netforce"/></sensor>'),
+        "sensor 'p' has the reduction netforce: allowed are none, mindist, maxforce.",
+    ),
+    "box and cylinder": (
+        (BALL.format('type="cylinder"').replace('type="plane"', 'type="box"').replace('".1"', '".1 .1"'),),
+        "geom 'g' and geom 'f' are cylinder and box, which MJX cannot collide: exclude them, or see fitted.",
+    ),
+    "margin of a mesh": (
+        (BALL.format('type="mesh" mesh="m" margin=".1"'), "", MESH),
+        "geom 'f' and geom 'g' have a margin, which MJX lacks for meshes and height fields: set it to 0, or",
+    ),
+    "condim 1": (
+        (BALL.format('condim="1"').replace("/>", ' condim="1"/>', 1), "", '<option cone="elliptic"/>'),
+        "geom 'f' has condim 1 with elliptic cones, which MJX lacks: take condim 3, or see fitted.",
+    ),
+    "condim 1 of a priority": (
+        (BALL.format('condim="1" priority="1"'), "", '<option cone="elliptic"/>'),
+        "geom 'g' has condim 1 with elliptic cones",
+    ),
+    "condim 1 of a pair": (
+        (
+            BALL.format(""),
+            '<contact><pair name="p" geom1="f" geom2="g" condim="1"/></contact>',
+            '<option cone="elliptic"/>',
+        ),
+        "pair 'p' has condim 1 with elliptic cones",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", PUT)
+def test_what_mjx_refuses_is_said_of_the_element(name: str) -> None:
+    """With the remedy; and MJX does refuse it."""
+    given, said = PUT[name]
+    model = model_of(*given)
+    with pytest.raises(NotImplementedError, match=f"^{re.escape(said)}"):
+        mjx.put_model(model)
+    assert not_simulated(model)[0].startswith(said)
+    with pytest.raises(NotImplementedError):
+        mjx.make_data(mjx_import._put(model))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["condim 1", "condim 1 of a priority", "condim 1 of a pair"])
+def test_contacts_without_friction_are_made_fit(name: str) -> None:
+    """They get so little friction that they move as in C, which has none."""
+    model = model_of(*PUT[name][0])
+    ours, changes = fitted(model)
+    assert changes
+    assert all("has condim 3 and next to no friction, no condim 1." in each for each in changes)
+    data = mujoco.MjData(model)
+    data.qpos[2] -= 0.001
+    data.qvel[:3] = 0.3, 0.1, -0.1
+    with jax.enable_x64(True):
+        device = mjx.put_model(ours)
+        start = mjx.make_data(device).replace(qpos=jnp.asarray(data.qpos), qvel=jnp.asarray(data.qvel))
+        found = jax.jit(step)(device, start).qvel
+    mujoco.mj_step(model, data)
+    assert data.ncon == 1
+    np.testing.assert_allclose(found, data.qvel, atol=1e-4)
+
+
 def test_what_is_simulated_is_not_refused() -> None:
     """The same words without an effect: ellipsoids without a fluid, a group that is not disabled."""
     still = model_of(BALL.format('fluidshape="ellipsoid"'))
@@ -219,7 +314,9 @@ def test_a_model_is_made_fit_for_mjx() -> None:
 
 def test_what_cannot_be_made_fit_is_said() -> None:
     model = model_of(HINGE, '<actuator><adhesion body="b" ctrlrange="0 1" gain="1"/></actuator>')
-    with pytest.raises(ValueError, match=r"^MJX refuses the model also after 0 changes: .*mjTRN_BODY"):
+    with pytest.raises(
+        ValueError, match=r"^MJX refuses the model also after 0 changes: trntype of actuator 0 is body, "
+    ):
         fitted(model)
 
 

@@ -283,6 +283,10 @@ def test_mjx_gives_what_c_gives_and_its_rewards_have_derivatives():
         a, b = ours.step(a, actions(i, 2)), step(b, actions(i, 2))
     np.testing.assert_allclose(a.observation, b.observation, atol=2e-2)
     np.testing.assert_allclose(a.episode["distance"], b.episode["distance"], atol=1e-4)
+    # The solver's verdict, of the episode.
+    np.testing.assert_array_equal(b.episode["unsolved"], 0)
+    told = b.engine._replace(carry=b.engine.carry._replace(unsolved=jnp.array([7, 0])))
+    np.testing.assert_array_equal(jax.jit(jax.vmap(theirs._worlds.seen))(told).episode["unsolved"], [7, 0])
 
     with jax.enable_x64(True):
         theirs = Environment(SETUP, engine="mjx", worlds=1, task=task)

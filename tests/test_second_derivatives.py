@@ -109,8 +109,8 @@ def test_second_derivatives_of_the_rows(kind: str) -> None:
     def value(numbers: Any) -> Any:
         given = problem(numbers)
         found = solver.solve(layout, *jax.lax.stop_gradient((given, jnp.zeros(SIZE))))
-        qacc = differentiable._newton(layout, found.qacc, jax.lax.stop_gradient(given))
-        return jnp.sum(jnp.sin(differentiable._solution(layout, qacc, given)))
+        last = differentiable._newton(layout, found.qacc, jax.lax.stop_gradient(given))
+        return jnp.sum(jnp.sin(differentiable._solution(layout, last.qacc, last.lost, given)))
 
     found = errors(value, np.linspace(-0.5, 0.7, NUMBERS), tuple(WAYS)[: None if kind == "all" else 1])
     assert max(found.values()) < 1e-6, found
@@ -236,12 +236,12 @@ def test_second_derivatives_of_a_step(name: str) -> None:
 @pytest.mark.long
 def test_the_second_derivative_of_a_walk() -> None:
     """Of its speed by an amplitude, forward over forward, against differences of the slope."""
-    rollout = Rollout(Setup(spine="stride_extension"), Run(duration=0.06, warmup=0.0))
-
-    def slope(amplitude: Any) -> Any:
-        return jax.jvp(lambda each: rollout({"spine.amplitude": each})["speed"], (amplitude,), (1.0,))[1]
-
     with jax.enable_x64(True):
+        rollout = Rollout(Setup(spine="stride_extension"), Run(duration=0.06, warmup=0.0))
+
+        def slope(amplitude: Any) -> Any:
+            return jax.jvp(lambda each: rollout({"spine.amplitude": each})["speed"], (amplitude,), (1.0,))[1]
+
         first = jax.jit(slope, compiler_options=compiler_options())
         second = jax.jit(lambda each: jax.jvp(slope, (each,), (1.0,))[1], compiler_options=compiler_options())
         found, expected = float(second(0.2)), float(first(0.2 + 1e-5) - first(0.2 - 1e-5)) / 2e-5

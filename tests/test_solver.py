@@ -110,7 +110,7 @@ def solve(layout: Layout, problem: Problem, warm: np.ndarray, real: type) -> tup
 
     def one(problem: Problem, warm: Any) -> Any:
         found = solver.solve(layout, problem, warm)
-        return _newton(layout, found.qacc, problem), found.needed
+        return _newton(layout, found.qacc, problem).qacc, found.needed
 
     with jax.enable_x64(real is np.float64):
         numbers = jax.tree.map(lambda leaf: np.asarray(leaf, real), (problem, warm))

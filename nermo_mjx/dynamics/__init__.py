@@ -1,6 +1,7 @@
 """Forward dynamics of any model in MJX, with derivatives through contacts, limits and tendons.
 
-`step` and `forward` take the place of `mjx.step` and `mjx.forward`, `checkpointed_scan` that of `jax.lax.scan` where a
+`step` and `forward` take the place of `mjx.step` and `mjx.forward`, `step_with_verdict` also says how well a step was
+solved, `checkpointed_scan` that of `jax.lax.scan` where a
 long run is differentiated in reverse mode, `check_gradient` compares a gradient with differences, `not_simulated` says
 what they leave out of a model and `approximated` what they do otherwise than MuJoCo C, `fitted` makes a model fit for
 MJX, and `MassConstants` and `PlaceConstants` compute the constants that MuJoCo derives from masses, and from masses and
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
     from nermo_mjx.dynamics.checkpointing import checkpointed_scan
     from nermo_mjx.dynamics.constants import MassConstants, PlaceConstants
     from nermo_mjx.dynamics.coverage import approximated, not_simulated
-    from nermo_mjx.dynamics.differentiable import forward, step
+    from nermo_mjx.dynamics.differentiable import Verdict, forward, step, step_with_verdict
     from nermo_mjx.dynamics.preparing import fitted
 
 _HOMES = {
@@ -28,13 +29,13 @@ _HOMES = {
     "nermo_mjx.dynamics.checkpointing": ("checkpointed_scan",),
     "nermo_mjx.dynamics.constants": ("MassConstants", "PlaceConstants"),
     "nermo_mjx.dynamics.coverage": ("approximated", "not_simulated"),
-    "nermo_mjx.dynamics.differentiable": ("forward", "step"),
+    "nermo_mjx.dynamics.differentiable": ("Verdict", "forward", "step", "step_with_verdict"),
     "nermo_mjx.dynamics.preparing": ("fitted",),
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 
-__all__ = ["GradientCheck", "MassConstants", "PlaceConstants", "approximated", "check_gradient", "checkpointed_scan"]
-__all__ += ["fitted", "forward", "not_simulated", "step"]
+__all__ = ["GradientCheck", "MassConstants", "PlaceConstants", "Verdict", "approximated", "check_gradient"]
+__all__ += ["checkpointed_scan", "fitted", "forward", "not_simulated", "step", "step_with_verdict"]
 
 
 def __getattr__(name: str) -> Any:

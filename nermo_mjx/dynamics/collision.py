@@ -227,7 +227,7 @@ def _round(one: GeomInfo, other: GeomInfo, shapes: list[Matrix], segment: Vector
     middle = jnp.clip(fixed[0] @ fixed[2] / jnp.maximum(fixed[2] @ fixed[2], mjMINVAL), -1.0, 1.0)
 
     def converged(n: Vector) -> tuple[Vector, Scalar]:
-        return jax.lax.fori_loop(0, ROUNDS, lambda _, at: newton(*at, True), (n, middle))
+        return jax.lax.fori_loop(0, ROUNDS, lambda _, at: newton(at[0], at[1], True), (n, middle))
 
     found = jax.vmap(converged)(starts)
     best = jnp.argmax(jax.vmap(lambda n: distance(n, apart) - jnp.abs(n @ segment))(found[0]))

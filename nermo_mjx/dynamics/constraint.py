@@ -25,9 +25,9 @@ from nermo_mjx.shapes import Array, Dofs, Efc
 ROUNDING: Final = 4.0
 
 
-def gradient(layout: Layout, problem: Problem, qacc: Dofs) -> Dofs:
-    """g(a), zero at the solution."""
-    force = forces(layout, problem, residual(problem, qacc))
+def gradient(layout: Layout, problem: Problem, qacc: Dofs, lost: Efc | float = 0.0) -> Dofs:
+    """g(a), zero at the solution; `lost` is what rounding has taken from the residual."""
+    force = forces(layout, problem, residual(problem, qacc) + lost)
     return problem.inertia @ qacc - problem.smooth - problem.jacobian.T @ force
 
 
@@ -38,9 +38,9 @@ def rounding(layout: Layout, problem: Problem, sizes: Problem, qacc: Dofs) -> Do
     return ROUNDING * jnp.finfo(qacc.dtype).eps * terms
 
 
-def hessian(layout: Layout, problem: Problem, qacc: Dofs) -> Float[Array, "nv nv"]:
-    """dg/da = M - J^T f'(r) J, positive definite and, up to rounding, symmetric."""
-    jacobian, at = problem.jacobian, residual(problem, qacc)
+def hessian(layout: Layout, problem: Problem, qacc: Dofs, lost: Efc | float = 0.0) -> Float[Array, "nv nv"]:
+    """dg/da = M - J^T f'(r) J, positive definite and, up to rounding, symmetric; `lost` as in `gradient`."""
+    jacobian, at = problem.jacobian, residual(problem, qacc) + lost
     springs, _ = _simple(layout, problem, at)
     end = _first_cone(layout, at)
     parts = [jnp.where(springs, problem.stiffness, 0.0)[:end, None] * jacobian[:end]]
@@ -56,6 +56,31 @@ def hessian(layout: Layout, problem: Problem, qacc: Dofs) -> Float[Array, "nv nv
 def residual(problem: Problem, qacc: Dofs) -> Efc:
     """r = J a - aref."""
     return problem.jacobian @ qacc - problem.aref
+
+
+def lost(problem: Problem, qacc: Dofs) -> Efc:
+    """What rounding has taken from `residual`: products and sums with their errors, as Dekker and Knuth have them.
+
+    The force of a stiff row is its residual, the small difference of large accelerations, times up to 1e8.
+    """
+
+    def halves(numbers: Array) -> tuple[Array, Array]:
+        bits = jnp.finfo(numbers.dtype)
+        high = jax.lax.reduce_precision(numbers, bits.nexp, bits.nmant // 2)
+        return high, numbers - high
+
+    (high, low), (of_high, of_low) = halves(problem.jacobian), halves(qacc)
+    terms = problem.jacobian * qacc
+    errors = jnp.sum(((high * of_high - terms) + high * of_low + low * of_high) + low * of_low, axis=1)
+    terms = jnp.concatenate([terms, -problem.aref[:, None]], axis=1)
+    while (count := terms.shape[1]) > 1:
+        half = count // 2
+        one, other, odd = terms[:, :half], terms[:, half : 2 * half], terms[:, 2 * half :]
+        sums = one + other
+        added = sums - one
+        errors += jnp.sum((one - (sums - added)) + (other - added), axis=1)
+        terms = jnp.concatenate([sums, odd], axis=1)
+    return (terms[:, 0] - residual(problem, qacc)) + errors
 
 
 def forces(layout: Layout, problem: Problem, residual: Efc) -> Efc:

@@ -43,6 +43,13 @@ APPROXIMATE: Final[dict[tuple[str, ...], str]] = {
 POSES: Final = 200
 #: Flags of `mjtEnableBit` that MJX takes and does not act on.
 FLAGS: Final = {"mjENBL_SLEEP": "sleep", "mjENBL_IPC": "ipc"}
+#: Fields of kinds that MJX has not all of: the elements, and the name of the kinds.
+_KINDS: Final = (
+    *(("actuator", f"{each.lower()}type", each) for each in ("Bias", "Dyn", "Gain", "Trn")),
+    ("eq", "type", "Eq"),
+    ("sensor", "type", "Sensor"),
+)
+_OPTIONS: Final = ("integrator", "cone", "jacobian", "solver")
 
 
 def not_simulated(model: mujoco.MjModel) -> list[str]:
@@ -53,13 +60,72 @@ def not_simulated(model: mujoco.MjModel) -> list[str]:
     >>> not_simulated(model)
     ["actuator 'a' has a delay, and MJX keeps no history: set delay to 0."]
 
-    `step` and `forward` refuse such a model with the first sentence. What `mjx.put_model` refuses by itself is not
-    listed; `fitted` changes some of that.
+    `step` and `forward` refuse such a model with the first sentence; so does `mjx.put_model` if it is one of `refused`.
 
     Args:
         model: compiled by MuJoCo.
     """
-    return [f"{what}." for what in _missing(model)]
+    return [f"{what}." for what in (*refused(model), *_missing(model))]
+
+
+def refused(model: mujoco.MjModel) -> Iterator[str]:
+    """What MJX itself cannot put, a sentence without its full stop for each element; `fitted` changes some of that."""
+    from mujoco.mjx._src import collision_driver, types
+
+    for index in range(model.nflex):
+        name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_FLEX, index) or index
+        yield f"flex {name!r} is soft: MJX has no flexes, remove it"
+    of_elements = [(kind, f"{kind}_{field}", each) for kind, field, each in _KINDS]
+    for kind, field, each in of_elements + [("", name, name.title()) for name in _OPTIONS]:
+        known, every = getattr(types, f"{each}Type"), getattr(mujoco, f"mjt{each}")
+        for index, value in enumerate(getattr(model, field) if kind else [getattr(model.opt, field)]):
+            if value not in set(known):
+                allowed = ", ".join(other.name.lower() for other in known)
+                what = f"{field.partition('_')[2]} of {named(model, kind, index)}" if kind else field
+                yield f"{what} is {_word(every(value))}, which MJX lacks: allowed are {allowed}"
+    for flag in mujoco.mjtEnableBit.__members__.values():
+        if model.opt.enableflags & int(flag) and int(flag) not in set(types.EnableBit) and flag.name != "mjNENABLE":
+            yield f"flag {_word(flag)} is enabled, which MJX lacks: disable it"
+    fluid = model.opt.density > 0 or model.opt.viscosity > 0 or model.opt.wind.any()
+    if fluid and model.opt.integrator == mujoco.mjtIntegrator.mjINT_IMPLICITFAST:
+        yield "integrator is implicitfast, in a fluid: take Euler or RK4, or set density, viscosity and wind to 0"
+    for sensor in np.flatnonzero(model.sensor_type == mujoco.mjtSensor.mjSENS_CONTACT):
+        for of in (model.sensor_objtype[sensor], model.sensor_reftype[sensor]):
+            if (by := _word(mujoco.mjtObj(of))) in ("site", "body", "xbody"):
+                yield f"{named(model, 'sensor', sensor)} matches contacts by {by}, which MJX cannot: allowed are geoms"
+        if model.sensor_intprm[sensor, 1] == 3:
+            yield f"{named(model, 'sensor', sensor)} has the reduction netforce: allowed are none, mindist, maxforce"
+    for first, second, pair in collision_driver.geom_pairs(model):
+        kinds = [mujoco.mjtGeom(kind) for kind in model.geom_type[[first, second]]]
+        margin = model.pair_margin[pair] if pair >= 0 else model.geom_margin[[first, second]].max()
+        said = ""
+        if not collision_driver.has_collision_fn(*kinds):
+            said = f"are {' and '.join(map(_word, kinds))}, which MJX cannot collide: exclude them"
+        elif margin and {mujoco.mjtGeom.mjGEOM_MESH, mujoco.mjtGeom.mjGEOM_HFIELD} & set(kinds):
+            said = "have a margin, which MJX lacks for meshes and height fields: set it to 0"
+        if said:
+            yield f"{named(model, 'geom', first)} and {named(model, 'geom', second)} {said}, or see fitted"
+    for one in frictionless(model):
+        yield f"{named(model, *one)} has condim 1 with elliptic cones, which MJX lacks: take condim 3, or see fitted"
+
+
+def _word(kind: Any) -> str:
+    """A member of one of MuJoCo's enumerations, without its prefix."""
+    return str(kind.name).partition("_")[2].lower()
+
+
+def frictionless(model: mujoco.MjModel) -> list[tuple[str, int]]:
+    """The geoms, or explicit pairs, that decide on contacts of dimension 1 with elliptic cones."""
+    from mujoco.mjx._src import collision_driver
+
+    found: list[tuple[str, int]] = []
+    for first, second, pair in collision_driver.geom_pairs(model) if model.opt.cone else ():
+        highest = model.geom_priority[[first, second]].max()
+        deciding = [("geom", int(geom)) for geom in (first, second) if model.geom_priority[geom] == highest]
+        deciding = [("pair", int(pair))] if pair >= 0 else deciding
+        if all((model.pair_dim if kind == "pair" else model.geom_condim)[each] == 1 for kind, each in deciding):
+            found += deciding
+    return list(dict.fromkeys(found))
 
 
 def _missing(model: mujoco.MjModel) -> Iterator[str]:

@@ -8,8 +8,8 @@ acceleration a and all that it depends on, p,
     H da = -(dg/dp) dp,    H = dg/da = M - J^T f'(r) J.
 
 The rule is linear in dp, so JAX can transpose it: it works in forward and reverse mode and under `vmap`, for any number
-of iterations. It covers every kind of row that MJX has. In the rule, a depends on p by the rule itself, so that it can be
-differentiated any number of times.
+of iterations. It covers every kind of row that MJX has. In the rule, a depends on p by the rule itself, so that it can
+be differentiated any number of times.
 
 One more step of Newton's method converges to rounding. It starts from the solver's result, which reverse mode stores,
 and uses the problem of the state, which reverse mode recomputes.
@@ -18,9 +18,10 @@ and uses the problem of the state, which reverse mode recomputes.
 from __future__ import annotations
 
 import functools
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 from jax.ad_checkpoint import checkpoint_name
 from jax.scipy.linalg import cho_factor, cho_solve
 
@@ -30,12 +31,54 @@ from nermo_mjx.dynamics.forces import actuation, passive
 from nermo_mjx.dynamics.impedance import make_constraint
 from nermo_mjx.dynamics.integration import INTEGRATORS, integrate
 from nermo_mjx.dynamics.jacobians import with_point_jacobians
-from nermo_mjx.dynamics.mjx_import import Model, collision_driver, mjx
+from nermo_mjx.dynamics.mjx_import import Model, Solved, collision_driver, mjx
 from nermo_mjx.dynamics.precision import full_precision
 from nermo_mjx.dynamics.preparing import is_zero, prepared
 from nermo_mjx.dynamics.rows import Layout, Problem
 from nermo_mjx.dynamics.spatial import solve_definite
-from nermo_mjx.shapes import Array, Dofs
+from nermo_mjx.shapes import Array, Count, Dofs, Efc, Scalar, Truth
+
+
+class Verdict(NamedTuple):
+    """How well the constraint problem of a step was solved; with RK4, the worst of its four.
+
+    Attributes:
+        rounds: of the solver.
+        residual: size of the last step of Newton's method as a share of the acceleration, or of that without
+            constraints if it is larger, both weighed by the inertia. The error is at most about as large, and where it
+            has converged about its square.
+        converged: whether the solver was done, and the residual is less than the root of the number's precision.
+    """
+
+    rounds: Count
+    residual: Scalar
+    converged: Truth
+
+
+@full_precision
+def step_with_verdict(model: mjx.Model, data: mjx.Data) -> tuple[mjx.Data, Verdict]:
+    """As `step`, and how well its constraint problem was solved.
+
+    >>> import mujoco
+    >>> from mujoco import mjx
+    >>> model = mjx.put_model(mujoco.MjModel.from_xml_string('''<mujoco><worldbody><body><joint range="-1 1"/>
+    ... <geom size=".1" pos="1 0 0"/></body></worldbody></mujoco>'''))
+    >>> after, verdict = step_with_verdict(model, mjx.make_data(model))
+    >>> bool(verdict.converged), int(verdict.rounds)
+    (True, 1)
+
+    Args:
+        model, data: as for `step`.
+
+    Raises:
+        ValueError: as `step`.
+    """
+    whole = _checked(model, data)
+    after = integrate(whole, _forward(whole, data), _forward)
+    rounds = rows.inner(after).solver_niter
+    verdict = Verdict(jnp.minimum(rounds, solver.ROUNDS), after.residual, rounds <= solver.ROUNDS)
+    after = after.replace(qacc_warmstart=jax.lax.stop_gradient(after.qacc_warmstart))
+    return rows.as_made(model, whole, after), verdict
 
 
 @full_precision
@@ -66,9 +109,7 @@ def step(model: mjx.Model, data: mjx.Data) -> mjx.Data:
     Raises:
         ValueError: a model or data of another kind, an integrator that MJX lacks, a model without joints, a batch.
     """
-    model = _checked(model, data)
-    after = integrate(model, _forward(model, data), _forward)
-    return after.replace(qacc_warmstart=jax.lax.stop_gradient(after.qacc_warmstart))
+    return step_with_verdict(model, data)[0]
 
 
 @full_precision
@@ -81,14 +122,16 @@ def forward(model: mjx.Model, data: mjx.Data) -> mjx.Data:
     Raises:
         ValueError: as `step`.
     """
-    return _forward(_checked(model, data), data)
+    whole = _checked(model, data)
+    return rows.as_made(model, whole, _forward(whole, data))
 
 
-def _forward(model: Model, data: mjx.Data) -> mjx.Data:
-    data = mjx.sensor_pos(model, position(model, data))
+def _forward(model: Model, data: mjx.Data) -> Solved:
+    data = mjx.sensor_pos(model, position(model, Solved.of(data)))
     data = mjx.sensor_vel(model, velocity(model, data))
     data = acceleration(model, actuation(model, data))
-    return mjx.sensor_acc(model, solve(model, data))
+    found: Solved = mjx.sensor_acc(model, solve(model, data))
+    return found
 
 
 # ---
@@ -168,7 +211,7 @@ def _checked(model: mjx.Model, data: mjx.Data) -> Model:
     return prepared(model)
 
 
-def solve(model: mjx.Model, data: mjx.Data) -> mjx.Data:
+def solve(model: mjx.Model, data: mjx.Data) -> Solved:
     """As `mjx.solve`, after `acceleration`, converged to the last digit, with the derivative of the solution.
 
     `solver_niter` of the result is more than `solver.ROUNDS` if the solver did not converge.
@@ -177,39 +220,57 @@ def solve(model: mjx.Model, data: mjx.Data) -> mjx.Data:
         return data.replace(qacc=data.qacc_smooth)
     layout, problem = rows.read(model, data)
     starts_warm = not model.opt.disableflags & mjx.DisableBit.WARMSTART
-    start = data.qacc_warmstart if starts_warm else data.qacc_smooth
-    found = solver.solve(layout, *jax.lax.stop_gradient((problem, start)))
-    qacc = checkpoint_name(found.qacc, KEPT)
-    qacc = _solution(layout, _newton(layout, qacc, jax.lax.stop_gradient(problem)), problem)
-    force = constraint.forces(layout, problem, constraint.residual(problem, qacc))
-    solved: mjx.Data = data.tree_replace(
+    fixed, start, smooth = jax.lax.stop_gradient(
+        (problem, data.qacc_warmstart if starts_warm else data.qacc_smooth, data.qacc_smooth)
+    )
+    found = solver.solve(layout, fixed, start)
+    last = _newton(layout, checkpoint_name(found.qacc, KEPT), fixed)
+    qacc = _solution(layout, last.qacc, last.lost, problem)
+    force = constraint.forces(layout, problem, constraint.residual(problem, qacc) + last.lost)
+    size = jnp.maximum(last.qacc @ (fixed.inertia @ last.qacc), smooth @ fixed.smooth)
+    share = jnp.sqrt(last.step @ (fixed.inertia @ last.step) / jnp.where(size > 0.0, size, 1.0))
+    settled = share < jnp.finfo(share.dtype).eps ** 0.5
+    solved: Solved = data.tree_replace(
         {
             "qacc": qacc,
             "qfrc_constraint": problem.jacobian.T @ force,
+            "residual": share,
             "_impl.efc_force": force,
-            "_impl.solver_niter": found.needed,
+            "_impl.solver_niter": jnp.where(settled, found.needed, solver.ROUNDS + 1),
         }
     )
     return solved
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
-def _solution(layout: Layout, qacc: Dofs, problem: Problem) -> Dofs:
-    """`qacc` unchanged, with the derivative of the problem's solution."""
+def _solution(layout: Layout, qacc: Dofs, lost: Efc, problem: Problem) -> Dofs:
+    """`qacc` unchanged, with the derivative of the problem's solution; `lost` is that of the residual there."""
     return qacc
 
 
 @_solution.defjvp
 @full_precision
 def _(layout: Layout, primals: Any, tangents: Any) -> tuple[Array, Array]:
-    qacc, problem = primals
-    _, change = tangents
-    qacc = _solution(layout, qacc, problem)  # depends on the problem, for derivatives of this rule
-    _, residual = jax.jvp(lambda p: constraint.gradient(layout, p, qacc), (problem,), (change,))
-    return qacc, -solve_definite(constraint.hessian(layout, problem, qacc), residual)
+    qacc, lost, problem = primals
+    *_, change = tangents
+    qacc = _solution(layout, qacc, lost, problem)  # depends on the problem, for derivatives of this rule
+    _, slope = jax.jvp(lambda p: constraint.gradient(layout, p, qacc, lost), (problem,), (change,))
+    return qacc, -solve_definite(constraint.hessian(layout, problem, qacc, lost), slope)
 
 
-def _newton(layout: Layout, qacc: Dofs, problem: Problem) -> Dofs:
+class _Last(NamedTuple):
+    """The last step of Newton's method, where it leads, and what rounding takes from the residual there."""
+
+    step: Dofs
+    qacc: Dofs
+    lost: Efc
+
+
+def _newton(layout: Layout, qacc: Dofs, problem: Problem) -> _Last:
     """One step of Newton's method from `qacc`."""
-    factor = cho_factor(constraint.hessian(layout, problem, qacc))
-    return qacc - cho_solve(factor, constraint.gradient(layout, problem, qacc))
+    lost = constraint.lost(problem, qacc)
+    factor = cho_factor(constraint.hessian(layout, problem, qacc, lost))
+    step = -cho_solve(factor, constraint.gradient(layout, problem, qacc, lost))
+    after = qacc + step
+    there = constraint.residual(problem, qacc) + lost + problem.jacobian @ step
+    return _Last(step, after, there - constraint.residual(problem, after))

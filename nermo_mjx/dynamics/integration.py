@@ -21,7 +21,7 @@ from jaxtyping import Float
 from nermo_mjx.dynamics import rows, spatial
 from nermo_mjx.dynamics.forces import damping, drag_slope, force_slopes
 from nermo_mjx.dynamics.jacobians import with_point_jacobians
-from nermo_mjx.dynamics.mjx_import import Model, mjx
+from nermo_mjx.dynamics.mjx_import import Model, Solved, mjx
 from nermo_mjx.dynamics.spatial import solve_definite
 from nermo_mjx.shapes import Array, Dofs
 
@@ -32,12 +32,12 @@ INTEGRATORS: Final = (mjx.IntegratorType.EULER, mjx.IntegratorType.RK4, mjx.Inte
 _RK4_NODES: Final = (0.5, 0.5, 1.0)
 _RK4_WEIGHTS: Final = (1 / 6, 1 / 3, 1 / 3, 1 / 6)
 
-Forward = Callable[[mjx.Model, mjx.Data], mjx.Data]
+Forward = Callable[[mjx.Model, mjx.Data], Solved]
 #: Velocity, acceleration and rate of activation.
 Rates = tuple[Array, Array, Array]
 
 
-def integrate(model: mjx.Model, data: mjx.Data, forward: Forward) -> mjx.Data:
+def integrate(model: mjx.Model, data: Solved, forward: Forward) -> Solved:
     """State one time step later, by the model's integrator.
 
     Args:
@@ -112,10 +112,10 @@ def _lone_bias(model: Model, data: mjx.Data, body: int, turn: Float[Array, " 3"]
     return jnp.concatenate([force, own.T @ (spatial.cross(offset, force) + torque)])
 
 
-def _runge_kutta(model: mjx.Model, start: mjx.Data, forward: Forward) -> mjx.Data:
+def _runge_kutta(model: mjx.Model, start: Solved, forward: Forward) -> Solved:
     dt = model.opt.timestep
 
-    def stage(rates: Rates, node: Array) -> tuple[Rates, Rates]:
+    def stage(rates: Rates, node: Array) -> tuple[Rates, tuple[Rates, tuple[Array, Array]]]:
         velocity, acceleration, activation = (node * dt * rate for rate in rates)
         data = start.replace(
             qpos=positions(model, start.qpos, velocity),
@@ -125,17 +125,19 @@ def _runge_kutta(model: mjx.Model, start: mjx.Data, forward: Forward) -> mjx.Dat
         )
         after = forward(model, data)
         found = (data.qvel, after.qacc, after.act_dot)
-        return found, found
+        return found, (found, (after.residual, rows.inner(after).solver_niter))
 
     first = (start.qvel, start.qacc, start.act_dot)
     # A scan, so that forward dynamics is compiled once for all three stages.
-    _, others = jax.lax.scan(stage, first, jnp.asarray(_RK4_NODES, start.qpos.dtype))
+    _, (others, (residuals, rounds)) = jax.lax.scan(stage, first, jnp.asarray(_RK4_NODES, start.qpos.dtype))
     weight = jnp.asarray(_RK4_WEIGHTS[1:], start.qpos.dtype)
     velocity, acceleration, activation = (
         _RK4_WEIGHTS[0] * one + weight @ rest for one, rest in zip(first, others, strict=True)
     )
     # Activation and time advance as in an Euler step.
     after = mjx.euler(model, start.replace(act_dot=activation))
+    after = after.replace(residual=jnp.maximum(start.residual, residuals.max()))
+    after = after.tree_replace({"_impl.solver_niter": jnp.maximum(rows.inner(start).solver_niter, rounds.max())})
     return after.replace(qpos=positions(model, start.qpos, dt * velocity), qvel=start.qvel + dt * acceleration)
 
 

@@ -7,12 +7,13 @@ Its contacts are those of `collision`, whose number `mjx.make_data` has to know.
 # No `from __future__ import annotations`: MJX reads the types of a class's fields.
 import contextlib
 import io as standard_io
+from typing import Any
 
 import jax
 import mujoco
 import numpy as np
 
-from nermo_mjx.dynamics.coverage import approximated, not_simulated, side_sites
+from nermo_mjx.dynamics.coverage import approximated, not_simulated, refused, side_sites
 
 with contextlib.redirect_stdout(standard_io.StringIO()):
     from mujoco import mjx
@@ -20,7 +21,7 @@ with contextlib.redirect_stdout(standard_io.StringIO()):
 
     from nermo_mjx.dynamics import collision
 
-__all__ = ["Model", "collision_driver", "mjx"]
+__all__ = ["Model", "Solved", "collision_driver", "mjx"]
 
 
 class Model(mjx.Model):
@@ -38,11 +39,36 @@ class Model(mjx.Model):
     approximated: tuple[str, ...]
 
 
+class Solved(mjx.Data):
+    """Data within a step, with how well the constraint problem was solved.
+
+    Attributes:
+        residual: see `differentiable.Verdict`.
+    """
+
+    residual: jax.Array
+
+    @classmethod
+    def of(cls, data: mjx.Data) -> "Solved":
+        """The data before a solve."""
+        return cls(**_fields(data), residual=jax.numpy.zeros((), data.qpos.dtype))
+
+    def plain(self) -> mjx.Data:
+        """The data alone."""
+        return mjx.Data(**_fields(self))
+
+
+def _fields(data: mjx.Data) -> dict[str, Any]:
+    return {field.name: getattr(data, field.name) for field in mjx.Data.fields()}
+
+
 _put = io._put_model_jax
 
 
 def _put_model(model: mujoco.MjModel, device: jax.Device | None = None) -> Model:
-    """As MJX's `_put_model_jax`, which every `mjx.put_model` calls."""
+    """As MJX's `_put_model_jax`, which every `mjx.put_model` calls; what MJX refuses is said in a sentence."""
+    for what in refused(model):
+        raise NotImplementedError(f"{what}.")
     ours = _put(model, device)
     fields = {field.name: getattr(ours, field.name) for field in mjx.Model.fields()}
     more = {name: getattr(model, name) for name in ("actuator_armature", "actuator_damping", "actuator_dampingpoly")}

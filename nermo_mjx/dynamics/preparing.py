@@ -17,7 +17,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from nermo_mjx.dynamics.coverage import named
+from nermo_mjx.dynamics.coverage import frictionless, named
 from nermo_mjx.dynamics.mjx_import import Model, collision_driver, mjx
 from nermo_mjx.shapes import Array
 
@@ -86,7 +86,7 @@ def _flags(model: Model) -> dict[str, Any]:
         if isinstance(loss, jax.core.Tracer):
             changes[f"_impl.{name}"] = np.ones(loss.shape, bool)
         elif np.any((np.asarray(loss) != 0) & ~getattr(model._impl, name)):
-            changes[f"_impl.{name}"] = np.asarray(loss) != 0
+            changes[f"_impl.{name}"] = (np.asarray(loss) != 0) | getattr(model._impl, name)
     if isinstance(model.tendon_frictionloss, jax.core.Tracer):
         # MuJoCo C has no row where it is negative, as it has for a joint: at 0 the derivative is the mean of both
         # sides.
@@ -145,6 +145,10 @@ def fitted(model: mujoco.MjModel) -> tuple[mujoco.MjModel, list[str]]:
         changes.append(f"noslip_iterations is 0, no {ours.opt.noslip_iterations}: contacts may creep.")
         ours.opt.noslip_iterations = 0
     changes += _shapes(ours) + _margins(ours)
+    for kind, index in frictionless(ours):
+        (ours.pair_dim if kind == "pair" else ours.geom_condim)[index] = 3
+        getattr(ours, f"{kind}_friction")[index] = mujoco.mjMINMU
+        changes.append(f"{named(ours, kind, index)} has condim 3 and next to no friction, no condim 1.")
     try:
         mjx.make_data(mjx.put_model(ours))
     except NotImplementedError as error:

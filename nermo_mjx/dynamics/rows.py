@@ -7,7 +7,7 @@ MJX computes J, aref and the rows' other values in `mjx.make_constraint`, and st
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -15,8 +15,11 @@ import mujoco
 import numpy as np
 from jaxtyping import Bool, Float
 
-from nermo_mjx.dynamics.mjx_import import mjx
+from nermo_mjx.dynamics.mjx_import import Solved, mjx
 from nermo_mjx.shapes import Array, Dofs, Efc
+
+#: Fields of MJX's data with an entry for each row.
+_ROWS: Final = tuple(f"efc_{name}" for name in ("J", "pos", "margin", "frictionloss", "D", "aref", "force"))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -83,6 +86,24 @@ def read(model: mjx.Model, data: mjx.Data) -> tuple[Layout, Problem]:
         frictionloss=rows.efc_frictionloss,
         cone=jnp.concatenate([mu, friction], axis=1),
     )
+
+
+def as_made(model: mjx.Model, prepared: mjx.Model, data: Solved) -> mjx.Data:
+    """Data as it was made for a model: without the rows of dry friction that only the prepared model has."""
+    has, had = (
+        np.concatenate([np.asarray(of._impl.dof_hasfrictionloss), np.asarray(of._impl.tendon_hasfrictionloss)])
+        for of in (prepared, model)
+    )
+    equality, dry = _counts(prepared)
+    stays = np.ones(len(inner(data).efc_J), bool)
+    if stays.size and dry:
+        stays[equality : equality + dry] = had[has]
+    if stays.all():
+        return data.plain()
+    changes = {f"_impl.{name}": getattr(inner(data), name)[stays] for name in _ROWS}
+    changes["_impl.contact.efc_address"] = inner(data).contact.efc_address - np.sum(~stays)
+    cut: mjx.Data = data.plain().tree_replace(changes)
+    return cut
 
 
 def with_joint_inertia(model: mjx.Model, data: mjx.Data, lower: Float[Array, "nv nv"]) -> mjx.Data:

@@ -41,7 +41,8 @@ class State(NamedTuple):
         truncated: whether it was only cut off: its time is over, or its distance walked (n,) bool.
         status: how the episode stood after the step, place in `SENTENCES` (n,) int.
         final_observation, final_privileged: as they were after the step, before new episodes began.
-        episode: `distance` [m], `duration` [s] and `servo_work` [J] of the episode that the step belongs to (n,).
+        episode: `distance` [m], `duration` [s] and `servo_work` [J] of the episode that the step belongs to (n,), and
+            `unsolved`, the number of steps whose constraint solve has not converged; 0 on `c`, which does not say it.
         engine: what the engine carries.
     """
 
@@ -204,7 +205,9 @@ class MjxWorlds:
 
     def seen(self, world: World) -> Observed:
         """What a world's last control step gave."""
-        return self.loop.observe(world.params, world.carry.loop, world.carry.sensordata)
+        seen = self.loop.observe(world.params, world.carry.loop, world.carry.sensordata)
+        unsolved = world.carry.unsolved.astype(seen.episode["unsolved"].dtype)
+        return seen._replace(episode={**seen.episode, "unsolved": unsolved})
 
 
 def picked(choice: Truth, one: Any, other: Any) -> Any:

@@ -18,8 +18,8 @@ class NermoVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
 
     A world whose episode has ended begins the next one in the same step (`AutoresetMode.SAME_STEP`): the last
     observation is in `infos["final_obs"]`, and `infos["final_info"]` has what the episode was: `status` (its sentence),
-    `distance` [m], `duration` [s], `servo_work` [J], and each term of the reward of the last step. In every step
-    `infos` has `privileged`, for a critic, and the terms.
+    `distance` [m], `duration` [s], `servo_work` [J], `unsolved` (see `State.episode`), and each term of the reward of
+    the last step. In every step `infos` has `privileged`, for a critic, and the terms.
     """
 
     metadata: dict[str, Any] = {"render_modes": [], "autoreset_mode": AutoresetMode.SAME_STEP}  # noqa: RUF012

@@ -36,7 +36,7 @@ class Observed(NamedTuple):
         terms: name -> value of each term, in its unit.
         terminated, truncated: whether the episode ended there, and whether it was only cut off.
         status: place of the sentence in `Outcome`.
-        episode: of the episode so far: `distance` [m], `duration` [s], `servo_work` [J].
+        episode: of the episode so far: `distance` [m], `duration` [s], `servo_work` [J], and `unsolved`, see `State`.
     """
 
     observation: Float[Array, " o"]
@@ -189,7 +189,12 @@ class EpisodeLoop:
             terminated=failed,
             truncated=cut,
             status=status,
-            episode={"distance": now.travelled, "duration": state.loop.time, "servo_work": now.sums["work"]},
+            episode={
+                "distance": now.travelled,
+                "duration": state.loop.time,
+                "servo_work": now.sums["work"],
+                "unsolved": jnp.zeros(()),  # the engine knows
+            },
         )
 
     def _status(self, params: EpisodeParameters, state: EpisodeState, now: MetricState) -> tuple[Count, Truth]:

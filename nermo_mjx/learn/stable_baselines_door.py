@@ -19,7 +19,7 @@ class NermoVecEnv(VecEnv):
     A world whose episode has ended begins the next one in the same step. Its info then has the last observation in
     `terminal_observation`, whether it was only cut off in `TimeLimit.truncated`, its return, length in control steps
     and time in `episode` (`r`, `l`, `t`), and what `NermoVectorEnv` tells: `status`, `distance`, `duration`,
-    `servo_work`, and each term of the reward of the last step. At other steps infos are empty.
+    `servo_work`, `unsolved`, and each term of the reward of the last step. At other steps infos are empty.
     """
 
     def __init__(self, environment: Environment | None = None, **given: Any) -> None:

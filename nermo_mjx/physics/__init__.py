@@ -10,13 +10,13 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from nermo_mjx.dynamics import forward, step
+    from nermo_mjx.dynamics import forward, step, step_with_verdict
     from nermo_mjx.physics.engine import Engine, Session, Trace
     from nermo_mjx.physics.making import ENGINES, make_engine, resolve_engine
     from nermo_mjx.physics.variation import Variation
 
 _HOMES = {
-    "nermo_mjx.dynamics": ("forward", "step"),
+    "nermo_mjx.dynamics": ("forward", "step", "step_with_verdict"),
     "nermo_mjx.physics.engine": ("Engine", "Session", "Trace"),
     "nermo_mjx.physics.making": ("ENGINES", "make_engine", "resolve_engine"),
     "nermo_mjx.physics.variation": ("Variation",),
@@ -24,6 +24,7 @@ _HOMES = {
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 
 __all__ = ["ENGINES", "Engine", "Session", "Trace", "Variation", "forward", "make_engine", "resolve_engine", "step"]
+__all__ += ["step_with_verdict"]
 
 
 def __getattr__(name: str) -> Any:

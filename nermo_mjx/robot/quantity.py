@@ -11,8 +11,9 @@ import dataclasses
 import difflib
 import functools
 import math
+import re
 from collections.abc import Iterable, Iterator, Mapping
-from typing import Any, TypeVar, dataclass_transform
+from typing import Any, Final, TypeVar, dataclass_transform
 
 import jax
 import numpy as np
@@ -154,7 +155,9 @@ def replace_quantities(tree: T, values: Mapping[str, Any]) -> T:
     unknown = set(values)
     replaced = _replace(tree, values, "", unknown) if values else tree
     if unknown:
-        raise ParameterError(f"{sorted(unknown)[0]} is not a parameter.")
+        name = sorted(unknown)[0]
+        known = dict(quantities(tree)) | dict(quantities(type(tree)))  # also of what a tree may have and leaves out
+        raise ParameterError(f"{name} is not a parameter{did_you_mean(name, known)}")
     return replaced
 
 
@@ -251,12 +254,34 @@ def with_attributes(cls: type[T]) -> type[T]:
 # Names of which one is allowed, and suggestions for misspelled ones.
 
 
+#: Least share of letters in common, in order, of names that are near.
+NEAR: Final = 0.6
+
+
 def nearest(name: str, allowed: Iterable[str]) -> str | None:
-    """The allowed name closest to `name`, or the one that ends with it (`amplitude`: `spine.amplitude`), or None."""
-    names = list(allowed)
-    found = difflib.get_close_matches(name, names, n=1)
-    found += [full for full in names if full.rpartition(".")[2] == name.rpartition(".")[2]]
-    return found[0] if found else None
+    """The allowed name that is most like `name`, in whole or by its last parts, or None if none is.
+
+    >>> nearest("foot_radius", ["contact.friction", "foot", "geometry.foot.radius"])
+    'geometry.foot.radius'
+    >>> nearest("spine.ampl", ["gait.amplitude", "spine.amplitude"])
+    'spine.amplitude'
+    """
+    wanted = _parts(name)
+
+    def likeness(full: str) -> tuple[float, float]:
+        parts = _parts(full)
+        # As many parts as it has, or one more, which is joined where a sign is left out; all in any order; and all.
+        pairs = [(wanted, parts[-count:]) for count in (len(wanted), len(wanted) + 1)]
+        pairs += [(sorted(wanted), sorted(parts)), (wanted, parts)]
+        ratios = [difflib.SequenceMatcher(None, ".".join(one), ".".join(other)).ratio() for one, other in pairs]
+        return max(ratios), ratios[-1]
+
+    ranked = sorted(((likeness(full), full) for full in allowed), key=lambda each: each[0], reverse=True)
+    return ranked[0][1] if ranked and ranked[0][0][0] >= NEAR else None
+
+
+def _parts(name: str) -> list[str]:
+    return re.split(r"[._\- ]+", name.lower())
 
 
 def did_you_mean(name: str, allowed: Iterable[str]) -> str:
