@@ -19,7 +19,7 @@ from nermo_mjx.files import MOST_ARRAYS, FileError, json_of, read_bytes
 from nermo_mjx.plotting.charts import horizontal_grid, page
 from nermo_mjx.plotting.files import Figures, write_figures
 from nermo_mjx.plotting.style import BEST, INK, LINE, MUTED
-from nermo_mjx.runs.files import DirectoryError, replace_file, table
+from nermo_mjx.runs.files import DirectoryError, append_line, replace_file, table
 from nermo_mjx.runs.status import Status
 
 RESULTS: Final = "results.jsonl"
@@ -173,10 +173,7 @@ class History:
 
 def append(path: Path, run: Mapping[str, Any]) -> None:
     """Append a run, see `run_bench`, to a file as one line; existing lines are unchanged."""
-    before = read_bytes(path, MOST_ARRAYS) if path.exists() else b""
-    if before and not before.endswith(b"\n"):  # truncated when the process was killed
-        before += b"\n"
-    replace_file(path, before + json.dumps(run).encode() + b"\n")
+    append_line(path, json.dumps(run))
 
 
 def read(folder: Path) -> History:
