@@ -34,7 +34,7 @@ _ARRAYS: Final[dict[str, tuple[str, tuple[Any, ...]]]] = {
 }
 
 
-class _Metadata(BaseModel, extra="allow"):
+class Metadata(BaseModel, extra="allow"):
     setup: dict[str, str | float | bool | list[Any] | None] | None = None
     parameters: dict[str, float | None] | None = None
     metrics: dict[str, float | bool | str | None] | None = None
@@ -49,7 +49,7 @@ class _Header(BaseModel):
     format: str
     layout: int
     model_hash: str
-    metadata: _Metadata
+    metadata: Metadata
 
 
 class RecordingError(FileError, ValueError):

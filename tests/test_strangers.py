@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import io
 import json
@@ -10,10 +11,11 @@ import random
 import re
 import resource
 import shutil
+import signal
 import time
 import traceback
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -30,23 +32,28 @@ from sweep_fake import FakeSimulator
 from tune_fake import SPEC as TUNE
 
 from nermo_mjx import trust
+from nermo_mjx.bench import results as bench
 from nermo_mjx.cli.directories import KINDS
 from nermo_mjx.control import protocol
+from nermo_mjx.control.schedule import Switch
 from nermo_mjx.experiments import identification
 from nermo_mjx.experiments.cases import Outcome
 from nermo_mjx.experiments.report import table_of
 from nermo_mjx.experiments.run import EXPERIMENTS, Directory
-from nermo_mjx.files import FileError
+from nermo_mjx.files import FileError, read_bytes
 from nermo_mjx.hardware.channels import read_channels
 from nermo_mjx.learn.policy import load_policy
 from nermo_mjx.learn.spec import Training
+from nermo_mjx.live import driving
+from nermo_mjx.live.driving import Driving, replayed
 from nermo_mjx.optimize import Search, Tuning, run_search
 from nermo_mjx.recording import Recording
 from nermo_mjx.robot import ParameterError
 from nermo_mjx.robot.scene import resolve_scene
-from nermo_mjx.rollout import own_metrics
-from nermo_mjx.runs.directory import codes_of, read_record
-from nermo_mjx.runs.files import parquet_table
+from nermo_mjx.rollout import Setup, own_metrics
+from nermo_mjx.runs.directory import codes_of, digest, read_record
+from nermo_mjx.runs.files import content_of, parquet_bytes, parquet_table, stored_json
+from nermo_mjx.runs.rows import opened
 from nermo_mjx.runs.status import last_command
 from nermo_mjx.specs import reading
 from nermo_mjx.specs.reading import SpecError, read_file, read_mapping
@@ -267,6 +274,13 @@ def mutated_json(content: bytes, draw: random.Random) -> bytes:
     return json.dumps(mutated_values(json.loads(content), draw)).encode()
 
 
+def mutated_lines(content: bytes, draw: random.Random) -> bytes:
+    lines = content.splitlines()
+    at = draw.randrange(len(lines))
+    lines[at] = draw.choice((mutated_bytes, mutated_json, mutated_json))(lines[at], draw)
+    return b"\n".join(lines) + b"\n"
+
+
 def mutated_arrays(content: bytes, draw: random.Random) -> bytes:
     """An NPZ file of which an array, its header, or its JSON is another one."""
     with np.load(io.BytesIO(content)) as file:
@@ -399,7 +413,24 @@ def kinds_of_files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[
     def whole(path: Path) -> Callable[[], Any]:
         return lambda: robot_of(Recording.load(path))
 
+    about = {"setup": Setup().fields(), "driven": {"values": {"frequency": 0.8}}}
+    piece = {
+        "commands": [[0, {"at": 0.0, "blend": 1.0, "gait": "lat", "set": {"stride": 0.9}}]],
+        "pushes": [{"tick": 1, "ticks": 3, "body": 1, "force": [1, 0, 0]}],
+        "samples": [[[0.0], [0.0], [0.0], [None]]],
+        "ticks": 3,
+    }
+
+    def journal() -> Any:
+        about, _ = driving._told(top / "drive.jsonl")
+        return driving._setup(about, None)
+
     found: dict[str, tuple[Path, list[Any], Callable[[], Any]]] = {
+        "journal": (
+            _text(top / "drive.jsonl", f"{json.dumps(about)}\n{json.dumps(piece)}\n"),
+            [mutated_lines],
+            journal,
+        ),
         "recording": (Path(shutil.copyfile(RECORDED, top / "walk.npz")), arrays, whole(top / "walk.npz")),
         "policy": (Path(shutil.copyfile(POLICY, top / "policy.npz")), arrays, lambda: load_policy(top / "policy.npz")),
         "batch of a landscape": (landscape / "batches" / "a-5-000000.npz", arrays, kind("landscape", landscape)),
@@ -575,14 +606,200 @@ def test_yaml_has_a_limit_of_values_and_of_bytes(tmp_path: Path, monkeypatch: py
     refused("a: {" + "".join(f"b{i}: 1, " for i in range(60)) + "}", "holds more than 100 values")
 
 
-def test_a_file_that_is_none_is_refused(tmp_path: Path) -> None:
-    """A pipe that nobody writes into, and a device that never ends."""
-    os.mkfifo(tmp_path / "run.json")
-    with pytest.raises(FileError, match="not a regular file"):
-        read_record(tmp_path)
-    for load in (Recording.load, load_policy, read_file):
-        with pytest.raises((FileError, ParameterError), match="not a regular file"):
-            load("/dev/zero")
+@contextlib.contextmanager
+def bounded(seconds: int = 20, more: int = 1 << 30) -> Iterator[None]:
+    """Inside of it, waiting ends in an alarm, and memory beyond what is taken now in a MemoryError."""
+
+    def late(*_: Any) -> None:
+        raise AssertionError("it waits")
+
+    taken = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    before, memory = signal.signal(signal.SIGALRM, late), resource.getrlimit(resource.RLIMIT_AS)
+    signal.alarm(seconds)
+    resource.setrlimit(resource.RLIMIT_AS, (taken + more, memory[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, memory)
+        signal.alarm(0)
+        signal.signal(signal.SIGALRM, before)
+
+
+def special(path: Path, kind: str) -> Path:
+    """A pipe that nobody writes into, or a link to a device that never ends, in the place of a file."""
+    path.unlink(missing_ok=True)
+    os.mkfifo(path) if kind == "pipe" else path.symlink_to("/dev/zero")
+    return path
+
+
+SPECIAL = pytest.mark.parametrize("kind", ["pipe", "device"])
+
+
+@SPECIAL
+@pytest.mark.parametrize(
+    "load",
+    [
+        lambda path: read_record(path.parent),
+        Recording.load,
+        load_policy,
+        read_file,
+        content_of,
+        parquet_table,
+        lambda path: read_row_table(read_mapping({}), str(path.with_suffix(".parquet"))),
+        stored_json,
+        lambda path: bench.read(path.parent),
+        replayed,
+        lambda path: protocol.Source.named("metrics has", str(path.with_suffix(".py")), "a file").content(),
+        lambda path: opened(path).__enter__(),
+    ],
+)
+def test_a_file_that_is_none_is_refused(load: Any, kind: str, tmp_path: Path) -> None:
+    for name in ("run.json", "run.parquet", "run.py", "results.jsonl"):
+        special(tmp_path / name, kind)
+    said = "not a regular file"
+    with bounded():
+        try:
+            said = load(tmp_path / "run.json") or said  # None as of a damaged file
+        except (FileError, ParameterError) as error:
+            said = str(error)
+    assert "not a regular file" in said or "there is no such file" in said
+
+
+@SPECIAL
+@pytest.mark.parametrize("name", ["run.json", "sweep.yaml", "sweep.json", "metrics.json", "results/part", "plots"])
+def test_a_special_file_in_a_directory_ends_in_a_sentence(kinds_of_files: Any, kind: str, name: str, tmp_path: Path):
+    """As of a sweep's directory that someone sends; a figure's place is no file of ours, either."""
+    out = tmp_path / "theirs"
+    shutil.copytree(kinds_of_files["part"][0].parents[1], out)
+    part = next((out / "results").glob("*.parquet"))
+    (out / "plots").mkdir(exist_ok=True)
+    special({"results/part": part, "plots": out / "plots" / "speed.png"}.get(name, out / name), kind)
+    for words in (("status", out), ("compare", out, "--by", "frequency"), ("plot", out, "--format", "png")):
+        with bounded():
+            result = call(*words)
+        assert result.exit_code in (0, 1, 2)
+        assert result.exit_code == 0 or result.stderr.count("\n") == 1, result.stderr
+
+
+@SPECIAL
+@pytest.mark.parametrize(
+    "inside",
+    [
+        '<include file="{0}"/>',
+        '<asset><model name="m" file="{0}"/></asset>',
+        '<asset><mesh name="m" file="{0}" content_type="model/stl"/></asset>',
+        '<asset><texture name="t" type="2d" file="{0}" content_type="image/png"/></asset>',
+        '<asset><hfield name="h" size="1 1 1 1" file="{0}" content_type="image/png"/></asset>',
+        '<asset><model name="m" file="{1}/nested.xml"/></asset>',
+    ],
+)
+def test_a_special_file_in_a_scene_is_refused(inside: str, kind: str, tmp_path: Path) -> None:
+    """As a file and as text, as in a recording; and one that a model beside it names from its own folder."""
+    (tmp_path / "under").mkdir()
+    file = special(tmp_path / "under" / "a", kind)
+    _text(tmp_path / "a", scene(""))  # of that name there is another one, which is right
+    _text(tmp_path / "under" / "nested.xml", scene('<asset><model name="n" file="a"/></asset>'))
+    text = scene(inside.format(file, tmp_path / "under"))
+    for given in (text, str(_text(tmp_path / "a.xml", text))):
+        with bounded(), pytest.raises(ParameterError, match=r"cannot be read \(not a regular file\)"):
+            resolve_scene(given)
+
+
+@pytest.mark.parametrize("size", [0, 1 << 25])
+def test_what_has_more_than_it_says_is_refused(size: int, tmp_path: Path) -> None:
+    """Files of /proc say that they have nothing; one that is mostly a hole takes no room."""
+    path = tmp_path / "a.json"
+    with path.open("wb") as file:
+        file.truncate(size)
+    with pytest.raises(FileError, match="allowed are"):
+        read_bytes(Path("/proc/self/maps") if size == 0 else path, 100)
+
+
+#: Calls that open a file.
+OPENS = re.compile(
+    r"(?<![\w.])(?<!def )open\(|\bos\.open\(|\.open\(\"|\.read_(bytes|text)\(|pq\.(read_\w+|ParquetFile)\(|loadtxt\("
+    r"|np\.(load|fromfile)\(|ElementTree\.parse\(|(MjSpec\.from_file|from_xml_path)\(|json\.load\(|Image\.open\("
+)
+#: Lines that do so outside of `nermo_mjx.files`: they write, or read what belongs to the package or to the system.
+NOT_READ_FOR_A_PERSON = {
+    "cli/choices.py": 1,
+    "experiments/cases.py": 1,
+    "experiments/published.py": 1,
+    "live/driving.py": 1,  # a journal is written
+    "programs.py": 1,
+    "robot/identified.py": 1,
+    "robot/parts.py": 2,
+    "robot/scene.py": 1,  # MuJoCo, after all files of the scene were read here
+    "runs/code.py": 2,
+    "runs/directory.py": 1,  # a lock
+    "runs/files.py": 5,  # three that write; Parquet, of what was opened here
+    "runtime.py": 1,
+    "view/page.py": 1,
+}
+
+
+def test_nothing_else_opens_what_is_read() -> None:
+    package = Path(protocol.__file__).parents[1]
+    found = {
+        path.relative_to(package).as_posix(): len([1 for line in path.read_text().splitlines() if OPENS.search(line)])
+        for path in package.rglob("*.py")
+        if "vendor" not in path.parts
+    }
+    assert {name: count for name, count in found.items() if count} == NOT_READ_FOR_A_PERSON | {"files.py": 3}
+
+
+def heavy(form: str) -> bytes:
+    """Parquet of 0.1 MB or less whose texts unpack to 2 GB."""
+    texts = pa.array(["x" * 100_000]).take(pa.array(np.zeros(20_000, np.int8)))
+    if form == "large":
+        texts = texts.cast(pa.large_string())
+    rows = pa.array(np.arange(len(texts)), pa.int64())
+    stream = io.BytesIO()
+    pq.write_table(
+        pa.table({"row": rows, "status": texts}),
+        stream,
+        compression="zstd",
+        use_dictionary=form != "plain",
+        data_page_size=1 << 20,
+    )
+    return stream.getvalue()
+
+
+@pytest.mark.parametrize("form", ["dictionary", "large", "plain"])
+def test_texts_count_by_what_they_unpack_to(form: str, tmp_path: Path) -> None:
+    content = heavy(form)
+    assert len(content) < 2e6
+    (tmp_path / "rows.parquet").write_bytes(content)
+    with bounded():
+        assert parquet_table(content) is None
+        with pytest.raises(SpecError, match="cannot be read as Parquet"):
+            read_row_table(read_mapping({}), str(tmp_path / "rows.parquet"))
+        with pytest.raises(DirectoryError, match=r"texts unpack to more than|is of type large_string"):
+            Results([tmp_path / "rows.parquet"])
+
+
+@pytest.mark.parametrize("name", ["row", "variant", "status", "code", "frequency", "speed", "fell"])
+def test_a_null_in_a_typed_column_is_a_sentence_or_a_gap(kinds_of_files: Any, name: str, tmp_path: Path) -> None:
+    """In a part that is sealed: its name has its digest."""
+    out = tmp_path / "theirs"
+    shutil.copytree(kinds_of_files["part"][0].parents[1], out)
+    part = next((out / "results").glob("*.parquet"))
+    table = parquet_table(part)
+    assert table is not None
+    at, field = table.column_names.index(name), table.schema.field(name)
+    table = table.set_column(at, field, pa.array([None, *table.column(at).to_pylist()[1:]], field.type))
+    content = parquet_bytes(table)
+    part.unlink()
+    part.with_name(f"{part.stem.rpartition('-')[0]}-{digest(content)}.parquet").write_bytes(content)
+    for words in (
+        ("status", out),
+        ("compare", out, "--by", "frequency"),
+        ("sensitivity", out),
+        ("plot", out, "--format", "png"),
+        ("view", out, "--no-open", "--out", tmp_path / "page.html"),
+    ):
+        result = call(*words)
+        assert result.exit_code == 0 or result.stderr.count("\n") == 1, result.stderr
 
 
 # ---
@@ -616,6 +833,95 @@ def test_a_recording_names_no_code(tmp_path: Path, canary: Path) -> None:
         result = call(*words)
         assert result.exit_code == 0, result.stderr
     assert not canary.exists()
+
+
+@pytest.fixture(scope="module")
+def driven() -> Recording:
+    """A drive with a command and a push."""
+    driving = Driving(Setup(pilot="open_loop"))
+    driving.command(Switch(0.0, values={"stride": 0.9}))
+    driving.push(1, (0.5, 0.0, 0.0), 0.1)
+    for _ in range(5):
+        driving.tick()
+    return driving.recording()
+
+
+def told(recording: Recording, driven: Any = None, **setup: Any) -> Recording:
+    """The same with another setup, or another course."""
+    about = dict(recording.metadata)
+    about["setup"] = {**about["setup"], **setup}
+    about["driven"] = {**about["driven"], **(driven or {})}
+    return dataclasses.replace(recording, metadata=about)
+
+
+@pytest.mark.compiles
+@pytest.mark.parametrize("named", ["own.py:stiff", "{0}/own.py:stiff", "own:stiff", "own.under:stiff"])
+@pytest.mark.parametrize("form", ["npz", "jsonl"])
+def test_replay_runs_no_code_that_a_drive_names(named: str, form: str, driven: Any, tmp_path: Path, canary: Path):
+    """Not even where its setup is refused afterwards; nor do its metrics run, or another file of the same name."""
+    theirs = told(driven, controller=named.format(tmp_path), pilot="straight", metrics=["own.py"])
+    path = tmp_path / f"drive.{form}"
+    if form == "npz":
+        theirs.save(path)
+    else:
+        path.write_text(json.dumps(theirs.metadata) + "\n" + json.dumps({"ticks": 5}) + "\n")
+    for words in (("replay", path), ("replay", path, "--sweep", tmp_path / "a.yaml")):
+        result = call(*words)
+        assert (result.exit_code, result.stderr.count("\n")) == (2, 1), result.stderr
+        assert "code that a file names, which is not run: give your own copy of it, --controller" in result.stderr
+    if form == "npz":
+        call("servos", "--recording", path, "--out", tmp_path / "a.csv")
+    assert not canary.exists()
+
+
+@pytest.mark.compiles
+def test_a_drive_by_a_controller_of_ones_own_is_made_again_with_it(tmp_path: Path, canary: Path) -> None:
+    driving = Driving(Setup(controller="own.py:stiff"))
+    for _ in range(3):
+        driving.tick()
+    path = driving.recording().save(tmp_path / "drive.npz")
+    canary.unlink()
+    protocol._imported.cache_clear()
+    assert call("replay", path).exit_code == 2
+    assert not canary.exists()
+    result = call("replay", path, "--controller", "own.py:stiff")
+    assert "All 3 samples equal" in result.stdout, result.stderr
+    (tmp_path / "own.py").write_text((tmp_path / "own.py").read_text() + "\n")
+    assert "another one than that of the drive" in call("replay", path, "--controller", "own.py:stiff").stderr
+
+
+MALFORMED: dict[str, dict[str, Any]] = {
+    "unknown key": {"wings": 2},
+    "waypoints 3": {"waypoints": 3},
+    "waypoints [1, 2]": {"waypoints": [1, 2]},
+    "gait": {"gait": ["trt"]},
+    "scene": {"scene": 3},
+    "spine": {"spine": 1},
+    "tail": {"tail": ["rigid"]},
+    "timestep": {"timestep": "fast"},
+    "command": {"driven": {"commands": [[float("inf"), {"at": 0.0, "set": {"stride": 0.9}}]]}},
+    "a tick below 0": {"driven": {"commands": [[-1, {"at": 0.0, "set": {"stride": 0.9}}]]}},
+    "no pair": {"driven": {"commands": [3]}},
+    "frequency": {"driven": {"commands": [[0, {"at": 0.0, "set": {"frequency": 1e-20}}]]}},
+    "frequency at the start": {"driven": {"values": {"frequency": 1e-300}}},
+    "unknown start": {"driven": {"values": {"froquency": 1.0}}},
+    "start NaN": {"driven": {"values": {"frequency": float("nan")}}},
+    "push without a body": {"driven": {"pushes": [{"tick": 0, "ticks": 3, "force": [1, 0, 0]}]}},
+    "push of nobody": {"driven": {"pushes": [{"tick": 0, "ticks": 3, "body": 10**30, "force": [1, 0, 0]}]}},
+    "push NaN": {"driven": {"pushes": [{"tick": 0, "ticks": 3, "body": 1, "force": [float("nan"), 0, 0]}]}},
+    "push too long": {"driven": {"pushes": [{"tick": 0, "ticks": 10**15, "body": 1, "force": [1, 0, 0]}]}},
+    "samples of another": {"driven": {"samples": [[[0.0], [0.0], [0.0], [None]]]}},
+}
+
+
+@pytest.mark.compiles
+@pytest.mark.usefixtures("shared_simulators")
+@pytest.mark.parametrize("name", MALFORMED)
+def test_a_malformed_drive_ends_in_a_sentence(name: str, driven: Recording, tmp_path: Path) -> None:
+    path = told(driven, **MALFORMED[name]).save(tmp_path / "drive.npz")
+    result = call("replay", path, "--quiet")
+    assert (result.exit_code, result.stderr.count("\n")) == (2, 1), result.stderr
+    assert result.stderr.startswith(f"nermo-mjx: {path}: ")
 
 
 def test_whose_code_is_run_is_said_before(tmp_path: Path, canary: Path) -> None:

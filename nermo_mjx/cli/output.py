@@ -17,6 +17,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
+from types import FrameType
 from typing import IO, Any, Final, NoReturn
 
 import click
@@ -26,6 +27,20 @@ from nermo_mjx.trust import TELL, FileError, one_line, only_reading, shown
 #: Thresholds of Python's garbage collector while a command runs. Tracing creates millions of long-lived objects,
 #: which the collector would visit again and again by default: a fifth of the time that tracing takes.
 COLLECTIONS: Final = (100_000, 50, 100)
+
+
+#: What ends a process, but for Ctrl-C, unless it is caught: a batch system, a terminal that closes, a limit of time.
+ENDING: Final = tuple(
+    getattr(signal, f"SIG{name}")
+    for name in ["TERM", "HUP", "QUIT", "USR1", "USR2", "ALRM", "VTALRM", "PROF", "XCPU", "IO", "PWR", "STKFLT"]
+    if hasattr(signal, f"SIG{name}")
+)
+
+
+def _as_ctrl_c(number: int, frame: FrameType | None) -> None:
+    """Act as the handler of Ctrl-C does now."""
+    handler = signal.getsignal(signal.SIGINT)
+    (handler if callable(handler) else signal.default_int_handler)(signal.SIGINT, frame)
 
 
 class Failure(click.ClickException):
@@ -75,8 +90,8 @@ class CommandGroup(click.Group):
         TELL.set(lambda sentence: click.echo(f"nermo-mjx: {sentence}", err=True))
         gc.set_threshold(*COLLECTIONS)
         in_main = threading.current_thread() is threading.main_thread()
-        # Batch systems send SIGTERM.
-        before = signal.signal(signal.SIGTERM, signal.default_int_handler) if in_main else None
+        found = {each: signal.getsignal(each) for each in ENDING if in_main}
+        before = {each: signal.signal(each, _as_ctrl_c) for each in found if found[each] is signal.SIG_DFL}
         try:
             return super().invoke(ctx)
         except KeyboardInterrupt as error:
@@ -91,8 +106,8 @@ class CommandGroup(click.Group):
         except Exception as error:
             _translate(error)
         finally:
-            if before is not None:
-                signal.signal(signal.SIGTERM, before)
+            for each, handler in before.items():
+                signal.signal(each, handler)
 
     def resolve_command(self, ctx: click.Context, args: list[str]) -> Any:
         """As click does it, with the nearest command's name."""

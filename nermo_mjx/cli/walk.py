@@ -6,8 +6,9 @@ import contextlib
 import dataclasses
 import itertools
 import math
+import tempfile
 import webbrowser
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -19,9 +20,11 @@ from nermo_mjx.cli.options import assigned, number, text
 from nermo_mjx.cli.output import Failure, Outcome, WrongUse, command, is_given, print_table, say
 from nermo_mjx.cli.progress import Progress
 from nermo_mjx.cli.view import check_video, load_recording, save_run
+from nermo_mjx.trust import only_reading
 
 if TYPE_CHECKING:
     from nermo_mjx.control.schedule import Switch
+    from nermo_mjx.recording import Recording
     from nermo_mjx.rollout import Run, Setup
 
 
@@ -262,7 +265,7 @@ DRIVE_NEEDS = {
 @options.tail
 @options.physics
 @options.set_any
-@options.file("--record", ".npz", "Save what was driven; after a reset what follows goes to FILE-2.npz, ...")
+@options.file("--record", ".npz", "A new file for what is driven; after a reset what follows goes to FILE-2.npz, ...")
 @number("--port", "Of the page; by default any that is free.", click.IntRange(1, 65535))
 @number("--seconds", "Duration; by default until Ctrl-C.", options.POSITIVE)
 @click.option("--browser/--no-browser", default=True, help="Open the page, or only print its address.")
@@ -315,7 +318,8 @@ def drive_command(
     waits.
 
     A recording opens in `view`, `render` and `servos`, and `replay` drives it
-    again.
+    again. While you drive, FILE.jsonl keeps every command: if the drive is
+    killed, `replay` makes the recording from it.
 
     --robot URL drives a real robot over its topics: q_values (servo angles,
     out) and sensors_mouse (what it measures, in). Its servos go to the start
@@ -341,8 +345,9 @@ def drive_command(
             raise WrongUse(f"{flag} has no effect without {need}.")
     from nermo_mjx.hardware.live import SendError, address
     from nermo_mjx.live.driving import Driving
-    from nermo_mjx.live.server import Drive
+    from nermo_mjx.live.server import Drive, free
     from nermo_mjx.live.wire import RobotDriving, SimulatedRobot
+    from nermo_mjx.recording import RecordingError
     from nermo_mjx.runs.files import make_writable
 
     port, browser, channels, rate, watchdog, delay, loss = (
@@ -355,6 +360,8 @@ def drive_command(
         say("Ctrl-C ends it")
     if record is not None:
         make_writable(record.parent)
+        free(record)
+    failure = ""
     try:
         if serve is not None:
             address(serve, "serve")
@@ -372,11 +379,15 @@ def drive_command(
                     if robots:
                         robots.operator = lambda: drive.away
                     click.echo(f"drive: {drive.address}", err=True)
-                    if browser:
-                        webbrowser.open(drive.address)
-                    with contextlib.suppress(KeyboardInterrupt, SendError):
-                        drive.run(seconds)
+                    with _browser(drive.address) if browser else contextlib.nullcontext():
+                        try:
+                            drive.run(seconds)
+                        except (KeyboardInterrupt, SendError):
+                            pass
+                        except RecordingError as error:
+                            failure = str(error)
                     about, files = drive.report(), drive.files
+                    failure = drive.failure or failure
             about |= dataclasses.asdict(robots.driven) if robots else {}
     except SendError as error:
         raise Failure(f"{str(error).rstrip('.')}.") from None
@@ -386,16 +397,30 @@ def drive_command(
             words = ", ".join(f"{each} {what}" for what, each in value.items()) if isinstance(value, dict) else value
             click.echo(f"{name}: {f'{words:.4g}' if isinstance(words, float) else words}")
 
-    return Outcome(about, show, files, f"{about['ended'].rstrip('.')}." if about.get("ended") else "")
+    ended = f"{about['ended'].rstrip('.')}." if about.get("ended") else ""
+    return Outcome(about, show, files, " ".join(filter(None, (failure, ended))))
+
+
+@contextlib.contextmanager
+def _browser(address: str) -> Iterator[None]:
+    """Open an address with a secret in the browser by a file that only its user reads: command lines are public."""
+    with tempfile.NamedTemporaryFile("w", prefix="nermo-mjx-", suffix=".html") as file:
+        file.write(f'<!doctype html><meta http-equiv="refresh" content="0; url={address}">')
+        file.flush()
+        webbrowser.open(Path(file.name).as_uri())
+        yield
 
 
 @command("replay")
-@click.argument("out", metavar="DIR|FILE.npz", type=options.PATH)
-@number("--row", "Row of the table, from 0; not with a FILE.npz.", int, metavar="N")
+@click.argument("out", metavar="DIR|FILE", type=options.PATH)
+@number("--row", "Row of the table, from 0; not with a FILE.", int, metavar="N")
 @options.choice("--engine", ENGINES, "By default the directory's own.", default=None)
 @options.produced
-@options.file("--sweep", ".yaml", "Write a sweep file that walks as was driven, of a FILE.npz.")
-def replay_command(out: Path, row: int | None, engine: str | None, sweep: Path | None, **saved: Any) -> Outcome:
+@options.file("--sweep", ".yaml", "Write a sweep file that walks as was driven, of a FILE.")
+@text("--controller", "FILE", "Your copy of the controller of a drive, FILE.py:NAME or a policy FILE.npz; of a FILE.")
+def replay_command(
+    out: Path, row: int | None, engine: str | None, sweep: Path | None, controller: str | None, **saved: Any
+) -> Outcome:
     """Rerun one row of a sweep's or a search's directory on its own, or a
     recorded drive.
 
@@ -405,20 +430,25 @@ def replay_command(out: Path, row: int | None, engine: str | None, sweep: Path |
     same machine, they are bit-identical. DIR is only read.
 
     A FILE.npz of `drive --record` is driven again, by the same commands, and
-    compared sample by sample.
+    compared sample by sample. It runs no Python that it names: give a
+    controller of your own again. The FILE.jsonl of a drive that was killed is
+    driven again, too, up to its end.
 
     Examples:
       nermo-mjx replay runs/quickstart --row 57 --video row57.mp4
       nermo-mjx replay runs/quickstart --row 57 --engine mjx --json
       nermo-mjx replay runs/atlas --row 8123 --video gait.mp4
       nermo-mjx replay drive.npz --sweep drive.yaml
+      nermo-mjx replay drive.jsonl --record drive.npz
     """
-    if out.suffix == ".npz":
+    if out.suffix in (".npz", ".jsonl"):
         if row is not None or engine is not None:
             raise WrongUse("--row and --engine belong to a directory: a recorded drive has neither.")
-        return _replay_drive(out, sweep, saved)
-    if row is None or sweep is not None:
-        raise WrongUse("Give --row N, a row of the table." if row is None else "--sweep belongs to a recorded drive.")
+        return _replay_drive(out, sweep, controller, saved)
+    if row is None:
+        raise WrongUse("Give --row N, a row of the table.")
+    if sweep is not None or controller is not None:
+        raise WrongUse("--sweep and --controller belong to a recorded drive.")
     from nermo_mjx.optimize.directory import find_evaluation
     from nermo_mjx.runs.files import make_writable, plain
     from nermo_mjx.sweep.replay import find_row, replay_row, report_of
@@ -449,26 +479,39 @@ def replay_command(out: Path, row: int | None, engine: str | None, sweep: Path |
     return Outcome(report, show, files)
 
 
-def _replay_drive(path: Path, sweep: Path | None, saved: Mapping[str, Any]) -> Outcome:
-    """Drive a recording again, and compare."""
+def _replay_drive(path: Path, sweep: Path | None, controller: str | None, saved: Mapping[str, Any]) -> Outcome:
+    """Drive a recording or a journal again, and compare; no Python runs that the person has not named."""
     from nermo_mjx.live.driving import as_sweep, difference, replayed
     from nermo_mjx.recording import RecordingError, write_whole
+    from nermo_mjx.robot import ParameterError
     from nermo_mjx.sweep import Sweep
 
-    recording = load_recording(path)
-    try:
+    def write_sweep(recording: Recording) -> None:
         if sweep is not None:
-            write_whole(sweep, "the sweep file", Sweep.from_dict(as_sweep(recording)).to_yaml(sweep.parent).encode())
-        with Progress("replay", compiles=True):
-            again = replayed(recording)
-    except RecordingError as error:
+            content = Sweep.from_dict(as_sweep(recording, controller)).to_yaml(sweep.parent)
+            write_whole(sweep, "the sweep file", content.encode())
+
+    recording = load_recording(path) if path.suffix == ".npz" else None
+    try:
+        with contextlib.nullcontext() if controller else only_reading():
+            if recording is not None:
+                write_sweep(recording)
+            with Progress("replay", compiles=True):
+                again = replayed(recording or path, controller)
+            if recording is None:
+                write_sweep(again)
+    except (RecordingError, ParameterError) as error:
         raise WrongUse(f"{path}: {error}") from None
     save_run(again, **saved)
-    differs, samples = difference(recording, again), f"{len(again.time):,} samples"
+    differs = None if recording is None else difference(recording, again)
+    samples = f"{len(again.time):,} samples"
     sentence = f"All {samples} equal the recording's, to the last bit."
-    if differs is not None:
+    if recording is None:
+        sentence = f"{samples} were made again, up to {again.time[-1]:.2f} s, the end of the journal."
+    elif differs is not None:
         sentence = f"Of {samples} those from {differs:.2f} s on differ from the recording's."
-    content = {"recording": path, "samples": len(again.time), "equal": differs is None, "differs_from": differs}
+    equal = None if recording is None else differs is None
+    content = {"recording": path, "samples": len(again.time), "equal": equal, "differs_from": differs}
     return Outcome(content, lambda: click.echo(sentence))
 
 

@@ -82,7 +82,7 @@ HARMONICS = 6
 class Gait:
     """Timing of the feet's contact, and length of their steps (5.21, 5.22, Tables A.2, A.6)."""
 
-    frequency: Any = quantity(0.67, "Hz", 0.0, 5.0, "gait cycles per second", open_low=True)
+    frequency: Any = quantity(0.67, "Hz", 1e-3, 5.0, "gait cycles per second")
     stride: Any = quantity(1.0, "1", 0.0, 1.2, "stride length, as a share of the maximum")
     duty: Any = quantity(0.5, "1", 0.01, 1.0, "stance share of the gait cycle", open_high=True)
     gait_factor: Any = quantity(

@@ -44,7 +44,7 @@ def table_of(outcome: Outcome, about: Mapping[str, Any], code: str) -> pa.Table:
 
 def outcome_of(content: pa.Table, recordings: Mapping[str, Recording]) -> Outcome:
     """The outcome that `table_of` converted to a table; its recordings are stored separately."""
-    fields = [field for field in content.schema if meta(field)["role"] != CODE]
+    fields = [field for field in content.schema if meta(field).get("role") != CODE]
     # Texts become string arrays again instead of object arrays.
     columns = {field.name: np.array(content.column(field.name).to_pylist()) for field in fields}
     about = {field.name: Column(meta(field)["unit"], meta(field)["description"]) for field in fields}

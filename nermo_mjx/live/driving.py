@@ -1,27 +1,32 @@
 """A drive: controller and body on engine c, tick by tick, under commands that come while the robot walks.
 
 A command is a `Switch` that begins when it comes. Commands whose blends overlap are added, each with its own length, so
-feet and servos are continuous as in a schedule. The loop is the compiled one of engine `c`, and a recorded drive can be
-made again bit for bit.
+feet and servos are continuous as in a schedule. The loop is the compiled one of engine `c`, and a drive can be made
+again bit for bit from its commands. A journal keeps them in a file while they come, so that no drive is lost.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import json
+import os
+import threading
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Final
+from typing import Annotated, Any, Final, cast
 
 import jax
 import numpy as np
 from jaxtyping import Float
+from pydantic import BaseModel, Field, NonNegativeInt
 
 from nermo_mjx.control.head_and_tail import GAZE, TAIL_MOTIONS
-from nermo_mjx.control.protocol import ChecksParameters
+from nermo_mjx.control.protocol import ChecksParameters, is_data
 from nermo_mjx.control.schedule import GAINS, MODES, Schedule, Switch, turned
 from nermo_mjx.control.spine_modes import LATERAL_MODES, NO_MODE, SAGITTAL_MODES
+from nermo_mjx.files import MOST_FILE, read_as, read_bytes
 from nermo_mjx.physics.c_engine import LANES, CBodies, CEngine
-from nermo_mjx.recording import Recording, RecordingError, model_hash
+from nermo_mjx.recording import Metadata, Recording, RecordingError, model_hash
 from nermo_mjx.robot import ParameterError
 from nermo_mjx.robot.quantity import choice, quantities, replace_quantities, values_of
 from nermo_mjx.rollout import Run, Setup, Simulator
@@ -30,7 +35,9 @@ from nermo_mjx.rollout.setup import Window
 from nermo_mjx.rollout.simulator import MOST_RECORDED, TICK_BYTES, default_precision
 from nermo_mjx.runs.code import versions
 from nermo_mjx.runs.files import plain
-from nermo_mjx.specs.walk import WalkSpec
+from nermo_mjx.specs.controllers import code_identity
+from nermo_mjx.specs.walk import RecordedSetup, WalkSpec
+from nermo_mjx.trust import FileError
 
 #: Largest force of a push on each axis [N]; the robot weighs 2.65 N. Longest push [s].
 MOST_FORCE: Final = 10.0
@@ -69,11 +76,16 @@ class Driving:
         dt: between ticks [s].
         steps_per_tick: readings of the sensors between two ticks.
         parameters: those that a command can change, with their ranges.
+        about: what a recording says of it.
         ticks: since the start.
         commands, pushes: since the start, each command with the tick before which it came.
+        rows: positions, velocities, targets and readings after each tick that is kept.
         control: the controller's parameters of this moment, leaves (1, ...).
         modes: those that act, by the choice that makes them.
     """
+
+    #: Whether its commands make it again.
+    repeatable = True
 
     def __init__(self, setup: Setup, values: Mapping[str, float] | None = None, *, record: bool = True) -> None:
         """
@@ -96,9 +108,10 @@ class Driving:
         self.parameters = dict(quantities(self._controller.parameters))
         endless = jax.tree.map(np.full_like, self.batch.params.window, Window(begin=0.0, end=1e6, distance=1e6))
         self._params = dataclasses.replace(self.batch.params, window=endless, schedule=None)
-        self._about = {
+        self.about = {
             "parameters": setup.defaults() | self.values,
             "setup": setup.fields(),
+            "code": _code(setup),
             "engine": "c",
             "versions": versions(),
         }
@@ -112,7 +125,7 @@ class Driving:
         self._forces = self._body.batch.bind("xfrc_applied")
         self._readings = np.repeat(self._body.sensordata[:, None], self.steps_per_tick, axis=1)
         self.pushes: list[Push] = []
-        self._rows: list[tuple[np.ndarray, ...]] = []
+        self.rows: list[tuple[np.ndarray, ...]] = []
         self.restart(self._body.sensordata[0])
 
     def restart(self, sensordata: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n_servos"]:
@@ -183,8 +196,9 @@ class Driving:
             added = added + other * switch.blend / rate / seconds
         if float(turned(dict(zip(moves, added, strict=True)))) * slower >= switch.blend:
             raise ParameterError("beside the change before, a limb would go backward: wait until that has ended.")
+        seconds = switch.blend / rate
         self._commanded, self.modes, self._aim = commanded, modes, aim
-        self._blends.append((self.ticks, switch.blend / rate, move))
+        self._blends.append((self.ticks, seconds, move))
         self.commands.append((self.ticks, switch))
 
     def targets(self, readings: Float[np.ndarray, "steps n"]) -> Float[np.ndarray, " n_servos"]:
@@ -242,14 +256,17 @@ class Driving:
         self._body.ctrl[...] = self._next()
         self._body.move(self._readings)
         if self._record:
-            if TICK_BYTES * len(self._rows) > MOST_RECORDED:
-                raise ParameterError(
+            if TICK_BYTES * len(self.rows) > MOST_RECORDED:
+                raise RecordingError(
                     f"the drive has lasted {self.time:g} s: its recording would exceed {MOST_RECORDED / 1e9:g} GB."
                 )
-            self._rows.append(self._sample())
+            self.rows.append(self._sample())
 
     def _next(self) -> Float[np.ndarray, " n_servos"]:
         return self.targets(self._readings[0])
+
+    def watch(self) -> None:
+        """Called while time stands still, instead of `tick`: a robot is watched then, too."""
 
     @property
     def time(self) -> float:
@@ -286,12 +303,15 @@ class Driving:
         Raises:
             RecordingError: nothing was, or nothing was kept.
         """
-        if not self._rows:
+        if not self.rows:
             raise RecordingError("nothing was driven: there is nothing to record.")
-        commands = [[tick, switch.written()] for tick, switch in self.commands]
-        pushes = [dataclasses.asdict(push) for push in self.pushes]
-        driven = {"values": self.values, "commands": commands, "pushes": pushes}
-        return self._recorded(self._rows, (1 + np.arange(len(self._rows))) * self.dt, driven)
+        driven = {"values": self.values, **self.piece()}
+        return self._recorded(self.rows, (1 + np.arange(len(self.rows))) * self.dt, driven)
+
+    def piece(self, commands: int = 0, pushes: int = 0) -> dict[str, Any]:
+        """Commands and pushes as files tell them, but for so many of the first ones."""
+        switches = [[tick, switch.written()] for tick, switch in self.commands[commands:]]
+        return {"commands": switches, "pushes": [*map(dataclasses.asdict, self.pushes[pushes:])]}
 
     def _sample(self) -> tuple[np.ndarray, ...]:
         body = self._body
@@ -301,7 +321,7 @@ class Driving:
         qpos, qvel, ctrl, sensordata = map(np.stack, zip(*rows, strict=True))
         sensors = self.simulator.robot.sensors(sensordata)
         named = {field.name: np.asarray(getattr(sensors, field.name)) for field in dataclasses.fields(sensors)}
-        about = plain(self._about | {"driven": driven}) if driven else self._about
+        about = plain(self.about | {"driven": driven}) if driven else self.about
         return Recording(time, qpos, qvel, ctrl, named, self._hash, about)
 
     def _acting(self, commanded: Mapping[str, float], modes: Mapping[str, set[str]]) -> Any:
@@ -330,30 +350,139 @@ def _with_all_modes(setup: Setup) -> Setup:
     return dataclasses.replace(setup, schedule=later)
 
 
-def _read(recording: Recording) -> tuple[Setup, dict[str, float], list[tuple[int, Switch]], list[Push]]:
-    """Setup, values, commands with their ticks, and pushes of a recorded drive."""
-    driven: Any = recording.metadata.get("driven")
-    fields: Any = dict(recording.metadata.get("setup") or {})
+def _code(setup: Setup) -> dict[str, str]:
+    """Name and content of the file of a setup's controller, if a text names it."""
+    return code_identity(dataclasses.replace(setup, metrics=())) if isinstance(setup.controller, str) else {}
+
+
+# ---
+# What was driven, in files: in the metadata of a recording, and in the journal of a drive, piece by piece.
+
+
+Finite = Annotated[float, Field(allow_inf_nan=False, strict=True)]
+
+
+class Commanded(BaseModel, extra="forbid"):
+    """A command, as messages and files write it: the fields of a switch of a schedule."""
+
+    gait: str | None = None
+    steering: str | None = None
+    spine: str | None = None
+    head: str | None = None
+    tail_motion: str | None = None
+    blend: Finite = 1.0
+    set: dict[str, Finite] = {}
+
+    def switch(self, at: float) -> Switch:
+        """The same at a time [s]; raises `ParameterError` as `Switch` does."""
+        given = {name: getattr(self, name) for name in ("gait", "steering", "spine", "head", "tail_motion")}
+        return Switch(at, self.blend, **given, values=self.set)
+
+
+class _Written(Commanded):
+    at: Finite = 0.0
+
+
+class _Driven(BaseModel, extra="forbid"):
+    values: dict[str, Finite] = {}
+    commands: list[tuple[NonNegativeInt, _Written]] = []
+    pushes: list[Push] = []
+    samples: list[tuple[list[float | None], list[float | None], list[float | None], list[float | None]]] = []
+    ticks: NonNegativeInt = 0
+
+
+#: How often a journal is written [s].
+_EVERY: Final = 0.25
+
+
+class Journal:
+    """A file to which a drive is appended while it lasts, by a thread: the drive never waits for the disk.
+
+    The first line is what a recording says of the drive, as JSON. Each other one says how far it has come, with the
+    commands and pushes since the line before; or with the samples, if no commands make them again, as a robot measures.
+
+    Attributes:
+        path: of the file.
+        error: why it cannot be written now; None if it can be. What is not written yet is kept.
+    """
+
+    def __init__(self, path: Path, driving: Driving) -> None:
+        """
+        Raises:
+            OSError: it cannot be created, or is there.
+        """
+        self.path, self._driving, self.error = path, driving, cast("OSError | None", None)
+        self._file, self._stop, self._told = path.open("xb", buffering=0), threading.Event(), (0, 0, 0)
+        self._left = json.dumps(plain(driving.about | {"driven": {"values": driving.values}})).encode() + b"\n"
+        self._thread = threading.Thread(target=self._work, daemon=True)
+        self._thread.start()
+
+    def _work(self) -> None:
+        driving, before, ended = self._driving, None, False
+        while not ended:
+            ended = self._stop.wait(_EVERY)
+            ticks, (commands, pushes, samples) = driving.ticks, self._told  # commands before this tick are there
+            piece = driving.piece(commands, pushes) | {"ticks": ticks}
+            piece["samples"] = [] if driving.repeatable else driving.rows[samples:]
+            commands, pushes = commands + len(piece["commands"]), pushes + len(piece["pushes"])
+            self._told = commands, pushes, samples + len(piece["samples"])
+            if before != (before := (ticks, self._told)):
+                self._left += json.dumps(plain(piece)).encode() + b"\n"
+            try:
+                while self._left:
+                    self._left = self._left[self._file.write(self._left) :]
+                os.fsync(self._file.fileno())
+                self.error = None
+            except OSError as error:
+                self.error = error
+
+    def end(self, keep: bool) -> None:
+        """Write the rest, and close it; with `keep` it stays."""
+        self._stop.set()
+        self._thread.join()
+        self._file.close()
+        if not keep:
+            self.path.unlink(missing_ok=True)
+
+
+def _told(source: Recording | Path) -> tuple[Mapping[str, Any], _Driven]:
+    """What a recording, or a journal up to its last whole line, says of a drive."""
     try:
-        commands = [
-            (
-                int(tick),
-                Switch(**{("values" if name == "set" else name): value for name, value in dict(written).items()}),
-            )
-            for tick, written in driven["commands"]
-        ]
-        pushes = [Push(**{**push, "force": tuple(push["force"])}) for push in driven["pushes"]]
-        values = {str(name): float(value) for name, value in driven["values"].items()}
-    except (TypeError, KeyError, ValueError, AttributeError) as error:
+        if isinstance(source, Recording):
+            about, pieces = source.metadata, [b'{"ticks": %d}' % len(source.time)]
+        else:  # after a power cut zeros may follow
+            first, *pieces = read_bytes(source, MOST_FILE).partition(b"\0")[0].split(b"\n")[:-1] or [b""]
+            about = read_as(first, Metadata, "line 1").model_dump()
+        driven: _Driven = read_as(json.dumps(about.get("driven")), _Driven, "driven")
+        for number, text in enumerate(pieces, 2):
+            piece: _Driven = read_as(text, _Driven, f"line {number}")
+            for name in ("commands", "pushes", "samples"):
+                getattr(driven, name).extend(getattr(piece, name))
+            driven.ticks = max(driven.ticks, piece.ticks)
+    except (FileError, OSError) as error:
         raise RecordingError(
-            f"the recording is not of a drive ({error}); nermo-mjx drive --record writes one."
+            f"the recording is not of a drive ({str(error).rstrip('.')}); nermo-mjx drive --record writes one."
         ) from None
-    fields |= {"schedule": (), "metrics": ()}  # whose switches are among the commands
-    fields["waypoints"] = None if fields.get("waypoints") is None else tuple(map(tuple, fields["waypoints"]))
-    return Setup(**fields), values, commands, pushes
+    if not (driven.ticks or driven.samples):
+        raise RecordingError("nothing was driven: there is nothing to make again.")
+    return about, driven
 
 
-def as_sweep(recording: Recording) -> dict[str, Any]:
+def _setup(about: Mapping[str, Any], controller: Any) -> Setup:
+    """The setup of a drive, with a controller that is given instead of the one that it names."""
+    given = RecordedSetup.choices(about.get("setup") or {}) | ({} if controller is None else {"controller": controller})
+    if controller is None and (named := given.get("controller")) is not None and not is_data(named):
+        raise ParameterError(
+            f"controller is {named!r}, code that a file names, which is not run: give your own copy of it, "
+            "--controller FILE.py:NAME."
+        )
+    setup = Setup(**given)
+    if (code := about.get("code")) and code != _code(setup):
+        raise ParameterError(f"controller is {setup.controller!r}: another one than that of the drive.")
+    return setup
+
+
+def as_sweep(recording: Recording, controller: Any = None) -> dict[str, Any]:
     """The fields of a sweep file that walks as was driven, from five slightly different starts.
 
     Its `schedule` has the commands. Pushes are left out.
@@ -362,31 +491,41 @@ def as_sweep(recording: Recording) -> dict[str, Any]:
         RecordingError: it is not of a drive.
         ParameterError: as `replayed`; or there are more commands than a schedule can have, or they overlap.
     """
-    setup, values, commands, _ = _read(recording)
-    dt = float(recording.time[0])
-    switches = tuple(dataclasses.replace(switch, at=round(tick * dt, 9)) for tick, switch in commands)
-    driven = dataclasses.replace(setup, schedule=switches)
-    driven.check(driven.world({name: np.asarray(value) for name, value in values.items()}))
+    about, driven = _told(recording)
+    dt, values = float(recording.time[0]), driven.values
+    switches = tuple(command.switch(round(tick * dt, 9)) for tick, command in driven.commands)
+    setup = dataclasses.replace(_setup(about, controller), schedule=switches)
+    setup.check(setup.world({name: np.asarray(value) for name, value in values.items()}))
     options = {name.removeprefix("pilot."): value for name, value in values.items() if name.startswith("pilot.")}
     fixed = {name: value for name, value in values.items() if not name.startswith("pilot.")}
     run = Run(duration=round(float(recording.time[-1]), 9), warmup=0.0)
-    return WalkSpec(driven, run, fixed, options).walk_fields(Path.cwd()) | {"randomize": {"repeats": 5}}
+    return WalkSpec(setup, run, fixed, options).walk_fields(Path.cwd()) | {"randomize": {"repeats": 5}}
 
 
-def replayed(recording: Recording) -> Recording:
-    """The drive of a recording, driven again.
+def replayed(source: Recording | Path, controller: Any = None) -> Recording:
+    """A drive, driven again.
+
+    Args:
+        source: its recording, or its journal.
+        controller: instead of one that the file names, whose Python is not run; as `Setup` takes it.
 
     Raises:
         RecordingError: it is not of a drive.
-        ParameterError: its setup or a command names something that this version does not have.
+        ParameterError: its setup or a command names something that this version does not have, or Python.
     """
-    setup, values, commands, pushes = _read(recording)
-    driving = Driving(setup, values)
-    for tick in range(len(recording.time)):
-        for at, switch in commands:
+    about, driven = _told(source)
+    driving = Driving(_setup(about, controller), driven.values)
+    if driven.samples:
+        driving.rows = [tuple(np.array(part, float) for part in sample) for sample in driven.samples]
+        if {tuple(map(len, row)) for row in driving.rows} != {tuple(map(len, driving._sample()))}:
+            raise RecordingError("its samples are not of this robot.")
+        made = driving.recording()
+        return dataclasses.replace(made, metadata={**made.metadata, "driven": None})
+    for tick in range(driven.ticks):
+        for at, command in driven.commands:
             if at == tick:
-                driving.command(switch)
-        for push in pushes:
+                driving.command(command.switch(driving.time))
+        for push in driven.pushes:
             if push.tick == tick:
                 driving.push(push.body, push.force, push.ticks * driving.dt)
         driving.tick()

@@ -2,17 +2,22 @@
 
 The address holds a random token, without which there is neither page nor socket; `Host` must name the loopback and
 `Origin` the same address, so that no other site's page gets in. One page drives: a second one takes over, and the first
-one says so. While no page is there, the robot stands still in time.
+one says so. While no page is there, the robot stands still in time. The loop waits for no page and for no disk, and no
+message ends it.
 """
 
 from __future__ import annotations
 
 import contextlib
+import functools
+import itertools
 import json
 import logging
 import math
+import os
 import queue
 import secrets
+import socket
 import threading
 import time
 from collections.abc import Iterator
@@ -28,18 +33,25 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.server import serve
 
 from nermo_mjx.control.parameters import STEERING
-from nermo_mjx.control.schedule import GAINS, Switch
-from nermo_mjx.live.driving import Driving
+from nermo_mjx.control.schedule import GAINS
+from nermo_mjx.live.driving import Commanded, Driving, Finite, Journal
+from nermo_mjx.recording import RecordingError
 from nermo_mjx.robot import LIMBS
 from nermo_mjx.robot.parameters import GAIT_NAMES, GAIT_PATTERNS
 from nermo_mjx.robot.quantity import ParameterError
+from nermo_mjx.runs.job import interruptible
 from nermo_mjx.view.clip import clips_of
 from nermo_mjx.view.page import Packer, document
 from nermo_mjx.view.recorded import ARC, Motion, motion_of, plots_of, recorded_model
 
-#: Longest message of a page [bytes], and how many may wait.
+#: Longest message of a page [bytes]; how many may wait to be read, to be sent, and how many are read in a tick.
 LONGEST: Final = 4096
 WAITING: Final = 256
+TO_SEND: Final = 16
+AT_ONCE: Final = 8
+#: Connections at once, of pages and of whoever else finds the port; how long one may take to close [s].
+CONNECTIONS: Final = 16
+CLOSING: Final = 2.0
 #: Pictures per second at most [Hz], and how many may be under way to the page.
 PICTURES: Final = 50.0
 UNDER_WAY: Final = 2
@@ -150,8 +162,6 @@ class Shown:
 # ---
 # Its messages, and the loop.
 
-Finite = Annotated[float, Field(allow_inf_nan=False, strict=True)]
-
 
 class _Push(BaseModel, extra="forbid"):
     body: Annotated[int, Field(strict=True)]
@@ -159,23 +169,15 @@ class _Push(BaseModel, extra="forbid"):
     seconds: Finite
 
 
-class Message(BaseModel, extra="forbid"):
-    """What a page may say, each part as it likes.
+class Message(Commanded):
+    """What a page may say, each part as it likes: a command, and what follows.
 
     Attributes:
-        gait, steering, spine, head, tail_motion, blend, set: a command, as a switch of a schedule.
         push: a force on a body.
         reset: back to the start. pause: stand still in time. speed: of time.
         shown: number of the picture that is on the screen now.
     """
 
-    gait: str | None = None
-    steering: str | None = None
-    spine: str | None = None
-    head: str | None = None
-    tail_motion: str | None = None
-    blend: Finite = 1.0
-    set: dict[str, Finite] = {}
     push: _Push | None = None
     reset: Literal[True] | None = None
     pause: Annotated[bool, Field(strict=True)] | None = None
@@ -191,6 +193,7 @@ class Drive:
         address: of the page, with its token.
         paused, speed: whether time stands still, and seconds of the drive per second.
         over: set it to end the drive.
+        failure: why a recording could not be written, and where what was driven is instead; empty if all were.
         delays: from the end of a tick to its picture on the screen, of the latest pictures [s].
     """
 
@@ -198,20 +201,26 @@ class Drive:
         """
         Args:
             driving: the robot, at its start.
-            record: file for what was driven; after a reset, what follows goes to FILE-2, FILE-3, ...
+            record: file for what was driven, see `free`; after a reset, what follows goes to FILE-2, FILE-3, ... While
+                it is driven, a `Journal` with the suffix .jsonl stands for it.
             port: of the loopback; 0 for any that is free.
 
         Raises:
-            ParameterError: the port is taken.
+            ParameterError: the port is taken, or the file there, or its folder cannot be written.
         """
         self.driving, self._shown = driving, Shown(driving)
-        self.record, self.files = record, list[Path]()
+        self.record, self.files, self.failure = record, list[Path](), ""
+        self._journal: Journal | None = None
         self._gait, self._steering = driving.setup.gait, str(driving.setup.steering)
         self.paused, self.speed, self.over, self._began = False, 1.0, False, False
-        self._sent = dict[int, float]()
+        self._sent, self._gone = dict[int, float](), list[float]()
         self._number, self.delays, self._spent = 0, list[float](), [0.0, 0.0]
+        # What the page is told next: since when it waits for it, and what was refused last.
+        self._changed, self._told, self._refused = False, 0.0, ""
         self._token = secrets.token_urlsafe(16)
         self._page: Any = None
+        self._outbox, self._sender = queue.Queue[Any](TO_SEND), threading.Thread()
+        self._connections = dict[socket.socket, bool]()  # whether it got in, in the order in which they came
         # `(page, text)` of each message, `(page, True)` of a page that came, `(page, False)` of one that went.
         self._inbox: queue.Queue[tuple[Any, str | bytes | bool]] = queue.Queue(WAITING)
         silent = logging.getLogger(__name__)  # browsers open connections that they do not use
@@ -229,10 +238,41 @@ class Drive:
         except OSError as error:
             raise ParameterError(f"port is {port}: it cannot be opened ({error.strerror or error}).") from None
         self.address = f"http://127.0.0.1:{self._server.socket.getsockname()[1]}/{self._token}/"
-        threading.Thread(target=self._server.serve_forever, daemon=True).start()
+        try:
+            self._open_journal()
+        except ParameterError:
+            self._server.shutdown()
+            raise
+        self._server.handler = functools.partial(self._serve, self._server.handler)
+        threading.Thread(target=self._accept, daemon=True).start()
+
+    def _accept(self) -> None:
+        while self._server.socket.fileno() >= 0:  # the server's loop ends where no descriptor or thread is free
+            with contextlib.suppress(OSError, RuntimeError):
+                self._server.serve_forever()
+            time.sleep(0.1)
+
+    def _serve(self, handler: Any, taken: socket.socket, address: Any) -> None:
+        """A connection in its own thread; of too many, one that has not got in makes room."""
+        outside = [each for each, inside in [*self._connections.items()] if not inside]
+        if len(self._connections) >= CONNECTIONS:
+            out = outside[0] if outside else taken
+            _cut(out)
+            self._connections.pop(out, None)
+        self._connections[taken] = False
+        try:
+            handler(taken, address)
+        finally:
+            self._connections.pop(taken, None)
 
     def _answer(self, connection: Any, request: Any) -> Any:
         """The page, or None to let the socket open; anything else is refused."""
+        try:
+            return self._answered(connection, request)
+        except Exception:  # two hosts, or an address that is none
+            return connection.respond(HTTPStatus.BAD_REQUEST, "This request is not understood.\n")
+
+    def _answered(self, connection: Any, request: Any) -> Any:
         host = request.headers.get("Host", "")
         if urlsplit(f"//{host}").hostname not in ("127.0.0.1", "localhost"):
             return connection.respond(HTTPStatus.FORBIDDEN, "This address is for this machine alone.\n")
@@ -257,6 +297,7 @@ class Drive:
 
     def _listen(self, page: Any) -> None:
         """A page's messages, in its own thread."""
+        self._connections[page.socket] = True
         self._inbox.put((page, True))
         try:
             for text in page:
@@ -264,17 +305,38 @@ class Drive:
         finally:
             self._inbox.put((page, False))
 
-    def _send(self, message: bytes | dict[str, Any]) -> None:
-        """To the page that drives, if there is one."""
-        if self._page is not None:
-            with contextlib.suppress(ConnectionClosed):
-                self._page.send(message if isinstance(message, bytes) else json.dumps(message))
+    def _send(self, message: bytes | dict[str, Any]) -> bool:
+        """To the page that drives, by a thread; whether there is one that is not behind."""
+        if self._page is None:
+            return False
+        try:
+            self._outbox.put_nowait(message if isinstance(message, bytes) else json.dumps(message))
+            return True
+        except queue.Full:
+            return False
+
+    def _leave(self, code: int, why: str) -> threading.Thread:
+        """Part from the page in a thread, even if it hangs."""
+
+        def part(page: Any, sender: threading.Thread) -> None:
+            sender.join(CLOSING / 2)
+            closing = threading.Thread(target=page.close, args=(code, why), daemon=True)
+            closing.start()
+            closing.join(CLOSING)
+            _cut(page.socket)
+
+        with contextlib.suppress(queue.Full):
+            self._outbox.put_nowait(None)
+        thread = threading.Thread(target=part, args=(self._page, self._sender), daemon=True)
+        thread.start()
+        self._page = None
+        return thread
 
     @property
     def away(self) -> float:
-        """How long the page has not shown what it was sent [s]."""
+        """How long the page has been gone, or has not shown what it was sent [s]."""
         now = time.perf_counter()
-        return now - min(self._sent.values(), default=now)
+        return now - min([*self._sent.values(), *self._gone], default=now)
 
     @property
     def factor(self) -> float:
@@ -294,13 +356,15 @@ class Drive:
 
     def run(self, seconds: float | None = None) -> None:
         """For seconds of the clock, or until it is interrupted; then what was driven is saved."""
-        try:
-            self._run(math.inf if seconds is None else time.perf_counter() + seconds)
-        finally:
-            self._server.shutdown()
-            if self._page is not None:
-                self._page.close(1001, "the drive has ended")
-            self._save()
+        with interruptible() as interruption:
+            try:
+                self._run(math.inf if seconds is None else time.perf_counter() + seconds)
+            finally:
+                with interruption.shielded():  # whoever is impatient does not lose it
+                    self._save()
+                    self._server.shutdown()
+                    if self._page is not None:
+                        self._leave(1001, "the drive has ended").join()
 
     def _run(self, end: float) -> None:
         due, picture, dt = time.perf_counter(), 0.0, self.driving.dt
@@ -309,14 +373,24 @@ class Drive:
             for page, message in self._messages(0.05 if stands else max(due - time.perf_counter(), 0.0)):
                 self._receive(page, message)
             now = time.perf_counter()
+            if self._journal is not None and self._journal.error is not None and not self.paused:
+                self.paused, why = True, self._journal.error.strerror
+                self._refuse(f"{self._journal.path} cannot be written ({why}): time stands still until it can be.")
+            if self._changed and now - self._told >= 1.0 / PICTURES:
+                self._tell(now)
             if self.paused or not self._began:
+                self.driving.watch()
                 due = now
                 continue
             if now < due:
                 continue
-            self.driving.tick()
+            try:
+                self.driving.tick()
+            except ParameterError as error:  # of a switch that has come due
+                self._refuse(str(error))
+                continue
             if not self.driving.is_finite:
-                self._send({"refused": "The simulation has lost its numbers: it starts again."})
+                self._refuse("The simulation has lost its numbers: it starts again.")
                 self._restart()
             due += dt / self.speed
             late = time.perf_counter() - due
@@ -329,23 +403,26 @@ class Drive:
                 self._show()
 
     def _messages(self, patience: float) -> Iterator[tuple[Any, Any]]:
-        """Those that wait, or the first one that comes in time [s]."""
+        """Some of those that wait, or the first one that comes in time [s]."""
         with contextlib.suppress(queue.Empty):
             yield self._inbox.get(timeout=patience) if patience > 0 else self._inbox.get_nowait()
-            while True:
+            for _ in range(AT_ONCE - 1):
                 yield self._inbox.get_nowait()
 
     def _receive(self, page: Any, message: str | bytes | bool) -> None:
         if message is True:
-            if self._page is not None:  # closing may take its time, if that page hangs
-                end = (REPLACED, "another page drives now")
-                threading.Thread(target=self._page.close, args=end, daemon=True).start()
-            self._page, self._began, self._sent = page, True, {}
+            if self._page is not None:
+                self._leave(REPLACED, "another page drives now")
+            self._page, self._began, self._sent, self._gone, self._refused = page, True, {}, [], ""
+            self._outbox = queue.Queue(TO_SEND)
+            self._sender = threading.Thread(target=_send_all, args=(page, self._outbox), daemon=True)
+            self._sender.start()
             self._show()
         elif page is not self._page:
             return
         elif message is False:
-            self._page, self.paused, self._sent = None, True, {}
+            self._leave(1001, "the page has gone")
+            self.paused, self._sent, self._gone = True, {}, [time.perf_counter()]
         else:
             try:
                 said = Message.model_validate_json(message)
@@ -357,15 +434,19 @@ class Drive:
             except ValidationError as error:
                 first = error.errors()[0]
                 where = ".".join(map(str, first["loc"])) or "message"
-                return self._send({"refused": f"{where}: {first['msg'][0].lower()}{first['msg'][1:]}."[:200]})
-            except ParameterError as error:
-                return self._send({"refused": str(error)})
-        self._tell()
+                self._refuse(f"{where}: {first['msg'][0].lower()}{first['msg'][1:]}."[:200])
+            except Exception as error:  # no message ends the drive
+                self._refuse(str(error) if isinstance(error, ParameterError) else f"that failed: {error!r}."[:200])
+        self._changed = True
+
+    def _refuse(self, sentence: str) -> None:
+        """Tell the page soon; of several sentences the last one."""
+        self._refused, self._changed = sentence, True
 
     def _obey(self, message: Message) -> None:
-        driving, given = self.driving, message.model_dump(include={"gait", "steering", "spine", "head", "tail_motion"})
-        if message.set or any(given.values()):
-            driving.command(Switch(driving.time, message.blend, **given, values=message.set))
+        driving = self.driving
+        if message.set or any((message.gait, message.steering, message.spine, message.head, message.tail_motion)):
+            driving.command(message.switch(driving.time))
             self._gait, self._steering = message.gait or self._gait, message.steering or self._steering
         if message.push is not None:
             driving.push(message.push.body, message.push.force, message.push.seconds)
@@ -377,23 +458,44 @@ class Drive:
     def _restart(self) -> None:
         self._save()
         self.driving.reset()
+        self._open_journal()
         self._gait, self._steering = self.driving.setup.gait, str(self.driving.setup.steering)
         self._shown.restart()
         self._send({"restart": True})
         self._show()
 
+    def _open_journal(self) -> None:
+        if self.record is not None:
+            path = free(self.record, first=not self.files and not self.failure)
+            try:
+                self._journal = Journal(path.with_suffix(JOURNAL), self.driving)
+            except OSError as error:
+                raise ParameterError(f"record is {path}: it cannot be written ({error.strerror}).") from None
+
     def _save(self) -> None:
-        if self.record is not None and self.driving.ticks:
-            number = f"-{len(self.files) + 1}" if self.files else ""
-            path = self.record.with_name(f"{self.record.stem}{number}{self.record.suffix}")
-            self.files.append(self.driving.recording().save(path))
+        """Write the recording of what was driven since the start; where that fails, the journal stays."""
+        journal, self._journal, saved = self._journal, None, True
+        if self.record is not None and self.driving.rows:
+            wanted = self.record if journal is None else journal.path.with_suffix(self.record.suffix)
+            path = free(wanted, first=False) if os.path.lexists(wanted) else wanted
+            try:
+                self.files.append(self.driving.recording().save(path))
+            except RecordingError as error:
+                saved, where = False, "lost" if journal is None else f"in {journal.path}, for `nermo-mjx replay`"
+                self.failure = f"{str(error).rstrip('.')}; what was driven is {where}."
+        if journal is not None:
+            journal.end(keep=not saved)
 
     def _show(self) -> None:
         self._number += 1
-        self._sent[self._number] = time.perf_counter()
-        self._send(self._number.to_bytes(4, "little") + self._shown.row())
+        if self._send(self._number.to_bytes(4, "little") + self._shown.row()):
+            self._sent[self._number] = time.perf_counter()
 
-    def _tell(self) -> None:
+    def _tell(self, now: float) -> None:
+        self._told = now
+        if self._refused and self._send({"refused": self._refused}):
+            self._refused = ""
+        self._changed = bool(self._refused)
         modes = {field: "+".join(sorted(names)) or "none" for field, names in self.driving.modes.items()}
         self._send(
             {
@@ -422,3 +524,37 @@ class Drive:
         ours = "offset.front_left" in driving.parameters
         choices = {"gait": [GAIT_NAMES.get(key, key) for key in GAIT_PATTERNS], "steering": [*STEERING]} if ours else {}
         return self._shown.document({"sliders": sliders, "choices": choices | modes})
+
+
+def _send_all(page: Any, outbox: queue.Queue[Any]) -> None:
+    """Send what comes, until None; a page that does not read makes it wait."""
+    with contextlib.suppress(ConnectionClosed, OSError):
+        while (message := outbox.get()) is not None:
+            page.send(message)
+
+
+def _cut(connection: socket.socket) -> None:
+    """End a connection at once; whoever reads from it finds its end."""
+    with contextlib.suppress(OSError):
+        connection.shutdown(socket.SHUT_RDWR)
+
+
+#: Suffix of the journal beside a recording's file.
+JOURNAL: Final = ".jsonl"
+
+
+def free(record: Path, *, first: bool = True) -> Path:
+    """The file for a recording: this one, or after the first FILE-2, FILE-3, ..., beside which no journal is.
+
+    Raises:
+        ParameterError: the first one, or its journal, is there.
+    """
+    for number in itertools.count(1):
+        path = record if number == 1 else record.with_name(f"{record.stem}-{number}{record.suffix}")
+        there = next((each for each in (path.with_suffix(JOURNAL), path) if os.path.lexists(each)), None)
+        if there is None:
+            return path
+        if first:
+            how = f" (nermo-mjx replay {there} makes what was driven again)" if there.suffix == JOURNAL else ""
+            raise ParameterError(f"record is {record}: {there} exists{how}; name another file.")
+    raise AssertionError

@@ -51,6 +51,8 @@ APPROACH: Final = 1.0
 _NEAR: Final = 1e-6
 #: Without messages for this long the robot holds still [s].
 WATCHDOG: Final = 0.25
+#: Between two ticks that are further apart the robot may have been moved [s]; in slow motion they are 0.2 s apart.
+_PAUSE: Final = 0.5
 #: Largest number of a message that can be a measurement.
 _LARGEST: Final = 1e4
 
@@ -75,6 +77,8 @@ def _numbers(given: Any, *lengths: int) -> np.ndarray:
         found = np.asarray([] if given is None else given, float)
     except (TypeError, ValueError, OverflowError):
         raise ValueError("garbage") from None
+    if isinstance(given, list) and any(isinstance(each, bool | str) for each in given):
+        raise ValueError("garbage")
     if found.ndim != 1 or len(found) not in lengths:
         raise ValueError("of a wrong size")
     if not (np.abs(found) < _LARGEST).all():  # NaN, too
@@ -88,7 +92,7 @@ class Measured:
     Attributes:
         sensordata: as of the last message; what it did not tell is that of the robot at rest (n_sensordata,).
         told: fields of `Sensors` that the last message told; empty before the first.
-        arrived: when that came [s].
+        arrived: when that came [s]. since: since when they have come without a break.
         counts: messages by what became of them: `taken`, or why they were left out.
         needed: what a message must tell.
     """
@@ -99,7 +103,7 @@ class Measured:
         self.robot, self.channels, self.watchdog, self.clock = robot, channels, watchdog, clock
         at_rest = robot.sensordata_at_rest(jnp.asarray(robot.model.qpos0))
         self.sensordata, self.told = np.array(at_rest, float), frozenset[str]()
-        self.counts, self.arrived, self._stamp = {"taken": 0}, -math.inf, -math.inf
+        self.counts, self.arrived, self.since, self._stamp = {"taken": 0}, -math.inf, -math.inf, -math.inf
         self._places, self.needed = robot.sensors(np.arange(len(self.sensordata))), set[str]()
 
     def receive(self, message: Any) -> None:
@@ -116,6 +120,7 @@ class Measured:
         data = self.sensordata.copy()
         for name, values in found.items():
             data[getattr(self._places, name)] = values
+        self.since = now if now - self.arrived > self.watchdog else self.since
         self.counts["taken"] += 1
         self._stamp = -math.inf if stamp is None else stamp
         self.sensordata, self.told, self.arrived = data, frozenset(found), now
@@ -130,6 +135,8 @@ class Measured:
             for part, size in (("leg", len(self.channels.servos) - rest), ("aux", rest))
         )
         contact, imu = _numbers(message.get("contact_sensors"), 0, 4), _numbers(message.get("imu_sensor"), 0, 16)
+        if (contact < 0.0).any():
+            raise ValueError("out of range")
         found: dict[str, np.ndarray] = {"foot_force": contact} if len(contact) else {}
         if len(imu):
             found |= dict(zip(_IMU, np.split(imu, np.cumsum([*_IMU.values()])[:-1]), strict=True))
@@ -224,9 +231,9 @@ class RobotDriving(Driving):
 
     The servos go from the robot's pose to that in which the gait starts, and then the controller runs. Without messages
     for `measured.watchdog` it stands still, and nothing is sent: servos hold their last angle. When messages have come
-    for as long, so that none is old, the servos go from where they are to these angles, and the walk goes on. After
-    `PATIENCE` the drive ends. A robot that has never said a thing is driven without this watch, and from the pose of
-    the gait's start.
+    for as long, so that none is old, the servos go from where they are to these angles, and the walk goes on, as after
+    a pause. After `PATIENCE` the drive ends. A robot that has never said a thing is driven without this watch, and from
+    the pose of the gait's start.
 
     Attributes:
         needed: fields of `Sensors` that the controller reads.
@@ -235,6 +242,8 @@ class RobotDriving(Driving):
         pose: the last command, before limits of channels [rad].
         operator: how long the page has been away [s].
     """
+
+    repeatable = False
 
     def __init__(
         self,
@@ -297,6 +306,33 @@ class RobotDriving(Driving):
     def _approach(self, measured: Measured) -> None:
         self._start = self.restart(measured.sensordata)
         self._away, self._there, self._quiet = True, False, measured.clock()
+        self._stepped = self._quiet
+
+    def watch(self) -> None:
+        """See `Driving`; the robot may be elsewhere when time goes on.
+
+        Raises:
+            SendError: nothing was heard for `PATIENCE`.
+        """
+        if self.measured is not None:
+            self._look(self.operator())
+            self._away = True
+            self._check()
+
+    def _check(self) -> None:
+        if self.driven.ended:
+            raise SendError(self.driven.ended)
+
+    def _look(self, operator: float) -> None:
+        """Whether robot and operator are there."""
+        measured, driven = self.measured, self.driven
+        assert measured is not None
+        silence = max(measured.silence if measured.told else 0.0, operator)
+        if silence > PATIENCE:
+            driven.ended = f"no message {'of the robot ' if operator < silence else ''}for {PATIENCE:g} s"
+        elif silence > measured.watchdog:
+            driven.holds += driven.walked > 0.0 and not self._away
+            self._away, self._quiet = True, measured.clock()
 
     def step(self, operator: float = 0.0) -> None:
         """One tick of the controller, or of the approach, or of standing still; `driven.ended` says if it was the last.
@@ -306,14 +342,12 @@ class RobotDriving(Driving):
         """
         measured, driven, dt = self.measured, self.driven, self.dt
         assert measured is not None
-        silence = max(measured.silence if measured.told else 0.0, operator)
-        if silence > PATIENCE:
-            driven.ended = f"no message {'of the robot ' if operator < silence else ''}for {PATIENCE:g} s"
+        self._look(operator)
+        if driven.ended:
             return
-        if silence > measured.watchdog:
-            driven.holds += driven.walked > 0.0 and not self._away
-            self._away, self._quiet = True, measured.clock()
-        if self._away and measured.told and measured.clock() - self._quiet < measured.watchdog:
+        now, before = measured.clock(), self._stepped
+        self._stepped, self._away = now, self._away or now - before > _PAUSE
+        if self._away and measured.told and now - max(self._quiet, measured.since) < measured.watchdog:
             driven.held += dt
             return
         if self._away:
@@ -372,8 +406,7 @@ class RobotDriving(Driving):
 
     def _next(self) -> Float[np.ndarray, " n_servos"]:
         self.step(self.operator())
-        if self.driven.ended:
-            raise SendError(self.driven.ended)
+        self._check()
         return self.pose
 
     def recording(self) -> Recording:

@@ -28,7 +28,7 @@ from nermo_mjx.robot.terrains import scenes_reading, terrain_values
 from nermo_mjx.rollout import Metric, Run, Setup, all_metrics, all_parameters
 from nermo_mjx.rollout.loop import check_code
 from nermo_mjx.specs.controllers import named_controller, named_metrics, written_controller, written_metrics
-from nermo_mjx.specs.fields import Fields, OneOf, Refused, optional
+from nermo_mjx.specs.fields import Fields, OneOf, Refused, optional, read
 from nermo_mjx.specs.reading import Document, FieldPath, describe
 from nermo_mjx.specs.values import (
     NAMES,
@@ -225,6 +225,27 @@ class WalkFields(SetupFields):
         """Entries of a section by their parameter's name alone, but for what is inside of a tuned parameter."""
         named = path[:1] in (("set",), ("vary",), ("randomize",)) or (path[:1] == ("tune",) and len(path) == 2)
         return str(path[1]) if named and path[1:] and path[1] not in ("repeats", "from") else super().called(path)
+
+
+class RecordedSetup(SetupFields):
+    """The setup of a recording, as `Setup.fields` writes it."""
+
+    what: ClassVar = "a choice of a setup"
+    pilot: str = optional()
+    waypoints: Annotated[list[list[Finite]], BeforeValidator(_rows)] = optional()
+
+    @classmethod
+    def choices(cls, recorded: Mapping[str, Any], *names: str) -> dict[str, Any]:
+        """The choices of `Setup` that a recording names, of these or of all; without what may change meanwhile.
+
+        Raises:
+            SpecError: one is none, or has another type.
+        """
+        left_out = ("metrics", "schedule")
+        given = {name: value for name, value in recorded.items() if value is not None and name not in left_out}
+        given = {name: given[name] for name in names or given if name in given}
+        found = read(Document("the recording", given), cls)
+        return {name: getattr(found, name) for name in given}
 
 
 #: Values of a pilot's option that files give as words.

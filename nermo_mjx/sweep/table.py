@@ -108,7 +108,7 @@ def joined(parts: Sequence[pa.Table], index: np.ndarray) -> pa.Table:
 
 def columns_of(table: Any, *roles: str) -> list[str]:
     """Names of the columns with one of the roles, in order; of whatever has a schema."""
-    return [field.name for field in table.schema if meta(field)["role"] in roles]
+    return [field.name for field in table.schema if meta(field).get("role") in roles]
 
 
 def labelled(table: Any) -> list[str]:
@@ -266,7 +266,9 @@ class Results:
         for name, column in zip(table.column_names, table.columns, strict=True):
             # What the code of some rows did not know is null, but none of these.
             known = name in ("status", "code") or pa.types.is_integer(column.type)
-            if column.null_count and (known or (self.is_grid and meta(self.schema.field(name))["role"] == "varied")):
+            if column.null_count and (
+                known or (self.is_grid and meta(self.schema.field(name)).get("role") == "varied")
+            ):
                 raise DirectoryError(f"{self._called} has rows without {name!r}: run the same command again.")
         return table
 

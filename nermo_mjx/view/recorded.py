@@ -26,9 +26,10 @@ def robot_of(recording: Recording) -> Robot:
         ParameterError: the setup names something that this version does not have.
         RecordingError: the robot's model has changed since.
     """
-    setup = recording.metadata.get("setup") or {}
+    from nermo_mjx.specs.walk import RecordedSetup  # importing JAX takes a second
+
     names = [field.name for field in dataclasses.fields(RobotConfig)]
-    robot = load_robot(**{name: setup[name] for name in names if name in setup})
+    robot = load_robot(**RecordedSetup.choices(recording.metadata.get("setup") or {}, *names))
     recording.check_model(robot.model)
     return robot
 

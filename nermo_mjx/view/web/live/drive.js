@@ -278,6 +278,9 @@ export class Drive {
 /** Rows that are kept, and how many of the oldest make room for new ones. */
 const ROWS = 1600;
 const OLDEST = 400;
+/** Longest time between two rows that a line joins: no foot swings for less. A time that nobody sees. [s] */
+const GAP = 0.1001;
+const INSTANT = 0.001;
 
 /** A clip that grows: the last seconds of a drive, as nermo_mjx/live/showing.py sends them. */
 export class LiveClip extends Clip {
@@ -311,7 +314,18 @@ export class LiveClip extends Clip {
     this.cleared = true;
   }
 
+  /** A row of numbers. After a gap in which more may have happened than a line would show, the plots' lines break. */
   append(row) {
+    const before = this.cleared ? row[0] : this.times[this.time.length - 1];
+    if (row[0] - before > GAP) {
+      const unknown = row.slice().fill(NaN, row.length - this.lines.length);
+      unknown[0] = row[0] - INSTANT;
+      this.#put(unknown);
+    }
+    this.#put(row);
+  }
+
+  #put(row) {
     let count = this.cleared ? 0 : this.time.length;
     this.cleared = false;
     if (count === ROWS) {
