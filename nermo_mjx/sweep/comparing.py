@@ -30,12 +30,10 @@ from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.sweep.counting import (
     NO_NUMBER,
     OF_ALL_RUNS,
-    Matched,
-    Partners,
     counts,
     losses,
+    matched,
     same_values,
-    sums,
     told,
     two_stage,
 )
@@ -221,35 +219,35 @@ class Pairing:
     alone: Mapping[str, int]
     notes: tuple[str, ...]
 
-    def groups(self, names: Sequence[str]) -> tuple[list[dict[str, Value]], list[tuple[np.ndarray, np.ndarray]]]:
-        """The combinations of values of some keys, and of each side the places of their runs, and which one each is in.
+    def groups(self, names: Sequence[str]) -> tuple[pd.DataFrame, list[pd.DataFrame]]:
+        """The combinations of values of some keys, a line each, and both sides' runs with the column `group`.
 
-        Of no keys, all runs are one combination. A run may be in several, where the other side has a key alone.
+        Of no keys, all runs are one group. A run may be in several, where the other side has a key alone.
         """
+        import pandas as pd
+
         for name in names:
             check_name(name, [*self.values, *self.alone], "for")
-        shared, alone = ([name for name in names if (name in self.alone) == one] for one in (False, True))
-        label = _numbered(self.values[shared])
-        of_runs = [label[side.runs["variant"]] for side in self.sides]
-        members = [np.split(np.argsort(own, kind="stable"), np.cumsum(np.bincount(own))[:-1]) for own in of_runs]
-        labels, parts = list[dict[str, Value]](), list[Sequence[np.ndarray]]()
-        for own in zip(*members, strict=True):
-            first = self.sides[0].runs["variant"].iloc[own[0][0]]
-            known = {name: self.values[name].iloc[[first]].item() for name in shared}
-            columns = [self.sides[self.alone[name]].runs[name] for name in alone]
-            each = (column.iloc[own[self.alone[name]]] for name, column in zip(alone, columns, strict=True))
-            for values in itertools.product(*(sorted(_values(column)) for column in each)):
-                part = list(own)
-                for name, column, value in zip(alone, columns, values, strict=True):
-                    at = self.alone[name]
-                    part[at] = part[at][column.iloc[part[at]].to_numpy() == value]
-                if all(len(side) for side in part):
-                    known |= dict(zip(alone, values, strict=True))
-                    labels.append({name: known[name] for name in names})
-                    parts.append(part)
-        group = [np.repeat(np.arange(len(parts)), [len(part[i]) for part in parts]) for i in (0, 1)]
-        place = [np.concatenate([part[i] for part in parts]) if parts else np.empty(0, int) for i in (0, 1)]
-        return labels, list(zip(place, group, strict=True))
+        shared = ["all", *(name for name in names if name not in self.alone)]
+        keys = self.values.assign(all=0)[shared]
+        runs = []
+        for side in self.sides:
+            values = {name: keys[name].to_numpy()[side.runs["variant"]] for name in shared}
+            runs.append(side.runs.assign(place=side.runs.index, **values))
+        for at in (0, 1):
+            if alone := [name for name in names if self.alone.get(name) == at]:
+                known = runs[at][~_absent(runs[at][alone]).any(axis=1)][[*shared, *alone]].drop_duplicates()
+                runs[1 - at] = runs[1 - at].drop(columns=alone, errors="ignore").merge(known, on=shared)
+        both = pd.concat([each[["all", *names]] for each in runs], ignore_index=True)
+        code = _numbered(both)
+        parts = np.split(code, [len(runs[0])])
+        common = np.intersect1d(parts[0], parts[1])
+        labels = both.assign(code=code).drop_duplicates("code").set_index("code").loc[common, list(names)]
+        numbered = zip((each.set_index("place") for each in runs), parts, strict=True)
+        return labels, [
+            each[np.isin(part, common)].assign(group=np.searchsorted(common, part[np.isin(part, common)]))
+            for each, part in numbered
+        ]
 
 
 def pair(base: Arm, other: Arm) -> Pairing:
@@ -284,7 +282,7 @@ def pair(base: Arm, other: Arm) -> Pairing:
         if not there.all():
             left = len(np.unique(own[~there]))
             notes.append(f"{left:,} variants are in {arm.name} alone, and left out ({int((~there).sum()):,} runs).")
-        seed = arm.results.column("seed")[arm.runs.index] if known else i
+        seed = arm.results.column("seed")[arm.runs.index] if known else 2 * arm.runs.index + i
         runs = arm.runs.assign(variant=np.searchsorted(common, own), seed=seed)
         paired.append(dataclasses.replace(arm, runs=runs).where(there))
     first = np.unique(code, return_index=True)[1][np.isin(np.unique(code), common)]
@@ -307,102 +305,83 @@ def differences(
     pairing: Pairing, groups: Sequence[str], metrics: Sequence[str], progress: Callable[[float], None]
 ) -> Iterator[dict[str, Any]]:
     """The rows of the table about each combination of the groups' values, and each metric."""
-    labels, chosen = pairing.groups(groups)
-    sides, parts = pairing.sides, len(labels)
-    index = [side.runs.index.to_numpy()[place] for side, (place, _) in zip(sides, chosen, strict=True)]
-    seeds = [side.runs["seed"].to_numpy()[place] for side, (place, _) in zip(sides, chosen, strict=True)]
-    variants = len(pairing.values)
-    units = [
-        each * variants + side.runs["variant"].to_numpy()[place]
-        for side, (place, each) in zip(sides, chosen, strict=True)
-    ]
-    known, code = np.unique(np.concatenate(units), return_inverse=True)
-    partners, owner = Partners(np.split(code, [len(units[0])]), seeds), known // variants
-    well = [side.results.well[own] for side, own in zip(sides, index, strict=True)]
-    all_runs = [np.bincount(each, minlength=parts) for _, each in chosen]
-    failed = [np.bincount(each[~good], minlength=parts) for (_, each), good in zip(chosen, well, strict=True)]
-    schema, found = sides[0].results.schema, dict[tuple[int, str], dict[str, Any]]()
-    at_once = max(1, HELD // max(sum(map(len, index)), 1))
+    import pandas as pd
+
+    labels, runs = pairing.groups(groups)
+    variants, sides = len(pairing.values), pairing.sides
+    parts, group = len(labels), [own["group"].to_numpy() for own in runs]
+    index = [pd.MultiIndex.from_arrays([own["group"] * variants + own["variant"], own["seed"]]) for own in runs]
+    well = [side.results.well[own.index] for side, own in zip(sides, runs, strict=True)]
+    schema, found = sides[0].results.schema, dict[str, dict[str, np.ndarray]]()
+
+    def of_parts(chosen: Sequence[np.ndarray]) -> list[np.ndarray]:
+        """How many of each side's runs (n,) are in each part."""
+        return [np.bincount(own[here], minlength=parts) for own, here in zip(group, chosen, strict=True)]
+
+    at_once = max(1, HELD // max(sum(map(len, runs)), 1))
     for start in range(0, len(metrics), at_once):
-        names = metrics[start : start + at_once]
-        columns = [
-            {name: column[own] for name, column in side.results.columns(names)}
-            for side, own in zip(sides, index, strict=True)
+        progress(start / len(metrics))
+        frames = [
+            pd.DataFrame({name: column[own.index] for name, column in side.results.columns(metrics[start:][:at_once])})
+            for side, own in zip(sides, runs, strict=True)
         ]
         alike: dict[bytes, tuple[list[np.ndarray], list[str]]] = {}  # metrics of which the same runs have a number
-        for name in names:
-            masks = [counts(name, column[name], good) for column, good in zip(columns, well, strict=True)]
+        for name in frames[0]:
+            masks = [counts(name, frame[name].to_numpy(), good) for frame, good in zip(frames, well, strict=True)]
             alike.setdefault(b"".join(each.tobytes() for each in masks), (masks, []))[1].append(name)
-        for done, (masks, few) in enumerate(alike.values()):
-            progress((start + done / len(alike) * len(names)) / len(metrics))
-            numbers = [np.stack([column[name] for name in few], axis=1) for column in columns]
-            lost = [
-                1 - np.bincount(each[mask], minlength=parts) / all_of
-                for (_, each), mask, all_of in zip(chosen, masks, all_runs, strict=True)
-            ]
-            measured, counted = _differences(partners.match(numbers, masks), owner, parts)
-            for place, label in enumerate(labels):
-                whole = [int(each[place]) for each in (*counted, *failed)]
-                tail = [*whole, *(float(each[place]) for each in lost)]
-                for i, name in enumerate(few):
-                    base, other, difference, low, high, p, beyond = (float(each[place, i]) for each in measured)
-                    least = 2.0 ** (1 - min(whole[4:6]))  # by the exact test of signs, of what is yes or no
-                    if name in OF_ALL_RUNS and p < least:
-                        p = least
-                        low, high = (math.nan, math.nan) if low == high else (low, high)
-                    scale = abs(base) if beyond else math.nan
-                    relative = (difference / scale, low / scale, high / scale)
-                    found[place, name] = {
-                        "group": place if groups else -1,
-                        **label,
-                        "metric": name,
-                        "metric_unit": meta(schema.field(name))["unit"],
-                        "better": better(schema.field(name)),
-                        **dict(zip(_NUMBERS, (base, other, difference, low, high, *relative, p), strict=True)),
-                        **dict(zip(_COUNTS, tail, strict=True)),
-                    }
-    yield from (found[place, name] for place in range(parts) for name in metrics)
+        for masks, few in alike.values():
+            values, paired = matched(
+                [frame[few].set_index(own) for frame, own in zip(frames, index, strict=True)], masks
+            )
+            numbers_of, several = _measured(values, paired, variants, parts)
+            pairs = np.bincount(values[0].index.unique(0).intersection(paired) // variants, minlength=parts)
+            used = of_parts([own.isin(each.index) & mask for own, each, mask in zip(index, values, masks, strict=True)])
+            good = of_parts(masks)
+            left_out = good[0] + good[1] - used[0] - used[1]
+            whole = several, pairs, left_out, *used, *of_parts([~each for each in well])
+            lost = [1 - own / np.bincount(each) for own, each in zip(good, group, strict=True)]
+            for i, name in enumerate(few):
+                line = {key: numbers[:, i] for key, numbers in numbers_of.items()}
+                if name in OF_ALL_RUNS:  # yes or no: no surer than the exact test of signs
+                    least = 2.0 ** (1 - np.minimum(*used))
+                    alike_all = (line["p"] < least) & (line["low"] == line["high"])
+                    line |= {key: np.where(alike_all, np.nan, line[key]) for key in ("low", "high")}
+                    line["p"] = np.maximum(line["p"], least)
+                found[name] = line | dict(zip(_COUNTS, (*whole, *lost), strict=True))
+    for place in range(parts):
+        label = {key: column.iloc[[place]].item() for key, column in labels.items()}
+        for name in metrics:
+            field, row = schema.field(name), {key: numbers[place].item() for key, numbers in found[name].items()}
+            about = {"metric": name, "metric_unit": meta(field)["unit"], "better": better(field)}
+            yield {"group": place if groups else -1, **label, **about, **row}
 
 
-def _differences(found: Matched, owner: np.ndarray, parts: int) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """Numbers of each part and metric, and counts of each part.
-
-    Args:
-        found: the values of both sides.
-        owner: the part of each unit, (units,).
-
-    Returns:
-        (parts, m) each: means of base and other, difference, its interval's ends, p, and 1 where the base's mean is
-        beyond its noise; (parts,) each: as `_COUNTS` begins.
-    """
-    (first, of_first), (second, of_second) = found.sides
-    metrics, units = first.shape[1], len(found.unit)
-    measured = [np.full((parts, metrics), np.nan) for _ in range(7)]
-    several, pairs = np.zeros(parts, int), np.zeros(parts, int)
-    if units:
-        there, group = np.unique(owner[found.unit], return_inverse=True)
-        several[there], pairs[there] = np.bincount(group), np.bincount(group, found.paired)
-        one, two = found.paired[of_first], found.paired[of_second]
-        values = np.concatenate([second[two] - first[one], -first[~one], second[~two]])
-        cells = np.concatenate([of_first[one], units + of_first[~one], 2 * units + of_second[~two]])
-        cell, place = np.unique(cells, return_inverse=True)
-        interval = two_stage(values, place, cell % units, group)
-        means = [
-            sums(sums(own, at, units) / np.bincount(at)[:, None], group, len(there)) / np.bincount(group)[:, None]
-            for own, at in found.sides
-        ]
-        # Where the base's mean is nothing but noise, no share of it says anything.
-        each, many = group[of_first], np.bincount(group[of_first])[:, None]
-        apart = first - (sums(first, each, len(there)) / many)[each]
-        beyond = np.abs(means[0]) > 2 * np.sqrt(sums(apart**2, each, len(there))) / many
-        for into, part in zip(measured, (*means, *interval, beyond), strict=True):
-            into[there] = part
-
-    def of_parts(each: np.ndarray) -> np.ndarray:
-        return np.bincount(owner, each, parts)
-
-    left_out = (of_parts(each.sum(axis=0)) for each in (found.partners, found.single))
-    return measured, [several, pairs, *left_out, *map(of_parts, found.runs)]
+def _measured(
+    sides: Sequence[pd.DataFrame], paired: pd.Index, variants: int, parts: int
+) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """The `_NUMBERS` of each part and metric, (parts, m), and how many variants each part has, (parts,)."""
+    found = {name: np.full((parts, sides[0].shape[1]), np.nan) for name in _NUMBERS}
+    units = sides[0].index.unique(0)
+    several = np.bincount(units // variants, minlength=parts)
+    if not len(units):
+        return found, several
+    there, group = np.unique(units // variants, return_inverse=True)
+    unit = [units.get_indexer(own.index.get_level_values(0)) for own in sides]
+    pairs = [own.index.isin(paired, level=0) for own in sides]
+    first, second = (own.to_numpy() for own in sides)
+    values = np.concatenate([second[pairs[1]] - first[pairs[0]], -first[~pairs[0]], second[~pairs[1]]])
+    cells = [unit[0][pairs[0]], len(units) + unit[0][~pairs[0]], 2 * len(units) + unit[1][~pairs[1]]]
+    cell, place = np.unique(np.concatenate(cells), return_inverse=True)
+    interval = two_stage(values, place, cell % len(units), group)
+    means = [own.groupby(level=0).mean().groupby(group).mean().to_numpy() for own in sides]
+    # Where the base's mean is nothing but noise, no share of it says anything.
+    of_base = sides[0].groupby(group[unit[0]])
+    noise = 2 * (of_base.std(ddof=0) / np.sqrt(of_base.count())).to_numpy()
+    scale = np.where(np.abs(means[0]) > noise, np.abs(means[0]), np.nan)
+    relative = (each / scale for each in interval[:3])
+    for into, part in zip(found.values(), (*means, *interval[:3], *relative, interval.p), strict=True):
+        into[there] = part
+    return found, several
 
 
 def _first_apart(base: Arm, other: Arm) -> str:
@@ -439,8 +418,7 @@ _NUMBERS: Final = {
 _COUNTS: Final = {
     "variants": "common variants with a number on both sides",
     "paired": "those of them whose runs are pairs, by their seeds",
-    "partners": "runs left out because their partner on the other side is lost",
-    "single": "runs left out because no run on the other side has their seed",
+    "left_out": "runs of both that would count, but whose partner of the same seed is lost, or not there",
     "runs_base": "runs of the base that count",
     "runs_other": "runs of the other that count",
     "failed_base": "runs of the base that did not end well",
@@ -457,7 +435,7 @@ class Comparison:
     Attributes:
         table: one row per metric, group and other side: `other`, what it is compared with; the columns of the groups
             (null in the rows over all variants); `metric` and `metric_unit`; base_mean, other_mean, difference, low,
-            high, relative, relative_low, relative_high, p, beyond_noise, better, variants, paired, partners, single,
+            high, relative, relative_low, relative_high, p, beyond_noise, better, variants, paired, left_out,
             runs_base, runs_other, failed_base, failed_other, lost_base, lost_other. Each field's metadata has its
             description.
         base: what is compared with.
@@ -591,7 +569,7 @@ def compare(
             lines += own
             if not names:
                 lost += _lost(pairing, [line for line in own if line["metric"] in drawn])
-                unpaired += _left_out(pairing, next(line for line in own if line["metric"] == drawn[0]))
+                unpaired += _unpaired(pairing, next(line for line in own if line["metric"] == drawn[0]))
     if not any(math.isfinite(line["low"]) for line in lines):
         notes.append("No interval: each side has one run of one variant, which tells no noise; give repeats.")
     return Comparison(
@@ -607,39 +585,33 @@ def compare(
 
 
 def _lost(pairing: Pairing, lines: Sequence[Mapping[str, Any]]) -> Iterator[str]:
-    """Where the sides lost different shares of their runs, a sentence for the metrics whose losses are the same."""
-    found = dict[tuple[tuple[str, int, int, str], ...], list[str]]()
+    """Where the sides lost different shares of their runs, a sentence on the metrics that lost the same ones."""
+    found = dict[tuple[Any, ...], list[str]]()
     for line in lines:
-        if line["lost_base"] != line["lost_other"]:
-            each = []
-            for side, word in zip(pairing.sides, ("base", "other"), strict=True):
-                results, index, runs = side.results, side.runs.index, len(side.runs)
-                why = losses(results.column("status")[index], results.well[index])
-                without = round(line[f"lost_{word}"] * runs) - line[f"failed_{word}"]
-                why |= {NO_NUMBER: without} if without > 0 else {}
-                each.append((side.name, sum(why.values()), runs, f" ({told(why)})" if why else ""))
-            found.setdefault(tuple(each), []).append(line["metric"])
-    for both, names in found.items():
-        p = stats.fisher_exact([[many, runs - many] for _, many, runs, _ in both]).pvalue
-        shares = " and ".join(f"{many:,} of {runs:,} runs of {name}{why}" for name, many, runs, why in both)
-        yield (
-            f"Of {', '.join(map(spoken, names))}, {shares} are lost (p {p:.2g} by Fisher's exact test): what is "
-            "left on the two sides may not be the same robots."
-        )
+        words = [(line[f"lost_{side}"], line[f"failed_{side}"]) for side in ("base", "other")]
+        found.setdefault(tuple(words), []).append(spoken(line["metric"]))
+    for (base, other), names in found.items():
+        each, table = list[str](), list[tuple[int, int]]()
+        for side, (share, failed) in zip(pairing.sides, (base, other), strict=True):
+            index, runs = side.runs.index, len(side.runs)
+            why, lost = losses(side.results.column("status")[index], side.results.well[index]), round(share * runs)
+            why |= {NO_NUMBER: lost - failed} if lost > failed else {}
+            each.append(f"{lost:,} of {runs:,} runs of {side.name}{told(why)}")
+            table.append((lost, runs - lost))
+        if base[0] != other[0]:
+            yield (
+                f"Lost for {', '.join(names)}: {' and '.join(each)} (p {stats.fisher_exact(table).pvalue:.2g} by Fisher's "
+                "exact test); what is left on the two sides may not be the same robots."
+            )
 
 
-def _left_out(pairing: Pairing, line: Mapping[str, Any]) -> Iterator[str]:
+def _unpaired(pairing: Pairing, line: Mapping[str, Any]) -> Iterator[str]:
     """What is not paired, of the metric of a row over all variants."""
-    first, second = (side.name for side in pairing.sides)
-    if partners := line["partners"]:
-        yield f"{partners:,} runs of {first} or {second} are left out, whose partner of the same seed is lost."
-    if single := line["single"]:
-        yield f"{single:,} runs of {first} or {second} are left out: on the other side no run has their seed."
+    names = " and ".join(side.name for side in pairing.sides)
+    if line["left_out"]:
+        yield f"Left out, because the run of the same seed is lost or not there: {line['left_out']:,}, of {names}."
     if apart := line["variants"] - line["paired"]:
-        yield (
-            f"Not paired: {apart:,} of {line['variants']:,} variants of {first} and {second} have no seed in "
-            "common, so that what their runs share does not cancel."
-        )
+        yield f"Not paired: {apart:,} of {line['variants']:,} variants of {names} have no seed in common."
 
 
 def _lines(
