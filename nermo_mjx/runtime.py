@@ -40,6 +40,7 @@ EXTRA_OPTIONS: Final = "--xla_backend_extra_options=xla_cpu_small_while_loop_byt
 THREADS: Final = "NERMO_MJX_THREADS"
 
 _started_unguarded = False
+_started_before = False
 _settled = False
 
 
@@ -61,13 +62,14 @@ def start_jax() -> None:
     Raises:
         BackendUnavailable: `JAX_PLATFORMS` asks for a platform that this machine does not have, with the remedy.
     """
-    global _settled, _started_unguarded
+    global _settled, _started_unguarded, _started_before
     if _settled:
         return
     jax: Any = importlib.import_module("jax")
     _settle_cache(jax)
     small, given = cpu_count() < SAFE_THREADS, os.environ.get("PJRT_NPROC")
-    if _jax_started():
+    _started_before = _jax_started()
+    if _started_before:
         _started_unguarded = small and given in {None, "2", "3"}
     else:
         _started_unguarded = small and given in {"2", "3"}
@@ -118,6 +120,20 @@ def _jax_started() -> bool:
         return False
     started = getattr(bridge, "backends_are_initialized", None)
     return True if started is None else bool(started())
+
+
+@functools.cache
+def callback_device() -> Any:
+    """The device, for `jax.default_device`, of programs that a callback within another program runs; None for any.
+
+    Where the user started JAX, a callback holds one of the few threads that programs run on, and would wait for ever if
+    its own programs needed them all. They get a CPU whose programs run on the thread that calls them.
+    """
+    start_jax()
+    if not _started_before:
+        return None
+    client: Any = importlib.import_module("jaxlib.xla_client").make_cpu_client(asynchronous=False)
+    return client.local_devices()[0]
 
 
 @functools.cache

@@ -36,9 +36,9 @@ from nermo_mjx.rollout.electrical import Supply
 from nermo_mjx.rollout.loop import checked_loop, loop_parameters
 from nermo_mjx.rollout.own_metrics import OwnMetric
 from nermo_mjx.rollout.run import Run, StartPose
-from nermo_mjx.rollout.setup import Setup, Window, WorldParameters, all_metrics, all_parameters, with_own
+from nermo_mjx.rollout.setup import Setup, Window, all_metrics, all_parameters, with_own
 from nermo_mjx.rollout.simulator import Simulator
-from nermo_mjx.runtime import start_jax
+from nermo_mjx.runtime import callback_device, start_jax
 from nermo_mjx.shapes import Array, Scalar
 
 #: Engines of a rollout; `auto` is `c` on a CPU for up to `MOST_DIFFERENCES` traced numbers, and else `mjx`.
@@ -184,21 +184,28 @@ class Rollout:
         """The metrics and the path of one world; both are differentiable. The arguments are the same."""
         return self._walk(values, qpos, qvel, policy, path=True)
 
-    def gradient_spread(
-        self, values: Mapping[str, float], widths: tuple[float, float] = (WIDTH, 0.1 * WIDTH)
+    def slopes(
+        self, values: Mapping[str, float], names: Sequence[str], width: float = WIDTH
     ) -> dict[str, Float[np.ndarray, " n"]]:
-        """How far the derivatives of two widths are apart, on the engine `c`: near a kink they differ.
+        """Derivative of every metric to the n named ones of `values`, on the engine `c`, in float64.
 
         Args:
-            values: n parameters, name -> number.
-            widths: half-widths of the differences, as shares of each parameter's scale.
-
-        Returns:
-            Metric -> difference over the larger slope, for each of the n parameters; 0 where both slopes are 0.
+            values: parameter name -> number.
+            names: to differentiate by.
+            width: half-width of the differences, as a share of each parameter's scale.
         """
-        self._check(values, None)
-        given, names = {**self.setup.body, **values}, tuple(values)
-        return self._differences.spread({k: float(v) for k, v in given.items()}, names, widths)
+        given = {**self.setup.body, **values}
+        self._check(given, None)
+        return self._differences.slopes({name: float(value) for name, value in given.items()}, tuple(names), width)
+
+    def gradient_spread(self, values: Mapping[str, float], names: Sequence[str]) -> dict[str, Float[np.ndarray, " n"]]:
+        """How far the derivatives of `WIDTH` and of a tenth of it are apart, as a share of the larger: a derivative
+        is sure to so many digits. Near a kink it is large. The arguments are those of `slopes`."""
+        wide, narrow = (self.slopes(values, names, width) for width in (WIDTH, 0.1 * WIDTH))
+        larger = {name: np.maximum(np.abs(wide[name]), np.abs(narrow[name])) for name in wide}
+        return {
+            name: np.abs(wide[name] - narrow[name]) / np.where(most > 0, most, 1.0) for name, most in larger.items()
+        }
 
     def _walk(
         self,
@@ -233,7 +240,9 @@ class Rollout:
         if engine not in self._said and self._wanted == "auto":
             self._said.add(engine)
             how = "central differences of whole walks" if engine == "c" else "tracing: compiling takes minutes on a CPU"
-            logging.getLogger(__name__).warning("Rollout: engine %s for %d traced numbers, by %s.", engine, numbers, how)
+            logging.getLogger(__name__).warning(
+                "Rollout: engine %s for %d traced numbers, by %s.", engine, numbers, how
+            )
         return engine
 
     def _check(self, values: Mapping[str, ArrayLike], policy: Any) -> None:
@@ -252,7 +261,9 @@ class Rollout:
         self, values: Mapping[str, ArrayLike], qpos: ArrayLike | None, qvel: ArrayLike | None, policy: Any
     ) -> tuple[dict[str, Scalar], Path]:
         """The walk in MJX."""
-        params = canonical(self.setup.world({name: jnp.asarray(value, float) for name, value in values.items()}, policy))
+        params = canonical(
+            self.setup.world({name: jnp.asarray(value, float) for name, value in values.items()}, policy)
+        )
         body = self.variation.differentiable(params.model, values)
         begin, end = self.length.seconds(canonical(self.controller.cycle_rate(params.control)))
         window = Window(begin=jnp.asarray(begin, float), end=jnp.asarray(end, float), distance=jnp.asarray(1e6))
@@ -370,7 +381,9 @@ class Differences:
         def slopes(moved: tuple[int, ...], *at: Any) -> tuple[list[np.ndarray], list[np.ndarray]]:
             lead, points = _rows(at)
             found, derivative = self._slopes(simulate, names, points, moved, WIDTH, warn=True)
-            shaped = ([each.reshape(*lead, *each.shape[1:]).astype(real) for each in part] for part in (found, derivative))
+            shaped = (
+                [each.reshape(*lead, *each.shape[1:]).astype(real) for each in part] for part in (found, derivative)
+            )
             return next(shaped), next(shaped)
 
         @jax.custom_jvp
@@ -384,7 +397,7 @@ class Differences:
             found, derivative = _call(functools.partial(slopes, moved), (one, columns), *at)
 
             def along(columns: Array) -> Array:
-                """Linear in the tangents, so that JAX transposes it; a sum, whose rounding no transformation changes."""
+                """Linear in the tangents, so that JAX transposes it; a sum, which all transformations round alike."""
                 return sum((columns[..., k] * tangents[i] for k, i in enumerate(moved)), jnp.zeros(columns.shape[:-1]))
 
             # Each metric by itself: one without a derivative must not make those of others NaN.
@@ -410,7 +423,7 @@ class Differences:
         points: np.ndarray,
     ) -> list[np.ndarray]:
         """Metrics (n, m) and the arrays of the path (n, ticks, ...) of walks at n points (n, p), in float64."""
-        with jax.enable_x64(True):
+        with jax.enable_x64(True), jax.default_device(callback_device()):
             with self._lock:
                 simulator = self._simulator
             columns = {name: points[:, i] for i, name in enumerate(names)}
@@ -484,17 +497,13 @@ class Differences:
             stacklevel=2,
         )
 
-    def spread(
-        self, values: Mapping[str, float], names: tuple[str, ...], widths: Sequence[float]
-    ) -> dict[str, np.ndarray]:
-        """See `Rollout.gradient_spread`."""
+    def slopes(self, values: Mapping[str, float], names: tuple[str, ...], width: float) -> dict[str, np.ndarray]:
+        """See `Rollout.slopes`."""
         fixed = {name: value for name, value in values.items() if name not in names}
         simulate = functools.partial(self._simulate, names, fixed, None, None, None)
         point, moved = np.array([[values[name] for name in names]]), tuple(range(len(names)))
-        first, second = (self._slopes(simulate, names, point, moved, width)[1][0][0] for width in widths)
-        larger = np.maximum(np.abs(first), np.abs(second))
-        apart = np.abs(first - second) / np.where(larger > 0, larger, 1.0)
-        return dict(zip(self.metrics, apart, strict=True))
+        _, (slopes, *_) = self._slopes(simulate, names, point, moved, width)
+        return dict(zip(self.metrics, slopes[0], strict=True))
 
 
 def _call(function: Callable[..., Any], shapes: Any, *at: Array) -> Any:

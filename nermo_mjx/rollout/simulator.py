@@ -387,7 +387,9 @@ class Simulator:
     @contextlib.contextmanager
     def _compiling(self, notify: Callable[[str], None] | None) -> Iterator[None]:
         """Says that a program is being compiled: by `notify` at once, or else in the log if it takes long."""
-        sentence = f"compiling the {self.engine.name} program, about {COMPILE_SECONDS[self.engine.name]} s, once per machine"
+        sentence = (
+            f"compiling the {self.engine.name} program, about {COMPILE_SECONDS[self.engine.name]} s, once per machine"
+        )
         if notify is not None:
             notify(sentence)
             yield
