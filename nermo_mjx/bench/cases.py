@@ -9,6 +9,7 @@ import os
 import subprocess
 import sys
 import tempfile
+from collections.abc import Callable
 from typing import Any, Final
 
 import jax
@@ -22,7 +23,7 @@ from nermo_mjx.bench.machine import Compiled, compare, compile_cold, compiling, 
 from nermo_mjx.dynamics.mjx_import import mjx
 from nermo_mjx.physics.c_engine import CEngine
 from nermo_mjx.physics.mjx_engine import MjxEngine
-from nermo_mjx.rollout.differentiable import Function, Rollout, value_and_gradient
+from nermo_mjx.rollout.differentiable import Rollout
 from nermo_mjx.rollout.run import Run
 from nermo_mjx.rollout.setup import Setup
 from nermo_mjx.rollout.simulator import Batch, Simulator
@@ -175,9 +176,9 @@ FREQUENCY: Final = 0.8  # [Hz]
 GRADIENT_ROUNDS: Final = 3
 
 
-def differentiable_walk(cycles: float) -> tuple[Rollout, Function]:
+def differentiable_walk(cycles: float) -> tuple[Rollout, Callable[[Array], tuple[Array, dict[str, Array]]]]:
     """A walk of a number of gait cycles, and its speed and metrics as a function of `NAMES`."""
-    rollout = Rollout(Setup(spine="stride_extension"), Run(cycles=cycles, warmup_cycles=0))
+    rollout = Rollout(Setup(spine="stride_extension"), Run(cycles=cycles, warmup_cycles=0), "mjx")
 
     def walk(point: Array) -> tuple[Array, dict[str, Array]]:
         metrics = rollout({"frequency": FREQUENCY, **dict(zip(NAMES, point, strict=True))})
@@ -198,7 +199,13 @@ def gradient_case(mode: str, worlds: int, cycles: float) -> dict[str, Any]:
     points = np.stack([np.linspace(0.05, 0.35, worlds), np.linspace(-1.0, 0.0, worlds)], axis=1)
     batch = jnp.asarray(points, float)
     plain = compile_cold(jax.jit(jax.vmap(walk)), batch)
-    ours = compile_cold(jax.jit(jax.vmap(value_and_gradient(walk, mode))), batch)
+    derivative = {"forward": jax.jacfwd, "reverse": jax.jacrev}[mode]
+
+    def with_value(point: Array) -> Any:
+        value, rest = walk(point)
+        return value, (value, rest)
+
+    ours = compile_cold(jax.jit(jax.vmap(derivative(with_value, has_aux=True))), batch)
 
     def run(program: Any) -> None:
         jax.block_until_ready(program(batch))

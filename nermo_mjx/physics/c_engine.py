@@ -109,7 +109,9 @@ class CSession:
         self.engine = engine
         self._spans = _spans(len(qpos), engine.threads)
         threads = max(1, engine.threads // len(self._spans))
-        self._x64, self._device = bool(jax.config.read("jax_enable_x64")), jax.config.jax_default_device
+        self._x64 = bool(jax.config.read("jax_enable_x64"))
+        settings: Any = jax.config
+        self._device = settings.jax_default_device
         self._blocks = []
         for span in self._spans:
             lanes = np.pad(span, (0, LANES - len(span)), mode="edge")

@@ -14,7 +14,7 @@ import math
 import threading
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Final, NamedTuple, NoReturn
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, NoReturn
 
 import jax
 import jax.numpy as jnp
@@ -27,7 +27,6 @@ from nermo_mjx.control.controller import Controller, canonical
 from nermo_mjx.control.protocol import ControllerLike
 from nermo_mjx.dynamics.checkpointing import checkpointed_scan
 from nermo_mjx.dynamics.precision import full_precision
-from nermo_mjx.physics.mjx_engine import Carry, MjxEngine
 from nermo_mjx.physics.variation import Variation
 from nermo_mjx.robot.geometry import names_geometry
 from nermo_mjx.robot.quantity import ParameterError, Quantity, choice
@@ -41,10 +40,15 @@ from nermo_mjx.rollout.simulator import Simulator
 from nermo_mjx.runtime import callback_device, start_jax
 from nermo_mjx.shapes import Array, Scalar
 
+if TYPE_CHECKING:
+    from nermo_mjx.physics.mjx_engine import Carry, MjxEngine
+
 #: Engines of a rollout; `auto` is `c` on a CPU for up to `MOST_DIFFERENCES` traced numbers, and else `mjx`.
 ENGINES: Final = ("auto", "c", "mjx")
 #: Up to so many parameters, whole walks of the engine `c` cost less than one gradient in MJX, which is 34 of them.
 MOST_DIFFERENCES: Final = 20
+#: Cost of value and gradient in MJX, in runs of it without: 4.5 were measured for any number of parameters.
+MJX_GRADIENT: Final = 5.0
 #: Half-width of the differences, as a share of a parameter's scale; tolerance of the solver. Widths from 1e-8 to 1e-6
 #: give the same derivative; from 1e-5 on contacts change within the width.
 WIDTH: Final = 1e-7
@@ -53,6 +57,12 @@ TOLERANCE: Final = 1e-12
 KINK: Final = 0.01
 #: Rounding of a metric after a walk, absolute and as a share of it; 7e-14 was seen.
 NOISE: Final = 1e-12
+
+
+def engine_for(numbers: int) -> str:
+    """The engine that `auto` takes for so many traced numbers, if it can do what is asked."""
+    start_jax()
+    return "c" if jax.default_backend() == "cpu" and numbers <= MOST_DIFFERENCES else "mjx"
 
 
 class Path(NamedTuple):
@@ -135,20 +145,14 @@ class Rollout:
     @functools.cached_property
     def engine(self) -> MjxEngine:
         """The engine that traces the walk; made when it is first needed."""
+        from nermo_mjx.physics.mjx_engine import MjxEngine  # slow to import, and not needed on the engine c
+
         with jax.enable_x64(self._x64), jax.ensure_compile_time_eval():
             return MjxEngine(self.robot, self.loop)
 
     @functools.cached_property
     def _differences(self) -> Differences:
         return Differences(self.setup, self.length)
-
-    @property
-    def identity(self) -> str | None:
-        """Everything that determines this walk, except its arguments; None if user code is involved."""
-        if self.setup.controller is not None or self.setup.command is not None or self.setup.metrics:
-            return None
-        chosen = self.setup.fields(), self.setup.waypoints, self.robot.config, self.robot.fingerprint
-        return repr((*chosen, self.length, self.slowest, self.engine.devices.count))
 
     def __call__(
         self,
@@ -235,9 +239,8 @@ class Rollout:
         if self._wanted == "c" and beyond:
             raise ParameterError(f"{beyond} is not computed on engine c: take Rollout(..., engine='mjx').")
         numbers = sum(map(_traced, values.values()))
-        few = jax.default_backend() == "cpu" and numbers <= MOST_DIFFERENCES
-        engine = self._wanted if self._wanted != "auto" else "c" if few and not beyond else "mjx"
-        if engine not in self._said and self._wanted == "auto":
+        engine = self._wanted if self._wanted != "auto" else "mjx" if beyond else engine_for(numbers)
+        if numbers and engine not in self._said and self._wanted == "auto":
             self._said.add(engine)
             how = "central differences of whole walks" if engine == "c" else "tracing: compiling takes minutes on a CPU"
             logging.getLogger(__name__).warning(
@@ -342,7 +345,8 @@ class Differences:
     @functools.cached_property
     def _simulator(self) -> Simulator:
         simulator = Simulator(self.setup, "c")
-        simulator.engine.model.opt.tolerance = TOLERANCE  # type: ignore[union-attr]
+        engine: Any = simulator.engine
+        engine.model.opt.tolerance = TOLERANCE
         return simulator
 
     def walk(
@@ -484,7 +488,7 @@ class Differences:
         left: np.ndarray,
     ) -> None:
         """Warn of kinks (n, m, p), once for each set of metrics."""
-        metrics = tuple(name for name, one in zip(self.metrics, kink.any(axis=(0, 2)), strict=True) if one)
+        metrics = tuple(name for name, one in zip(self.metrics, np.any(kink, axis=(0, 2)).tolist(), strict=True) if one)
         if not metrics or metrics in self._told:
             return
         self._told.add(metrics)
@@ -529,57 +533,5 @@ def _rows(at: Sequence[Any]) -> tuple[tuple[int, ...], np.ndarray]:
 
 
 def _scale(about: Quantity) -> float:
-    """How large a parameter is: its default's size, or its range where that is zero, or 1."""
-    default, size = abs(float(np.asarray(about.default))), about.high - about.low
-    return default or (size if math.isfinite(size) else 1.0)
-
-
-# ---
-# Value and gradient of a scalar function of few or many parameters, in the cheaper mode.
-
-
-MODES: Final = ("auto", "forward", "reverse")
-#: Up to this many parameters forward mode is cheaper by the costs below, and it compiles faster.
-MOST_FORWARD: Final = 4
-#: Assumed cost of value and gradient relative to the value alone: in forward mode one run, and one more for each
-#: parameter (2.6 runs were measured for two); in reverse mode five runs for any number (4.5 were measured).
-FORWARD_COST: Final = 1.0
-REVERSE_COST: Final = 5.0
-
-#: A scalar function of a point (p,), with auxiliary output.
-Function = Callable[[Float[Array, " p"]], tuple[Scalar, Any]]
-
-
-def choose_mode(parameters: int, mode: str = "auto") -> str:
-    """`forward` or `reverse`; `auto` decides by the number of parameters."""
-    if mode != "auto":
-        return mode
-    return "forward" if parameters <= MOST_FORWARD else "reverse"
-
-
-def cost(parameters: int, mode: str) -> float:
-    """Cost of value and gradient, in runs of the function alone."""
-    return 1.0 + FORWARD_COST * parameters if mode == "forward" else REVERSE_COST
-
-
-def value_and_gradient(
-    function: Function, mode: str
-) -> Callable[[Float[Array, " p"]], tuple[Scalar, Float[Array, " p"], Any]]:
-    """The function's value, its gradient, and its auxiliary output, in one pass.
-
-    Args:
-        function: point (p,) -> (value, anything).
-        mode: `forward` or `reverse`.
-    """
-
-    derivative: Any = jax.jacfwd if mode == "forward" else jax.grad
-
-    def evaluated(point: Array) -> tuple[Array, Array, Any]:
-        def with_value(point: Array) -> tuple[Array, Any]:
-            value, rest = function(point)
-            return value, (value, rest)
-
-        gradient, (value, rest) = derivative(with_value, has_aux=True)(point)
-        return value, gradient, rest
-
-    return evaluated
+    """How large a parameter is: its default's size, or its range where that is zero, but at most 1."""
+    return abs(float(np.asarray(about.default))) or min(about.high - about.low, 1.0)
