@@ -40,6 +40,7 @@ EXTRA_OPTIONS: Final = "--xla_backend_extra_options=xla_cpu_small_while_loop_byt
 THREADS: Final = "NERMO_MJX_THREADS"
 
 _started_unguarded = False
+_started_before = False
 _settled = False
 
 
@@ -61,13 +62,14 @@ def start_jax() -> None:
     Raises:
         BackendUnavailable: `JAX_PLATFORMS` asks for a platform that this machine does not have, with the remedy.
     """
-    global _settled, _started_unguarded
+    global _settled, _started_unguarded, _started_before
     if _settled:
         return
     jax: Any = importlib.import_module("jax")
     _settle_cache(jax)
     small, given = cpu_count() < SAFE_THREADS, os.environ.get("PJRT_NPROC")
-    if _jax_started():
+    _started_before = _jax_started()
+    if _started_before:
         _started_unguarded = small and given in {None, "2", "3"}
     else:
         _started_unguarded = small and given in {"2", "3"}
@@ -121,7 +123,21 @@ def _jax_started() -> bool:
 
 
 @functools.cache
-def compiler_options() -> dict[str, bool]:
+def callback_device() -> Any:
+    """The device, for `jax.default_device`, of programs that a callback within another program runs; None for any.
+
+    Where the user started JAX, a callback holds one of the few threads that programs run on, and would wait for ever if
+    its own programs needed them all. They get a CPU whose programs run on the thread that calls them.
+    """
+    start_jax()
+    if not _started_before:
+        return None
+    client: Any = importlib.import_module("jaxlib.xla_client").make_cpu_client(asynchronous=False)
+    return client.local_devices()[0]
+
+
+@functools.cache
+def compiler_options(level: int | None = None) -> dict[str, bool | int]:
     """Options for `jax.jit(..., compiler_options=...)` of a program of physics; also for users' own, as of a `Rollout`.
 
     >>> import jax
@@ -129,17 +145,26 @@ def compiler_options() -> dict[str, bool]:
     3.0
 
     Those of `COMPILER_OPTIONS` that this XLA knows and `XLA_FLAGS` does not decide; none on accelerators.
+
+    Args:
+        level: how much XLA optimizes, 0 to 3; by default 3. For a program that runs once, 0 saves half of the time.
     """
     start_jax()
     jax: Any = importlib.import_module("jax")
     if jax.default_backend() != "cpu":
         return {}
-    wanted = {name: value for name, value in COMPILER_OPTIONS.items() if name not in os.environ.get("XLA_FLAGS", "")}
-    try:
-        jax.jit(lambda x: x, compiler_options=wanted).lower(0.0).compile()
-    except RuntimeError:  # an option that a later XLA no longer has; this only costs time
-        return {}
-    return wanted
+    wanted: dict[str, bool | int] = dict(COMPILER_OPTIONS)
+    if level is not None:
+        wanted["xla_backend_optimization_level"] = level
+    known = {}
+    for name, value in wanted.items():
+        if name in os.environ.get("XLA_FLAGS", ""):
+            continue
+        # An option that a later XLA no longer has is left out; this only costs time.
+        with contextlib.suppress(RuntimeError):
+            jax.jit(lambda x: x, compiler_options={name: value}).lower(0.0).compile()
+            known[name] = value
+    return known
 
 
 def known_flags(flags: str) -> str:

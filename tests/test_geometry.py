@@ -251,7 +251,7 @@ def test_gradients_of_a_walk_by_geometry_are_those_of_differences():
     start = {"geometry.rear_leg.upper": 0.033, "geometry.spine.segment": 0.015, "geometry.tail.length": 0.14}
     fixed, first = {"spine.amplitude": 0.2, "frequency": 0.82}, np.array(list(start.values()))
     with jax.enable_x64(True):
-        rollout = Rollout(setup, run, slowest=0.8)
+        rollout = Rollout(setup, run, "mjx", slowest=0.8)
 
         def speed(point: jax.Array) -> jax.Array:
             return rollout(fixed | dict(zip(start, point, strict=True)))["speed"]

@@ -229,7 +229,7 @@ def test_mjx_walks_as_c_does_and_its_slopes_are_those_of_c():
     setup = Setup(**BOUND, spine="sagittal_extension+pitch_balance")
     run, first, share = Run(cycles=0.3, warmup_cycles=0), np.array(list(point.values())), 1e-6
     with jax.enable_x64(True):
-        rollout = Rollout(setup, run)
+        rollout = Rollout(setup, run, "mjx")
 
         def speed(values):
             return rollout(dict(zip(point, values, strict=True)))["speed"]

@@ -176,7 +176,7 @@ def test_a_metric_of_ones_own_has_the_derivative_of_the_engine_c(shake: Path) ->
     with jax.enable_x64(True):
         run, at, eps = Run(duration=0.25, warmup=0.1), 0.2, 1e-5
         setup = Setup(spine="stride_extension", metrics=str(shake))
-        rollout = Rollout(setup, run)
+        rollout = Rollout(setup, run, "mjx")
         slope = jax.jit(jax.jacfwd(lambda x: rollout({"spine.amplitude": x})["yaw_shake"]))(at)
         simulator = Simulator(setup, engine="c")
         simulator.engine.model.opt.tolerance = 0.0

@@ -65,7 +65,7 @@ def switched(switches: list[dict[str, Any]]) -> None:
 
 
 def rollout(values: dict[str, Any]) -> Any:
-    return Rollout(Setup(), ONE_CYCLE)(values)
+    return Rollout(Setup(), ONE_CYCLE, "mjx")(values)
 
 
 def fast(values: dict[str, Any]) -> None:

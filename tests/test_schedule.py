@@ -180,7 +180,7 @@ def test_engines_agree_and_the_gradient_through_a_switch_is_that_of_differences(
     c, mjx = (Simulator(setup, engine).run(values, run).metrics for engine in ("c", "mjx"))
     np.testing.assert_allclose(mjx["speed"], c["speed"], rtol=0.02)
     with jax.enable_x64(True):
-        rollout = Rollout(setup, run)
+        rollout = Rollout(setup, run, "mjx")
 
         def speed(at):
             return rollout({"frequency": 0.8, "schedule.at.1": at})["speed"]

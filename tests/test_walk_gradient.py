@@ -48,7 +48,7 @@ class Walk:
     def __init__(self, **choices: str) -> None:
         self.setup = Setup(spine="stride_extension", **choices)
         with jax.enable_x64(True):
-            self.rollout = Rollout(self.setup, ONE_CYCLE, slowest=0.8)
+            self.rollout = Rollout(self.setup, ONE_CYCLE, "mjx", slowest=0.8)
         self.first = np.array(list(POINT.values()))
 
     def speed(self, point):

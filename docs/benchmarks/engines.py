@@ -34,6 +34,7 @@ from measuring import (
     compiling,
     differentiable_walk,
     run_of,
+    with_gradient,
 )
 from mujoco import rollout
 
@@ -44,7 +45,6 @@ from nermo_mjx.physics.mjx_engine import MjxEngine
 from nermo_mjx.plotting.charts import horizontal_grid, page
 from nermo_mjx.plotting.files import write_figures
 from nermo_mjx.plotting.style import BEST, INK, LINE, MUTED
-from nermo_mjx.rollout.differentiable import value_and_gradient
 from nermo_mjx.rollout.setup import Setup
 from nermo_mjx.rollout.simulator import Batch, Simulator
 from nermo_mjx.runs.files import table
@@ -208,7 +208,7 @@ def gradient_case(mode: str, worlds: int, cycles: float) -> dict[str, Any]:
     points = np.stack([np.linspace(0.05, 0.35, worlds), np.linspace(-1.0, 0.0, worlds)], axis=1)
     batch = jnp.asarray(points, float)
     plain = compile_cold(jax.jit(jax.vmap(walk)), batch)
-    ours = compile_cold(jax.jit(jax.vmap(value_and_gradient(walk, mode))), batch)
+    ours = compile_cold(jax.jit(jax.vmap(with_gradient(walk, mode))), batch)
 
     def run(program: Any) -> None:
         jax.block_until_ready(program(batch))

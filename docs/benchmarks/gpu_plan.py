@@ -19,11 +19,10 @@ import numpy as np
 from hlo import Module, Work
 from jax.experimental import topologies
 from jax.sharding import SingleDeviceSharding
-from measuring import FREQUENCY, NAMES, append, compile_cold, differentiable_walk, run_of
+from measuring import FREQUENCY, NAMES, append, compile_cold, differentiable_walk, run_of, with_gradient
 
 from nermo_mjx.bench import peak_bytes
 from nermo_mjx.rollout import Setup, Simulator
-from nermo_mjx.rollout.differentiable import value_and_gradient
 
 #: Assumed number of iterations of a loop of unknown length (2.3 on average for 64 walks, 7 at most), time from the
 #: launch of a small kernel to the next [s], and how long the host waits to learn whether a loop continues [s].
@@ -60,7 +59,7 @@ def program_of(name, worlds):
         rollout, speed = differentiable_walk(1.0)
         ticks = round(rollout.seconds({"frequency": FREQUENCY}) / rollout.controller.dt) + 1
         points = jax.ShapeDtypeStruct((worlds, len(NAMES)), jnp.zeros(()).dtype)
-        return jax.vmap(value_and_gradient(speed, name)), (points,), (), ticks, rollout.engine.loop.steps_per_tick
+        return jax.vmap(with_gradient(speed, name)), (points,), (), ticks, rollout.engine.loop.steps_per_tick
     simulator = Simulator(Setup(spine="stride_extension"), "mjx", devices=1)
     engine, batch = simulator.engine, simulator.prepare({"frequency": np.full(1, FREQUENCY)})
     sizes = (engine.model.nq, engine.model.nv, engine.model.nsensordata)

@@ -17,7 +17,7 @@ from jax.experimental.compilation_cache import compilation_cache
 from jaxtyping import Array
 
 from nermo_mjx.bench import describe
-from nermo_mjx.rollout.differentiable import Function, Rollout
+from nermo_mjx.rollout.differentiable import Rollout
 from nermo_mjx.rollout.run import Run
 from nermo_mjx.rollout.setup import Setup
 from nermo_mjx.runs.files import replace_file
@@ -27,15 +27,25 @@ NAMES: Final = ("spine.amplitude", "spine.phase")
 FREQUENCY: Final = 0.8  # [Hz]
 
 
-def differentiable_walk(cycles: float) -> tuple[Rollout, Function]:
+def differentiable_walk(cycles: float) -> tuple[Rollout, Callable[[Array], tuple[Array, dict[str, Array]]]]:
     """A walk of a number of gait cycles, and its speed and metrics as a function of `NAMES`."""
-    rollout = Rollout(Setup(spine="stride_extension"), Run(cycles=cycles, warmup_cycles=0))
+    rollout = Rollout(Setup(spine="stride_extension"), Run(cycles=cycles, warmup_cycles=0), "mjx")
 
     def walk(point: Array) -> tuple[Array, dict[str, Array]]:
         metrics = rollout({"frequency": FREQUENCY, **dict(zip(NAMES, point, strict=True))})
         return metrics["speed"], metrics
 
     return rollout, walk
+
+
+def with_gradient(walk: Callable[[Array], tuple[Array, Any]], mode: str) -> Callable[[Array], Any]:
+    """The gradient of a walk's value, with the value and the rest of what it returns, in a mode of MJX."""
+
+    def kept(point: Array) -> tuple[Array, Any]:
+        value, rest = walk(point)
+        return value, (value, rest)
+
+    return {"forward": jax.jacfwd, "reverse": jax.jacrev}[mode](kept, has_aux=True)
 
 
 def run_of(lines: list[dict[str, Any]]) -> dict[str, Any]:

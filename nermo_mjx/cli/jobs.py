@@ -366,8 +366,6 @@ def _print_search_cost(cost: SearchCost) -> None:
         f"{duration(cost.simulated_seconds)} simulated; about {duration(cost.wall_seconds)} here on the engine "
         f"{cost.engine}, and {cost.disk_bytes / 1e6:.3g} MB on disk"
     )
-    if cost.gradient_runs:
-        click.echo(f"plus gradients: as {cost.gradient_runs:,} runs on the engine mjx, and minutes to compile, once")
 
 
 @command("tune")

@@ -32,7 +32,6 @@ import numpy as np
 import pyarrow as pa
 
 from nermo_mjx.files import MOST_FILE, read_bytes
-from nermo_mjx.optimize.estimators import Mixture, Smoothed
 from nermo_mjx.optimize.methods import (
     Iterate,
     Scores,
@@ -43,8 +42,7 @@ from nermo_mjx.optimize.methods import (
     made_by,
     scores_of,
 )
-from nermo_mjx.optimize.spec import CmaMega, Search, Tuning, sweep_of
-from nermo_mjx.rollout.differentiable import cost as gradient_cost
+from nermo_mjx.optimize.spec import Search, Tuning, sweep_of
 from nermo_mjx.runs import OtherCode, RunDirectory
 from nermo_mjx.runs.checkpoints import Checkpoints
 from nermo_mjx.runs.code import CodeStamp
@@ -114,9 +112,9 @@ def _another(path: Path, kind: str, apart: Sequence[str]) -> WrongDirectory:
 # ---
 # The history of a tuning: one row per iteration and start; in each column's metadata its unit, meaning and role.
 #
-# Roles: `index` (iteration, start), `objective`, `parameter`, `gradient`, `error` (of the gradient), `weight` (of the
-# first order in a mixture), `metric`, `status` (ok, discarded), `effort` (simulated_seconds, wall_seconds), `code`. A
-# resumed tuning has the same history as an uninterrupted one, except for `wall_seconds`.
+# Roles: `index` (iteration, start), `objective`, `parameter`, `gradient`, `metric`, `status` (ok), `effort`
+# (simulated_seconds, wall_seconds), `code`. A resumed tuning has the same history as an uninterrupted one, except for
+# `wall_seconds`.
 
 
 #: Fraction of the total gain that counts as nothing.
@@ -161,14 +159,12 @@ class History:
         tuning, known = self.tuning, [*(self.tuning.metrics | self.tuning.objective_metrics)]
         metrics = self.metrics or tuple(sorted(found.metrics, key=known.index))
         effort = {"simulated_seconds": found.simulated_seconds, "wall_seconds": wall_seconds}
-        numbers: dict[str, np.ndarray] = {"objective": found.value, "ok": found.ok, "discarded": found.discarded}
+        numbers: dict[str, np.ndarray] = {"objective": found.value, "ok": found.ok}
         for name, spent in effort.items():
             before = self.column(name)[-1, 0] if len(self) else 0.0
             numbers[name] = np.full(len(found.value), before + spent)
         for i, name in enumerate(tuning.names):
             numbers[name], numbers[f"gradient.{name}"] = found.points[:, i], found.gradient[:, i]
-            numbers[f"gradient_error.{name}"] = found.error[:, i]
-            numbers[f"first_order.{name}"] = found.first_order[:, i]
         numbers |= found.metrics
         row = np.stack([np.asarray(numbers[c.name], float) for c in history_columns(tuning, metrics)], axis=-1)[None]
         codes = self.codes if self.codes and self.codes[-1][1] == code else (*self.codes, (len(self), code))
@@ -187,7 +183,7 @@ class History:
         lasted = np.diff([*(first for first, _ in self.codes), iterations])
         codes = np.repeat(np.array([code for _, code in self.codes], object), lasted * starts)
         table.add("code", codes, "code", "1", "which code made the row, by its name in run.json; empty: not known")
-        return table.table({"tuning": self.tuning.digest(), "estimator": self.tuning.estimator.name})
+        return table.table({"tuning": self.tuning.digest()})
 
     def point(self, iteration: int, start: int) -> dict[str, Any]:
         """An evaluated point: `parameters`, `objective` and `metrics`; not finite where the robot did not walk."""
@@ -261,26 +257,18 @@ class History:
 
 def history_columns(tuning: Tuning, metrics: Sequence[str]) -> list[HistoryColumn]:
     """The columns of a tuning's history, but for the index."""
-    parameters, estimator = tuning.parameters, tuning.estimator
+    parameters = tuning.parameters
     value = "value that is minimized; NaN where the robot did not walk to the end"
     found = [HistoryColumn("objective", "objective", "1", value)]
     found += [HistoryColumn(name, "parameter", parameters[name].unit, parameters[name].doc) for name in tuning.names]
-    normalized = isinstance(estimator, Smoothed) and estimator.normalized
-    mean = ", the mean over worlds whose gradients count with length 1" if normalized else ""
     for name in tuning.names if tuning.method.has_gradient else ():
         unit = "1" if parameters[name].unit == "1" else f"1/({parameters[name].unit})"
-        slope, error, share = f"gradient.{name}", f"gradient_error.{name}", f"first_order.{name}"
-        found.append(HistoryColumn(slope, "gradient", unit, f"estimated d objective / d {name}{mean}"))
-        if estimator.samples:
-            found.append(HistoryColumn(error, "error", unit, f"standard error of gradient.{name}"))
-        if isinstance(estimator, Mixture):
-            found.append(HistoryColumn(share, "weight", "1", f"share of the first order in gradient.{name}"))
+        found.append(HistoryColumn(f"gradient.{name}", "gradient", unit, f"d objective / d {name}"))
     known = tuning.metrics | tuning.objective_metrics
     found += [HistoryColumn(name, "metric", known[name].unit, known[name].doc) for name in metrics]
     return [
         *found,
         HistoryColumn("ok", "status", "1", "whether the robot walked to the end"),
-        HistoryColumn("discarded", "status", "1", "worlds of the start that are not in the gradient"),
         HistoryColumn("simulated_seconds", "effort", "s", "simulated by all starts so far, gradients at their cost"),
         HistoryColumn("wall_seconds", "effort", "s", "wall time so far, over all sessions; never twice the same"),
     ]
@@ -480,8 +468,6 @@ def tuning_status(out: Path) -> Status:
 #: How far points of a stored batch may be from those that are asked for, as a fraction of the bounds: another machine's
 #: eigenvectors differ in their last digits.
 APART: Final = 1e-6
-#: Column of a gradient: `gradient.METRIC.PARAMETER`; of the objective, METRIC is `quality`.
-GRADIENT: Final = "gradient.{}.{}"
 
 
 class Batches:
@@ -554,16 +540,13 @@ class Batches:
         )
         return None
 
-    def write(
-        self, batch: int, rows: Rows, first: int, found: Simulated, stamp: CodeStamp, gradients: np.ndarray | None
-    ) -> pa.Table:
+    def write(self, batch: int, rows: Rows, first: int, found: Simulated, stamp: CodeStamp) -> pa.Table:
         """Store a batch.
 
         Args:
             rows: its runs, of which `first` is the first one's place in the table.
             found: at least one result a run.
             stamp: of the code that simulated.
-            gradients: (g, 1 + m, p) of its first g points, or None.
         """
         count = len(rows)
         about = {
@@ -580,28 +563,8 @@ class Batches:
         table = chunk_table(self.search.sweep, rows, index, metrics, found.status[:count], stamp.id, about)
         about_batch = {"unit": "1", "description": "batch that the run was part of", "role": "index"}
         table = table.add_column(1, pa.field("batch", pa.int64(), metadata=about_batch), pa.array([batch] * count))
-        if isinstance(self.search.method, CmaMega):  # NaN where none was asked for
-            filled = np.full((count, len(self._differentiated), len(self.search.names)), np.nan)
-            if gradients is not None:
-                filled[: len(gradients) * self.search.repeats] = np.repeat(gradients, self.search.repeats, axis=0)
-            for i, metric in enumerate(self._differentiated):
-                for j, name in enumerate(self.search.names):
-                    meaning = {"unit": "1", "role": "gradient"}
-                    meaning["description"] = f"d {metric} / d share of the bounds of {name}"
-                    field = pa.field(GRADIENT.format(metric, name), pa.float64(), metadata=meaning)
-                    table = table.append_column(field, pa.array(np.ascontiguousarray(filled[:, i, j])))
         self._parts[batch] = self.runs.add(keys_of_rows(self.search.sweep, rows), table)
         return table
-
-    def gradients(self, table: pa.Table, points: int) -> np.ndarray:
-        """The gradients of a batch's first points, from its table: (points, 1 + m, p)."""
-        columns = [[GRADIENT.format(metric, name) for name in self.search.names] for metric in self._differentiated]
-        rows = slice(0, points * self.search.repeats, self.search.repeats)
-        return np.stack([np.stack([table.column(name).to_numpy()[rows] for name in line], -1) for line in columns], 1)
-
-    @property
-    def _differentiated(self) -> tuple[str, ...]:
-        return ("quality", *(each.metric for each in self.search.aim.measures))
 
 
 # ---
@@ -655,14 +618,10 @@ class Evaluations:
 
     @property
     def simulated_seconds(self) -> float:
-        """Of all runs, with gradients added at their cost in forward runs [s]."""
-        schema, names = self.results.schema.names, self.search.names
-        timing = [name for name in self.search.setup.timing if name in schema]
+        """Of all runs [s]."""
+        timing = [name for name in self.search.setup.timing if name in self.results.schema.names]
         seconds = self.search.seconds(dict(self.results.columns(timing)), self.results.rows)
-        slope, times = GRADIENT.format("quality", names[0]), np.ones(self.results.rows)
-        if slope in schema:
-            times += np.isfinite(self.results.column(slope)) * gradient_cost(len(names), "forward")
-        return float(np.sum(seconds * times))
+        return float(np.sum(seconds))
 
     def front(self) -> np.ndarray:
         """Allowed points that no other one beats, in order of the first objective (k,)."""

@@ -136,21 +136,16 @@ class Traces:
         """Values of a parameter or metric as figures show them."""
         return shown(name, meta(self.table.schema.field(name))["unit"], np.asarray(value)).values
 
-    def gradient_norm(self) -> tuple[np.ndarray, np.ndarray | None]:
-        """Norm of each gradient and its standard error (n, starts), None from exact gradients.
+    def gradient_norm(self) -> np.ndarray:
+        """Norm of each gradient (n, starts); NaN without one.
 
-        Each component counts per whole range of its parameter, so that units do not matter. The error is that of the
-        component along the gradient. NaN where there was nothing to estimate from.
+        Each component counts per whole range of its parameter, so that units do not matter.
         """
         tuned = self.tuning.tuned
         ranges = np.array([each.high - each.low for each in tuned])
         gradient = np.stack([self.column(f"gradient.{each.name}") for each in tuned], axis=-1) * ranges
         norm = np.linalg.norm(gradient, axis=-1)
-        norm = np.where(norm > 0, norm, np.nan)
-        if not self.tuning.estimator.samples:
-            return norm, None
-        error = np.stack([self.column(f"gradient_error.{each.name}") for each in tuned], axis=-1) * ranges
-        return norm, np.linalg.norm(gradient * error, axis=-1) / norm
+        return np.where(norm > 0, norm, np.nan)
 
     def drawn(self) -> list[int]:
         """The starts that are drawn: all, or the given one, the best, and some between."""
@@ -253,38 +248,16 @@ def parameters_figure(traces: Traces) -> Figure:
 
 
 def gradients_figure(traces: Traces) -> Figure:
-    """Norm of the gradient; below it the standard error and the first order's share, where there are such."""
-    estimator = traces.tuning.estimator
-    norm, error = traces.gradient_norm()
-    discarded = int(traces.column("discarded").sum())
-    note = f"{_what(traces)}; estimator {estimator.name}"
-    note += f" of {estimator.samples} samples" if estimator.samples else ""
-    note += ", each of length 1" if getattr(estimator, "normalized", False) else ""
-    note += "; each component counts per whole range of its parameter"
-    note += f"; {discarded:,} worlds were left out" if discarded else ""
-    count = 1 + (error is not None) + (estimator.name == "mixture")
-    figure = page("Gradient over the iterations", _WIDTH, _MARGINS + 2.3 + _PANEL * (count - 1), note)
-    axes = _column(figure, count)
+    """Norm of the gradient."""
+    norm = traces.gradient_norm()
+    note = f"{_what(traces)}; each component counts per whole range of its parameter"
+    figure = page("Gradient over the iterations", _WIDTH, _MARGINS + 2.3, note)
+    axes = _column(figure, 1)
     _draw_starts(axes[0], traces, norm)
     axes[0].set_ylabel("norm of the gradient [1]")
     if np.isfinite(norm).any():
         axes[0].set_yscale("log")
         axes[0].set_ylim(0.5 * np.nanmin(norm), 2.0 * np.nanmax(norm))
-    if error is not None:
-        noise = error / norm
-        known = noise[np.isfinite(noise)]
-        _draw_starts(axes[1], traces, noise)
-        axes[1].axhline(1.0, color=MUTED, lw=0.9, ls=(0, (4, 3)), zorder=1)
-        highest = float(known.max()) if len(known) else 1.0
-        axes[1].set(ylabel="standard error / norm [1]", ylim=(0, min(2.5, max(1.1, 1.05 * highest))))
-        corner(axes[1], "above 1: noise alone")
-    if estimator.name == "mixture":
-        styles = [(colour, ls) for ls in ("-", "--") for colour in START_COLOURS]
-        for name, (colour, ls) in zip(traces.tuning.names, styles, strict=False):
-            share = traces.column(f"first_order.{name}").mean(axis=1)
-            axes[-1].plot(traces.iterations, share, label=name, lw=1.4, color=colour, ls=ls)
-        axes[-1].set(ylabel="share of the first order [1]", ylim=(-0.04, 1.04))
-        legend(axes[-1], title_fontsize=8, title="mean over the starts" if traces.starts > 1 else None)
     _finish(axes, traces)
     return figure
 
@@ -475,7 +448,7 @@ def has_background(tuning: Tuning) -> bool:
 
 
 def key(tuning: Tuning, best: Mapping[str, float]) -> str:
-    """A hash of all that determines the grid: not the path over it, so not optimizer, estimator, starts and seed."""
+    """A hash of all that determines the grid: not the path over it, so not optimizer, starts and seed."""
     axes = grid_axes(tuning)
     others = {name: best[name] for name in tuning.names if name not in axes}
     decisive = [tuning.without_path().digest(), [nodes.tolist() for nodes in axes.values()], others]

@@ -35,7 +35,7 @@ from matplotlib.figure import Figure
 from nermo_mjx.optimize.directory import keep_recording, read_stored
 from nermo_mjx.optimize.figures import corner, legend, star
 from nermo_mjx.optimize.objective import FURTHEST, Evaluation, Problem
-from nermo_mjx.optimize.run import simulation_of
+from nermo_mjx.optimize.problems import WalkProblem
 from nermo_mjx.optimize.spec import Gradient, Tuned, Tuning
 from nermo_mjx.plotting.charts import horizontal_grid, page, set_scales
 from nermo_mjx.plotting.files import Figures, write_figures
@@ -295,7 +295,7 @@ def check_directory(out: Path, wanted: Mapping[str, Any]) -> None:
 
 
 def identity(tuning: Tuning, points: int, span: float) -> dict[str, Any]:
-    """All that determines the table: not a tuner's path, so not optimizer, estimator, starts and seed."""
+    """All that determines the table: not a tuner's path, so not optimizer, starts and seed."""
     walk = tuning.without_path()
     about = walk.identity()
     lines = {"points": points, "span": span, "centres": CENTRES, "widths": list(WIDTHS)}
@@ -416,7 +416,7 @@ def sentences(content: Mapping[str, Any]) -> list[str]:
             for width in about["widths"]
             if width["share"] in JUDGED and width["secants"]
         )
-        follow, mislead = "exact gradients can be followed", "exact gradients alone may mislead; average them"
+        follow, mislead = "exact gradients can be followed", "exact gradients may mislead; take secants or CMA-ES"
         found.append(f"{name}: {follow if about['follows'] else mislead}. The slope differs by {differs}.")
     return found
 
@@ -428,7 +428,7 @@ def report_text(content: Mapping[str, Any]) -> str:
         "A slope is the exact derivative of the objective at a point, a secant the difference quotient over a width "
         "about it. Narrow secants show whether the derivative is correct; wide ones, as wide as a tuner's steps, "
         "whether it is useful. If they differ only for wide secants, the landscape is rough: tune with the "
-        "estimator `smoothed`, `evolution` or `mixture`. If they differ only for narrow ones, the ripple from "
+        "method `differences` or `cma`. If they differ only for narrow ones, the ripple from "
         "rounding and contacts is larger than the difference between the two ends.\n"
     )
     lines.append(
@@ -543,9 +543,9 @@ def run_landscape(
         check_directory(held.out, wanted)
         runs = Runs(held.out, key(wanted), warn=say, held=held)
         if len(runs.numbers) < len(chosen):
-            made_by = stamp(tuning.setup.load().fingerprint, tuning.method.engine)
+            made_by = stamp(tuning.setup.load().fingerprint, tuning.engine)
             runs.take_codes([made_by], accept=accept_new_code)
-            problem = problem or simulation_of(tuning)
+            problem = problem or WalkProblem(tuning)
             held.set_aside("of another landscape", _MADE, say)
             here = session(points=points, span=span)
             held.note_session(here)

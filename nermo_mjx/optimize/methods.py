@@ -1,7 +1,7 @@
 """How points are chosen: each method is asked for points (`ask`), and told what came of them (`tell`).
 
-A method of a tuning (gradient, line search, CMA-ES by generations) steps a `TuneState` from several starts; one of a
-search (CMA-ES with restarts, NSGA-II, CMA-ME, CMA-MEGA, a Sobol sequence) has the results as its only input, so that a
+A method of a tuning (gradient, CMA-ES by generations) steps a `TuneState` from several starts; one of a
+search (CMA-ES with restarts, NSGA-II, CMA-ME, a Sobol sequence) has the results as its only input, so that a
 search is repeated, or resumed, by telling it the contents of its table again.
 """
 
@@ -20,10 +20,9 @@ from typing import Any, Final, Protocol
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int, UInt
+from jaxtyping import Array, Bool, Float, Int
 from scipy.stats import qmc
 
-from nermo_mjx.optimize.estimators import Estimate, Estimator, estimate, offsets, perturbations
 from nermo_mjx.optimize.objective import (
     Bounds,
     Evaluation,
@@ -33,12 +32,11 @@ from nermo_mjx.optimize.objective import (
     slope,
     to_unconstrained,
 )
-from nermo_mjx.optimize.optimizers import LineSearch, LineState, Optimizer
+from nermo_mjx.optimize.optimizers import Optimizer
 from nermo_mjx.optimize.spec import (
     Aim,
     Cma,
     CmaMe,
-    CmaMega,
     Generations,
     Nsga2,
     Search,
@@ -78,7 +76,6 @@ class TuneState:
         u: points in unbounded coordinates (starts, p), see `nermo_mjx.optimize.objective`.
         optimizer: state of the optimizer, every leaf with a leading axis of starts.
         iteration: iterations done.
-        key: data of the random key (2,); an iteration's perturbations follow from it and the iteration's number.
         best_u: the best point of each start so far (starts, p); its beginning, where none walked to the end yet.
         best_value: objective there (starts,); infinite, where none walked to the end yet.
         best_iteration: iteration that evaluated it (starts,); -1, where none walked to the end yet.
@@ -87,7 +84,6 @@ class TuneState:
     u: Float[Array, "starts p"]
     optimizer: Any
     iteration: Int[Array, ""]
-    key: UInt[Array, " 2"]
     best_u: Float[Array, "starts p"]
     best_value: Float[Array, " starts"]
     best_iteration: Int[Array, " starts"]
@@ -102,7 +98,6 @@ class TuneState:
             u=u,
             optimizer=optimizer,
             iteration=self.iteration + 1,
-            key=self.key,
             best_u=jnp.where(better[:, None], better_u, self.best_u),
             best_value=jnp.where(better, value, self.best_value).astype(self.best_value.dtype),
             best_iteration=jnp.where(better, self.iteration, self.best_iteration),
@@ -114,9 +109,8 @@ def initial_state(tuning: Tuning) -> TuneState:
     u = to_unconstrained(tuning.bounds, jnp.asarray(tuning.start_points(), float))
     return TuneState(
         u=u,
-        optimizer=jax.vmap(tuning.optimizer.init)(u),
+        optimizer=jax.vmap(tuning.optimizer.build().init)(u),
         iteration=jnp.zeros((), int),
-        key=jax.random.key_data(jax.random.key(tuning.seed)),
         best_u=u,
         best_value=jnp.full(len(u), jnp.inf, u.dtype),
         best_iteration=jnp.full(len(u), -1),
@@ -131,10 +125,7 @@ class Iterate:
         points: parameters in their own units (starts, p).
         value: objective (starts,); NaN where the robot did not walk to the end.
         ok: whether it did (starts,).
-        gradient: estimated d value / d parameters (starts, p); NaN without one.
-        error: its standard error (starts, p).
-        first_order: share of the first order in it (starts, p).
-        discarded: worlds that were left out (starts,); lost: whether no world was left to estimate from (starts,).
+        gradient: d value / d parameters (starts, p); NaN without one.
         metrics: name -> (starts,).
         simulated_seconds: simulated time that the iteration took, gradients at their cost in forward runs [s].
     """
@@ -143,10 +134,6 @@ class Iterate:
     value: np.ndarray
     ok: np.ndarray
     gradient: np.ndarray
-    error: np.ndarray
-    first_order: np.ndarray
-    discarded: np.ndarray
-    lost: np.ndarray
     metrics: dict[str, np.ndarray]
     simulated_seconds: float
 
@@ -157,199 +144,73 @@ class Tuner:
     def __init__(self, tuning: Tuning, problem: Problem) -> None:
         assert tuple(problem.names) == tuning.names, "a problem takes the tuned parameters in the order of the file"
         self.tuning, self.problem, self.bounds = tuning, problem, tuning.bounds
-        self.seconds = problem.simulated_seconds
-        self.cost = problem.gradient_cost if tuning.estimator.needs_gradient else 1.0
+        self.seconds, self.cost = problem.simulated_seconds, problem.gradient_cost
 
     def step(self, state: TuneState) -> tuple[TuneState, Iterate]:
         """Evaluate the points of a state and take one step from them."""
-        found = None
-        while found is None:
-            request = self.ask(state)
-            state, found = self.tell(state, self.problem.evaluate(request.points, request.gradients > 0))
-        return state, found
+        request = self.ask(state)
+        return self.tell(state, self.problem.evaluate(request.points, request.gradients > 0))
 
     def ask(self, state: TuneState) -> Request:
-        """The worlds of an iteration, start by start; the first of each start is its point."""
-        self._points = placed(self.tuning.estimator, self.bounds, state)
-        return Request(self._points, len(self._points) * self.tuning.estimator.needs_gradient)
+        """The points of an iteration, one of each start."""
+        self._points = placed(self.bounds, state)
+        return Request(self._points, len(self._points))
 
-    def tell(self, state: TuneState, found: Evaluation) -> tuple[TuneState, Iterate | None]:
-        """The state after the step, and what the iteration found; None if more points are to be asked for."""
-        estimator = self.tuning.estimator
-        after, est, ok, dx = _advanced(
-            estimator, self.tuning.optimizer, self.bounds, state, found.value, found.gradient, found.ok
-        )
-        seconds = len(found.value) * self.seconds * self.cost
-        points = np.asarray(self._points)[:: estimator.worlds]
-        return after, _iterate(points, found, ok, seconds, est, dx, est.discarded)
+    def tell(self, state: TuneState, found: Evaluation) -> tuple[TuneState, Iterate]:
+        """The state after the step, and what the iteration found."""
+        after, ok = _advanced(self.tuning.optimizer, self.bounds, state, found.value, found.gradient, found.ok)
+        return after, _iterate(self._points, found, ok, len(found.value) * self.seconds * self.cost)
 
 
-def _iterate(
-    points: Any,
-    found: Evaluation,
-    ok: Any,
-    seconds: float,
-    est: Estimate | None = None,
-    dx: Any = None,
-    discarded: Any = None,
-) -> Iterate:
-    """What an iteration found, from the evaluation of as many worlds for each of the points (starts, p)."""
-    points, ok, every = np.asarray(points, float), np.asarray(ok), len(found.value) // len(points)
-    unknown = np.full(points.shape, np.nan)
+def _iterate(points: Any, found: Evaluation, ok: Any, seconds: float) -> Iterate:
+    """What an iteration found at its points (starts, p)."""
+    points, ok = np.asarray(points, float), np.asarray(ok)
     return Iterate(
         points=points,
-        value=np.where(ok, np.asarray(found.value, float)[::every], np.nan),
+        value=np.where(ok, np.asarray(found.value, float), np.nan),
         ok=ok,
-        gradient=unknown if est is None else np.asarray(est.gradient, float) / np.asarray(dx),
-        error=unknown if est is None else np.asarray(est.error, float) / np.asarray(dx),
-        first_order=unknown if est is None else np.asarray(est.first_order, float),
-        discarded=(~ok).astype(int) if est is None else np.asarray(discarded),
-        lost=~ok if est is None else np.asarray(est.lost),
-        metrics={name: np.asarray(column, float)[::every] for name, column in found.metrics.items()},
+        gradient=np.full(points.shape, np.nan) if found.gradient is None else np.asarray(found.gradient, float),
+        metrics={name: np.asarray(column, float) for name, column in found.metrics.items()},
         simulated_seconds=seconds,
     )
 
 
-def noise(estimator: Estimator, state: TuneState) -> Float[Array, "starts k p"]:
-    """The perturbations e of an iteration."""
-    return perturbations(estimator, state.key, state.iteration, *state.u.shape)
-
-
-def coordinates(estimator: Estimator, state: TuneState) -> Float[Array, "starts worlds p"]:
-    """All worlds of an iteration in coordinates u; the first of each start is its point."""
-    return state.u[:, None] + offsets(estimator, noise(estimator, state))
+@jax.jit
+def placed(bounds: Bounds, state: TuneState) -> Float[Array, "starts p"]:
+    """Parameters of all starts."""
+    return from_unconstrained(bounds, state.u)
 
 
 @functools.partial(jax.jit, static_argnums=0)
-def placed(estimator: Estimator, bounds: Bounds, state: TuneState) -> Float[Array, "n p"]:
-    """Parameters of all worlds, start by start; the first of each start is its point."""
-    return from_unconstrained(bounds, coordinates(estimator, state)).reshape(-1, state.u.shape[1])
-
-
-@functools.partial(jax.jit, static_argnums=(0, 1))
 def _advanced(
-    estimator: Estimator,
     optimizer: Optimizer,
     bounds: Bounds,
     state: TuneState,
-    value: Float[Array, " n"],
-    gradient: Float[Array, "n p"] | None,
-    ok: Bool[Array, " n"],
-) -> tuple[TuneState, Estimate, Bool[Array, " starts"], Float[Array, "starts p"]]:
-    """The state after the iteration, the gradient it stepped along (to u), whether each point is ok, and its dx/du.
+    value: Float[Array, " starts"],
+    gradient: Float[Array, "starts p"],
+    ok: Bool[Array, " starts"],
+) -> tuple[TuneState, Bool[Array, " starts"]]:
+    """The state after the iteration, and whether each point has a value and a gradient.
 
     A start without a completed walk has no gradient: it moves halfway back to its best point, and
     its optimizer is not updated; an optimizer that uses values reacts by itself.
     """
-    update, at = optimizer.build().update, coordinates(estimator, state)
-    value, ok = value.reshape(at.shape[:2]), (ok & jnp.isfinite(value)).reshape(at.shape[:2])
-    if gradient is not None:
-        gradient = gradient.reshape(at.shape) * slope(bounds, at)
-        ok = ok & jnp.isfinite(gradient).all(axis=-1)
-    found = estimate(estimator, noise(estimator, state), value, gradient, ok)
-    better = ok[:, 0] & (value[:, 0] < state.best_value)
+    update = optimizer.build().update
+    ok = ok & jnp.isfinite(value) & jnp.isfinite(gradient).all(axis=-1)
+    # What does not count is replaced before anything is computed from it, so that no NaN can come through a product.
+    gradient = jnp.where(ok[:, None], gradient, 0.0) * slope(bounds, state.u)
+    better = ok & (value < state.best_value)
     best_u = jnp.where(better[:, None], state.u, state.best_u)
-    lost = found.lost
-    # What a smoothed gradient is the gradient of: the mean over the worlds; of an exact one, the point itself.
-    level = jnp.where(lost, jnp.inf, jnp.where(ok, value, 0.0).sum(axis=1) / jnp.maximum(ok.sum(axis=1), 1))
     step, updated = jax.vmap(lambda gradient, past, u, value: update(gradient, past, u, value=value))(
-        found.gradient, state.optimizer, state.u, level
+        gradient, state.optimizer, state.u, jnp.where(ok, value, jnp.inf)
     )
     forward = confine(bounds, state.u + step)
-    waits = lost & (not optimizer.reads_values)
+    waits = ~ok & (not optimizer.reads_values)
     u = jnp.where(waits[:, None], 0.5 * (state.u + best_u), forward)
     kept = jax.tree.map(
         lambda new, old: jnp.where(waits.reshape(-1, *[1] * (new.ndim - 1)), old, new), updated, state.optimizer
     )
-    return state.after(u, kept, better, state.u, value[:, 0]), found, ok[:, 0], slope(bounds, state.u)
-
-
-# ---
-# One iteration by line search: a gradient from a few worlds, then walks along it without gradients.
-
-
-class LineTuner(Tuner):
-    """Steps a tuning to the best of the points that its line search tries along each gradient.
-
-    What counts is the objective without gradients: the engine `c` walks the point itself and those along the lines. A
-    sampled estimator therefore needs no gradient at the point, which is left out of the batch of gradients.
-    """
-
-    def __init__(self, tuning: Tuning, problem: Problem) -> None:
-        super().__init__(tuning, problem)
-        self.search = tuning.optimizer.line_search()
-        self._direction: Any = None
-
-    def ask(self, state: TuneState) -> Request:
-        """First the worlds of the gradients, then the points to be walked without."""
-        estimator, (starts, p) = self.tuning.estimator, state.u.shape
-        if self._direction is not None:
-            return Request(self._direction[3].reshape(-1, p))
-        around = placed(estimator, self.bounds, state).reshape(starts, -1, p)[:, min(estimator.samples, 1) :]
-        around = around.reshape(-1, p)
-        return Request(around, len(around) * estimator.needs_gradient)
-
-    def tell(self, state: TuneState, found: Evaluation) -> tuple[TuneState, Iterate | None]:
-        if self._direction is None:
-            directed = _directed(
-                self.tuning.estimator, self.search, self.bounds, state, found.value, found.gradient, found.ok
-            )
-            self._direction = (found.ok, *directed)
-            return state, None
-        (used, est, tried, points, line, dx), self._direction = self._direction, None
-        after, ok, left_out = _moved(self.search, state, line, tried, found.value, found.ok, used)
-        seconds = (len(used) * self.cost + len(found.value)) * self.seconds
-        return after, _iterate(np.asarray(points)[:, 0], found, ok, seconds, est, dx, left_out)
-
-
-@functools.partial(jax.jit, static_argnums=(0, 1))
-def _directed(
-    estimator: Estimator,
-    search: LineSearch,
-    bounds: Bounds,
-    state: TuneState,
-    value: Float[Array, " n"],
-    gradient: Float[Array, "n p"] | None,
-    ok: Bool[Array, " n"],
-) -> tuple[
-    Estimate, Float[Array, "starts tried p"], Float[Array, "starts tried p"], LineState, Float[Array, "starts p"]
-]:
-    """The gradients (to u), the points to be walked in u and in their own units, first the present one, the state of
-    the search, and dx/du."""
-    at = coordinates(estimator, state)
-    missing = min(estimator.samples, 1)
-    value, ok = (each.reshape(len(at), -1) for each in (value, ok & jnp.isfinite(value)))
-    if gradient is not None:
-        gradient = gradient.reshape(len(at), -1, at.shape[-1]) * slope(bounds, at[:, missing:])
-        ok = ok & jnp.isfinite(gradient).all(axis=-1)
-        gradient = jnp.pad(gradient, ((0, 0), (missing, 0), (0, 0)))
-    if missing:  # the point itself is known from the search that led to it, but for the first one
-        value = jnp.concatenate([state.best_value[:, None], value], axis=1)
-        ok = jnp.concatenate([jnp.isfinite(state.best_value)[:, None], ok], axis=1)
-    est = estimate(estimator, noise(estimator, state), value, gradient, ok)
-    line, tried = jax.vmap(search.along)(state.optimizer, state.u, est.gradient)
-    tried = jnp.concatenate([state.u[:, None], confine(bounds, tried)], axis=1)
-    return est, tried, from_unconstrained(bounds, tried), line, slope(bounds, state.u)
-
-
-@functools.partial(jax.jit, static_argnums=0)
-def _moved(
-    search: LineSearch,
-    state: TuneState,
-    line: LineState,
-    tried: Float[Array, "starts tried p"],
-    value: Float[Array, " n"],
-    ok: Bool[Array, " n"],
-    used: Bool[Array, " m"],
-) -> tuple[TuneState, Bool[Array, " starts"], Array]:
-    """The state at the best of the points, whether the present one is ok, and the worlds left out of its gradient."""
-    value = jnp.where(ok & jnp.isfinite(value), value, jnp.inf).reshape(tried.shape[:2])
-    chosen = value.argmin(axis=1)
-    lowest = jnp.take_along_axis(value, chosen[:, None], axis=1)[:, 0]
-    u = jnp.take_along_axis(tried, chosen[:, None, None], axis=1)[:, 0]
-    line = jax.vmap(search.taken)(line, chosen > 0, jnp.linalg.norm(u - state.u, axis=1))
-    after = state.after(u, line, lowest < state.best_value, u, lowest)
-    return after, jnp.isfinite(value[:, 0]), (~used).reshape(len(u), -1).sum(axis=1)
+    return state.after(u, kept, better, state.u, value), ok
 
 
 # ---
@@ -380,10 +241,6 @@ class Space:
         reflected = 1.0 - np.abs(1.0 - np.mod(coordinates, 2.0))
         return np.clip(np.where(self.periodic, turned, reflected), 0.0, 1.0)
 
-    def slope(self, coordinates: np.ndarray) -> np.ndarray:
-        """d share / d coordinate (n, p): -1 where a coordinate is reflected an odd number of times, else 1."""
-        return np.where(self.periodic | (np.mod(coordinates, 2.0) < 1.0), 1.0, -1.0)
-
     def spread(self, count: int) -> np.ndarray:
         """Shares to begin with (count, p): the published gait, then points of a scrambled Sobol sequence."""
         points = qmc.Sobol(self.dimensions, rng=np.random.default_rng(self._seed))
@@ -412,15 +269,12 @@ class Scores:
         measures: (n, m) of an atlas; NaN where a run failed.
         violation: how far the constraints are from holding, (n,), each in units of its bound; 0 where they hold.
         ok: whether all runs walked to the end with finite numbers, (n,).
-        jacobian: of the first g points, d (quality, *measures) / d fractions of the bounds, (g, 1 + m, p), where the
-            quality is minus the cost; None if not requested.
     """
 
     cost: np.ndarray
     measures: np.ndarray
     violation: np.ndarray
     ok: np.ndarray
-    jacobian: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self.ok)
@@ -552,7 +406,7 @@ class GenerationTuner(Tuner):
         self._next()
         return Request(from_unconstrained(self.bounds, jnp.asarray(self._points, state.u.dtype)))
 
-    def tell(self, state: TuneState, found: Evaluation) -> tuple[TuneState, Iterate | None]:
+    def tell(self, state: TuneState, found: Evaluation) -> tuple[TuneState, Iterate]:
         u = jnp.asarray(self._points, state.u.dtype)
         ok = np.asarray(found.ok) & np.isfinite(np.asarray(found.value))
         value = np.where(ok, np.asarray(found.value, float), np.nan)
@@ -690,10 +544,9 @@ _WORTHLESS: Final = -1e9
 
 
 class AtlasEmitters(Searcher):
-    """CMA-ME and CMA-MEGA. The first batch is a spread of points; then the batch is divided among emitters.
+    """CMA-ME. The first batch is a spread of points; then the batch is divided among emitters.
 
-    A batch of CMA-MEGA begins with one point of each emitter, of which it wants gradients, and the next batch is what
-    it makes of them. A point outside of the measures' ranges, one that fell, or that breaks a constraint, is not in
+    A point outside of the measures' ranges, one that fell, or that breaks a constraint, is not in
     the atlas.
     """
 
@@ -701,10 +554,9 @@ class AtlasEmitters(Searcher):
         with _interpreted():
             from ribs.archives import GridArchive
 
-        assert isinstance(search.method, CmaMe | CmaMega)
+        assert isinstance(search.method, CmaMe)
         self._space, self._aim, self._seed, self._batch = space, search.aim, search.sweep.seed, batch
-        self._method, self._along = search.method, isinstance(search.method, CmaMega)
-        self._count = max(1, min(search.method.emitters, batch // (3 if self._along else 2)))
+        self._method, self._count = search.method, max(1, min(search.method.emitters, batch // 2))
         self._archive = GridArchive(
             solution_dim=space.dimensions,
             dims=[each.cells for each in search.aim.measures],
@@ -712,7 +564,7 @@ class AtlasEmitters(Searcher):
             seed=search.sweep.seed,
         )
         self._emitters: list[Any] = []
-        self._centres, self._spreads = False, 0
+        self._spreads = 0
         self._shares = np.empty((0, space.dimensions))
 
     def ask(self) -> Request:
@@ -721,11 +573,10 @@ class AtlasEmitters(Searcher):
             self._spreads += 1
             self._shares = self._space.spread(first + self._batch)[first:]
             return Request(self._shares)
-        points = [emitter.ask_dqd() if self._centres else emitter.ask() for emitter in self._emitters]
+        points = [emitter.ask() for emitter in self._emitters]
         self._ends = np.cumsum([len(each) for each in points])
-        self._slope = self._space.slope(np.concatenate(points))
         self._shares = self._space.shares(np.concatenate(points))
-        return Request(self._shares, len(self._shares) if self._centres else 0)
+        return Request(self._shares)
 
     def tell(self, found: Scores) -> None:
         inside = found.allowed & (cells_of(self._aim, found.measures) >= 0)
@@ -741,35 +592,22 @@ class AtlasEmitters(Searcher):
             return
         parts = np.split(np.arange(len(inside)), self._ends[:-1])
         for emitter, part in zip(self._emitters, parts, strict=True):
-            results = (self._shares[part], objective[part], measures[part])
             info = {"status": status[part], "value": value[part]}
-            if not self._centres:
-                emitter.tell(*results, info)
-            else:
-                assert found.jacobian is not None
-                # A non-finite gradient is useless.
-                jacobian = np.nan_to_num(found.jacobian[part], nan=0.0, posinf=0.0, neginf=0.0)
-                emitter.tell_dqd(*results, jacobian * self._slope[part, None, :], info)
-        self._centres = self._along and not self._centres
+            emitter.tell(self._shares[part], objective[part], measures[part], info)
 
     def _begin(self) -> None:
         """Emitters from elites that are evenly spread over the filled cells."""
         with _interpreted():
-            from ribs.emitters import EvolutionStrategyEmitter, GradientArborescenceEmitter
+            from ribs.emitters import EvolutionStrategyEmitter
 
         elites = self._archive.data(["solution", "index"], return_type="dict")
         order = np.argsort(elites["index"])
         chosen = order[np.linspace(0, len(order) - 1, self._count).round().astype(int)]
-        sizes = [len(part) for part in np.array_split(np.arange(self._batch - self._count * self._along), self._count)]
+        sizes = [len(part) for part in np.array_split(np.arange(self._batch), self._count)]
         for i, (start, size) in enumerate(zip(elites["solution"][chosen], sizes, strict=True)):
             common: dict[str, Any] = {"x0": start, "sigma0": self._method.sigma, "batch_size": size, "ranker": "2imp"}
             common["seed"] = self._seed + i + 1
-            if isinstance(self._method, CmaMega):
-                along: dict[str, Any] = {"grad_opt": "gradient_ascent", "lr": self._method.learning_rate}
-                self._emitters.append(GradientArborescenceEmitter(self._archive, **along, **common))
-            else:
-                self._emitters.append(EvolutionStrategyEmitter(self._archive, **common))
-        self._centres = self._along
+            self._emitters.append(EvolutionStrategyEmitter(self._archive, **common))
 
 
 @contextlib.contextmanager
@@ -820,7 +658,6 @@ def searcher(search: Search, batch: int) -> Searcher:
         Cma: RestartedCma,
         Nsga2: Genetic,
         CmaMe: AtlasEmitters,
-        CmaMega: AtlasEmitters,
         Sobol: SobolSample,
     }
     made: Searcher = kinds[type(search.method)](Space(search), search, batch)

@@ -1,4 +1,4 @@
-"""Adam with a controlled rate, a line search, or any optax optimizer by name, with its options and schedules by name;
+"""Adam with a controlled rate, or any optax optimizer by name, with its options and schedules by name;
 tried out before anything expensive starts.
 """
 
@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
 from nermo_mjx.robot.quantity import ParameterError, did_you_mean
 from nermo_mjx.specs.reading import describe
@@ -105,100 +105,8 @@ def controlled_adam(rate: float = RATE) -> optax.GradientTransformationExtraArgs
     return optax.GradientTransformationExtraArgs(init, update)
 
 
-# ---
-# A line search along an averaged gradient: few expensive directions, each tried at many lengths.
-#
-# A gradient of a walk costs as much as tens of walks on the engine `c`, so each direction is used as far as it leads.
-# The estimate's descent direction d, of length 1 at most, and its running sum m <- momentum * m + d (heavy-ball
-# momentum, Polyak 1964) are both followed to `points` / 2 lengths, spread geometrically about the expected one. The
-# tuning moves to the best of these points, or stays where none is better. The conditions of Wolfe, by which a line
-# search usually ends, do not apply: they need the slope along the line, and that of a walk is rough. The expected
-# length becomes the geometric mean of itself and the chosen length, or 0.6 of itself after a search without gain.
-
-
-#: Lengths tried, from the least to the most, in units of the expected one.
-_LEAST, _MOST_STEPS = 2.0**-3, 2.0**2
-#: What becomes of the expected length after a search without gain, and its limits, in coordinates u.
-_LINE_SHRINKS: Final = 0.6
-_LIMITS: Final = (0.1, 4.0)
-
-
-class LineState(NamedTuple):
-    """State of the search of one start.
-
-    Attributes:
-        momentum: m (p,).
-        length: the expected one, in coordinates u.
-    """
-
-    momentum: Float[Array, " p"]
-    length: Float[Array, ""]
-
-
-@dataclasses.dataclass(frozen=True)
-class LineSearch:
-    """The search; its functions are of one start.
-
-    Attributes:
-        points: tried in each iteration, an even number.
-        momentum: share of the previous directions that is kept, in [0, 1).
-        length: the first expected one, in coordinates u.
-
-    Raises:
-        ParameterError: a number that is out of range.
-
-    >>> search = LineSearch(points=4)
-    >>> state, there = search.along(search.init(jnp.zeros(2)), jnp.zeros(2), jnp.array([0.0, 2.0]))
-    >>> there.shape, bool((there[:, 1] < 0).all())
-    ((4, 2), True)
-    """
-
-    points: int = 16
-    momentum: float = 0.5
-    length: float = 1.0
-
-    def __post_init__(self) -> None:
-        if self.points != int(self.points) or self.points < 2 or self.points % 2:
-            raise ParameterError(f"points is {self.points:g}: allowed is an even number from 2 on")
-        if not 0.0 <= self.momentum < 1.0:
-            raise ParameterError(f"momentum is {self.momentum:g}: allowed is [0, 1)")
-        if not _LIMITS[0] <= self.length <= _LIMITS[1]:
-            raise ParameterError(f"length is {self.length:g}: allowed is [{_LIMITS[0]:g}, {_LIMITS[1]:g}]")
-
-    def init(self, u: Float[Array, " p"]) -> LineState:
-        """Before the first iteration from a point."""
-        return LineState(jnp.zeros_like(u), jnp.asarray(self.length, u.dtype))
-
-    def along(
-        self, state: LineState, u: Float[Array, " p"], gradient: Float[Array, " p"]
-    ) -> tuple[LineState, Float[Array, "points p"]]:
-        """The state with this gradient in its momentum, and the points to be tried.
-
-        Without a gradient, which is then zero, the momentum alone leads on.
-        """
-        # Directions that disagree, whose mean is short, count less; a derivative that is large at one point, no more.
-        momentum = self.momentum * state.momentum - gradient / jnp.maximum(jnp.linalg.norm(gradient), 1.0)
-        # The lengths of both directions lie between one another: in the first iteration the directions are the same.
-        reach = jnp.geomspace(_LEAST, _MOST_STEPS, int(self.points), dtype=u.dtype)
-        ways = jnp.where(jnp.arange(len(reach))[:, None] % 2, _unit(momentum), -_unit(gradient))
-        return state._replace(momentum=momentum), u + state.length * reach[:, None] * ways
-
-    def taken(self, state: LineState, better: Bool[Array, ""], moved: Float[Array, ""]) -> LineState:
-        """The state after a move of a length, or after none if no point was better."""
-        length = jnp.where(better, jnp.sqrt(state.length * moved), _LINE_SHRINKS * state.length)
-        return state._replace(length=jnp.clip(length, *_LIMITS))
-
-
-def _unit(vector: Float[Array, " p"]) -> Float[Array, " p"]:
-    """A vector of length 1, or zero."""
-    length = jnp.linalg.norm(vector)
-    return vector / jnp.where(length > 0, length, 1.0)
-
-
 #: The optimizer with an automatic learning rate, which uses the objective's value.
 CONTROLLED: Final = "controlled_adam"
-#: The one that tries points along the gradient (`nermo_mjx.optimize.optimizers`).
-LINE: Final = "line_search"
 #: The default learning rate of an optimizer, in coordinates u (`nermo_mjx.optimize.objective`) per step.
 LEARNING_RATE: Final = 0.1
 _SCHEDULE_ENDINGS: Final = ("", "_schedule", "_decay_schedule")
@@ -209,7 +117,7 @@ class Optimizer:
     """An optimizer by name; hashable, so that it is static in compiled programs.
 
     Attributes:
-        name: `controlled_adam`, `line_search`, or of a function of optax that has a learning rate: `adam`, `sgd`, ...
+        name: `controlled_adam`, or of a function of optax that has a learning rate: `adam`, `sgd`, ...
         options: keyword arguments of that function. A schedule is written as
             {name: cosine_decay_schedule, option: value}, or as {cosine: {option: value}}.
         clip: a longer gradient (2-norm over the parameters of one start) is clipped to this norm; None: no clipping.
@@ -224,16 +132,11 @@ class Optimizer:
     clip: float | None = None
 
     def __post_init__(self) -> None:
-        if self.name not in (CONTROLLED, LINE) and "learning_rate" not in self.options:
+        if self.name != CONTROLLED and "learning_rate" not in self.options:
             object.__setattr__(self, "options", {"learning_rate": LEARNING_RATE, **self.options})
         if self.clip is not None and not 0.0 < self.clip < float("inf"):
             raise ParameterError(f"optimizer.clip is {self.clip:g}: allowed is (0, inf).")
-        if not self.searches:
-            _try_out(self)
-            return
-        if self.clip is not None:
-            raise ParameterError("optimizer.clip is not read by line_search, which uses a gradient's direction alone.")
-        self.line_search()
+        _try_out(self)
 
     def __hash__(self) -> int:
         return hash((self.name, *sorted(self.options), self.clip))
@@ -242,20 +145,6 @@ class Optimizer:
     def reads_values(self) -> bool:
         """Whether it uses objective values, so that it can react to a fall."""
         return self.name == CONTROLLED
-
-    @property
-    def searches(self) -> bool:
-        """Whether it is the line search."""
-        return self.name == LINE
-
-    def line_search(self) -> LineSearch:
-        """The line search with these options."""
-        search: LineSearch = _call("optimizer", self.name, LineSearch, self.options)
-        return search
-
-    def init(self, u: Float[Array, " p"]) -> Any:
-        """The state at the beginning from the vector u of one start."""
-        return self.line_search().init(u) if self.searches else self.build().init(u)
 
     def build(self) -> optax.GradientTransformationExtraArgs:
         """The pair of pure functions `init` and `update`, for the vector u of one start; `update` is given `value`."""
@@ -357,10 +246,7 @@ def _try_out(optimizer: Optimizer) -> None:
         except Exception as error:
             raise ParameterError(f"{named}, which does not work from gradients alone: {_line(error)}.") from None
     if any(jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key) for leaf in jax.tree.leaves(after)):
-        raise ParameterError(
-            f"{named}, which draws random numbers of its own, and a checkpoint cannot hold them: let the estimator "
-            "make the noise."
-        )
+        raise ParameterError(f"{named}, which draws random numbers of its own, and a checkpoint cannot hold them.")
     if not np.isfinite(step).all() or before != jax.eval_shape(lambda: after):
         raise ParameterError(f"{named}, whose steps with these options are {step[0]}: expected finite numbers.")
 
@@ -371,4 +257,4 @@ def _line(error: Exception) -> str:
 
 
 #: Names of all optimizers.
-NAMES: Final = (CONTROLLED, LINE, *(name for name in optimizers() if name != CONTROLLED))
+NAMES: Final = (CONTROLLED, *(name for name in optimizers() if name != CONTROLLED))

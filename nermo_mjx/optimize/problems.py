@@ -1,12 +1,9 @@
-"""The simulations behind a tuning: walks in MJX with gradients, or in MuJoCo C, and a recorded walk to compare with.
-
-And the gradients of a search.
-"""
+"""The simulations behind a tuning: walks with their gradients, and a recorded walk to compare with."""
 
 from __future__ import annotations
 
 import dataclasses
-import hashlib
+import functools
 import math
 import pickle
 from collections.abc import Callable, Mapping
@@ -19,12 +16,11 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from nermo_mjx.optimize.objective import TRAJECTORY_ERROR, Evaluation, Problem
-from nermo_mjx.optimize.spec import Differences, Search, Tuning
-from nermo_mjx.programs import Program
+from nermo_mjx.optimize.spec import Differences, Tuning
 from nermo_mjx.recording import Recording, RecordingError
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.rollout import Simulator
-from nermo_mjx.rollout.differentiable import Rollout, choose_mode, cost, value_and_gradient
+from nermo_mjx.rollout.differentiable import Rollout
 from nermo_mjx.runs.code import CodeStamp, stamp
 from nermo_mjx.runs.workers import TaskFailed, Workers
 from nermo_mjx.runtime import compiler_options, cpu_batch_limit
@@ -34,79 +30,114 @@ from nermo_mjx.sweep.simulating import SimulatorLike
 _LEAST_SPREAD: Final = (1e-3, 1e-2)
 
 
-class _TuningProblem:
-    """A problem made of a tuning.
+class WalkProblem:
+    """Implements `objective.Problem`: walks of the engine `c`, and gradients as the tuning's method has them."""
 
-    Args:
-        tuning: what is tuned.
-        reference: replaces the tuning's recording, whose file need not be there then.
+    def __init__(
+        self, tuning: Tuning, reference: Reference | None = None, simulator: SimulatorLike | None = None
+    ) -> None:
+        """
+        Args:
+            tuning: what is tuned.
+            reference: replaces the tuning's recording, whose file need not be there then.
+            simulator: replaces `Simulator(tuning.setup, "c")`.
 
-    Raises:
-        ParameterError: the tuning's recording cannot be compared with its walk.
-    """
+        Raises:
+            ParameterError: the tuning's recording cannot be compared with its walk.
+        """
+        self.tuning, self.names, self.reference, self._given = tuning, tuning.names, reference, simulator
+        lowest, method = {each.name: each.low for each in tuning.tuned}, tuning.method
+        self.simulated_seconds = tuning.seconds(lowest)
+        self.gradient_cost = method.gradient_cost(len(self.names))
+        self.rollout = Rollout(tuning.setup, tuning.run, tuning.engine, slowest=lowest.get("frequency"))
+        if reference is None and tuning.recording is not None:
+            self.reference = load_reference(tuning.recording, self.rollout, self.simulated_seconds)
+        self._exact = jax.jit(
+            jax.vmap(jax.value_and_grad(self._walk, has_aux=True)), compiler_options=compiler_options()
+        )
 
-    def __init__(self, tuning: Tuning, reference: Reference | None = None) -> None:
-        self.tuning, self.names, self.reference = tuning, tuning.names, reference
-
-    def __reduce__(self) -> tuple[type[_TuningProblem], tuple[Any, ...]]:
+    def __reduce__(self) -> tuple[type[WalkProblem], tuple[Any, ...]]:
         """For another machine, which lacks the recording and rebuilds everything else."""
         return type(self), (self.tuning, self.reference)
 
-
-class WalkProblem(_TuningProblem):
-    """Implements `objective.Problem` in MJX; one world per point.
-
-    Points that a line search tries need no gradient, and walk on the engine `c`: that costs a tenth of MJX on a CPU.
-    """
-
-    def __init__(self, tuning: Tuning, reference: Reference | None = None) -> None:
-        super().__init__(tuning, reference)
-        self.mode = choose_mode(len(self.names), tuning.mode)
-        self.gradient_cost = cost(len(self.names), self.mode)
-        lowest = dict(zip(self.names, map(float, tuning.bounds.low), strict=True))
-        self.rollout = Rollout(tuning.setup, tuning.run, slowest=lowest.get("frequency"))
-        self.simulated_seconds = self.rollout.seconds(tuning.constants | lowest)
-        if reference is None and tuning.recording is not None:
-            self.reference = load_reference(tuning.recording, self.rollout, self.simulated_seconds)
-        identity = self._identity()
-        self._value = Program(jax.vmap(self._walk), identity and f"value {identity}")
-        gradient = jax.vmap(value_and_gradient(self._walk, self.mode))
-        self._gradient = Program(gradient, identity and f"{self.mode} {identity}")
-        self._walks: SimulatedProblem | None = None
-        if tuning.optimizer.searches and tuning.method.has_gradient:
-            self._walks = SimulatedProblem(tuning, self.reference, Simulator(tuning.setup, "c"))
+    @functools.cached_property
+    def simulator(self) -> Any:
+        """What walks without exact derivatives."""
+        return self._given or Simulator(self.tuning.setup, "c")
 
     def evaluate(self, points: Float[Array, "n p"], gradient: bool) -> Evaluation:
-        """See `objective.Problem.evaluate`."""
-        if self._walks is not None and not gradient:
-            return self._walks.evaluate(points, gradient)
-        limit = cpu_batch_limit() or len(points)
-        parts = [self._part(points[first : first + limit], gradient) for first in range(0, len(points), limit)]
-        return parts[0] if len(parts) == 1 else jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts)
+        """See `objective.Problem.evaluate`.
 
-    def _part(self, points: Float[Array, "n p"], gradient: bool) -> Evaluation:
-        value, *slope, metrics = (self._gradient if gradient else self._value)(points)
-        ok = (metrics["fell"] == 0.0) & (metrics["diverged"] == 0.0) & jnp.isfinite(value)
+        Differences are in NumPy: those of float64 become slopes unrounded. A neighbour beyond a bound stands on it; a
+        forward one turns to the other side where nothing would be left.
+        """
+        method = self.tuning.method
         if not gradient:
-            return Evaluation(value, None, metrics, ok)
-        return Evaluation(value, slope[0], metrics, ok & jnp.isfinite(slope[0]).all(axis=-1))
+            value, metrics, ok = self.walk(np.asarray(points, float))
+            return _evaluation(value, None, metrics, ok)
+        if not isinstance(method, Differences):
+            limit = cpu_batch_limit() or len(points)
+            parts = [self._derived(points[first : first + limit]) for first in range(0, len(points), limit)]
+            return parts[0] if len(parts) == 1 else jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts)
+        at = np.asarray(points, float)
+        (n, p), central = at.shape, method.scheme == "central"
+        low, high = (np.array([getattr(each, end) for each in self.tuning.tuned]) for end in ("low", "high"))
+        periodic = np.array([each.periodic for each in self.tuning.tuned])
+        # Each point and its neighbours (n, worlds, p), and where they are along each parameter, unwrapped.
+        steps = np.diag(method.step * (high - low))
+        worlds = at[:, None] + np.concatenate([np.zeros((1, p)), steps, *([-steps] if central else [])])
+        if not central:
+            worlds = np.where(~periodic & (worlds > high), 2.0 * worlds[:, :1] - worlds, worlds)
+        reach = np.where(periodic, worlds, np.clip(worlds, low, high))
+        worlds = np.where(periodic, low + np.mod(worlds - low, high - low), reach)
+        value, metrics, ok = self.walk(worlds.reshape(-1, p))
+        value, ok = value.reshape(n, -1), ok.reshape(n, -1)
+        # Of each parameter two worlds with different values of it: either neighbour, or one and the point itself.
+        above = 1 + np.arange(p)
+        below = above + p if central else np.zeros(p, int)
+        rise = value[:, above] - value[:, below]
+        run = reach[:, above, np.arange(p)] - reach[:, below, np.arange(p)]
+        metrics = {name: column.reshape(n, -1)[:, 0] for name, column in metrics.items()}
+        return _evaluation(value[:, 0], rise / run, metrics, np.logical_and.reduce(ok, axis=1))
 
-    def _identity(self) -> str | None:
-        """All that decides a walk, see `Rollout.identity`, its objective and what it is compared with."""
-        walk, against = self.rollout.identity, self.reference
-        if walk is None:
-            return None
-        recorded = against and [hashlib.sha256(each.tobytes()).hexdigest() for each in (against.qpos, against.weight)]
-        lowest = self.simulated_seconds
-        return repr((walk, dict(self.tuning.constants), self.names, self.tuning.objective, lowest, recorded))
+    def _derived(self, points: Float[Array, "n p"]) -> Evaluation:
+        (value, metrics), slope = self._exact(points)
+        ok = (metrics["fell"] == 0.0) & (metrics["diverged"] == 0.0) & jnp.isfinite(value)
+        return Evaluation(value, slope, metrics, ok & jnp.isfinite(slope).all(axis=-1))
 
     def _walk(self, point: Float[Array, " p"]) -> tuple[Float[Array, ""], dict[str, Array]]:
         """Objective and metrics of one walk."""
         values: dict[str, Any] = dict(self.tuning.constants) | dict(zip(self.names, point, strict=True))
-        metrics, path = self.rollout.record(values)
-        if self.reference is not None:
+        if self.reference is None:
+            metrics = self.rollout(values)
+        else:
+            metrics, path = self.rollout.record(values)
             metrics = metrics | {TRAJECTORY_ERROR: self.reference.error(path.qpos)}
         return self.tuning.objective.value(metrics), metrics
+
+    def walk(
+        self, points: np.ndarray, others: Mapping[str, np.ndarray] | None = None
+    ) -> tuple[np.ndarray, dict[str, np.ndarray], np.ndarray]:
+        """Objective, metrics and whether each of the points (n, p) walked to its end, (n,) each.
+
+        Args:
+            others: parameters beside the tuned ones, name -> (n,).
+        """
+        values = {name: np.full(len(points), value) for name, value in self.tuning.constants.items()}
+        values |= {name: points[:, i] for i, name in enumerate(self.names)} | dict(others or {})
+        how: dict[str, Any] = {"record": True} if self.reference is not None else {}
+        result = self.simulator.run(values, self.tuning.run, **how)
+        metrics = {name: np.asarray(column, float) for name, column in result.metrics.items()}
+        if self.reference is not None:
+            error = [float(self.reference.error(jnp.asarray(qpos))) for qpos in result.trace.qpos]
+            metrics[TRAJECTORY_ERROR] = np.array(error)
+        value = np.asarray(self.tuning.objective.value(metrics), float)
+        return value, metrics, (np.asarray(result.status) == "ok") & np.isfinite(value)
+
+
+def _evaluation(value: Any, slope: Any, metrics: dict[str, Any], ok: Any) -> Evaluation:
+    """Of NumPy arrays, which annotations of JAX's do not mean."""
+    return Evaluation(value, slope, metrics, ok)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -157,86 +188,6 @@ def load_reference(path: Path, rollout: Rollout, seconds: float) -> Reference:
 
 
 # ---
-# The simulation behind a tuning without derivatives: walks in MuJoCo C, and slopes from their neighbours.
-
-
-class SimulatedProblem(_TuningProblem):
-    """Implements `objective.Problem` on the engine `c`; a gradient costs the runs of a point's neighbours.
-
-    Args:
-        simulator: replaces `Simulator(tuning.setup, "c")`.
-    """
-
-    def __init__(
-        self, tuning: Tuning, reference: Reference | None = None, simulator: SimulatorLike | None = None
-    ) -> None:
-        super().__init__(tuning, reference)
-        self.simulator: Any = simulator or Simulator(tuning.setup, "c")
-        method = tuning.method
-        self.gradient_cost = 1.0 + (method.neighbours(len(self.names)) if isinstance(method, Differences) else 0)
-        slowest = {each.name: each.low for each in tuning.tuned}
-        self.simulated_seconds = tuning.seconds(slowest)
-        if reference is None and tuning.recording is not None:
-            rollout = Rollout(tuning.setup, tuning.run, slowest=slowest.get("frequency"))
-            self.reference = load_reference(tuning.recording, rollout, self.simulated_seconds)
-
-    def evaluate(self, points: Float[Array, "n p"], gradient: bool) -> Evaluation:
-        """See `objective.Problem.evaluate`; in NumPy: differences of float64 become slopes unrounded.
-
-        A neighbour beyond a bound stands on it; a forward one turns to the other side where nothing would be left.
-        """
-        at = np.asarray(points, float)
-        if not gradient:
-            value, metrics, ok = self.walk(at)
-            return _evaluation(value, None, metrics, ok)
-        method = self.tuning.method
-        assert isinstance(method, Differences)
-        (n, p), central = at.shape, method.scheme == "central"
-        low, high = (np.array([getattr(each, end) for each in self.tuning.tuned]) for end in ("low", "high"))
-        periodic = np.array([each.periodic for each in self.tuning.tuned])
-        # Each point and its neighbours (n, worlds, p), and where they are along each parameter, unwrapped.
-        steps = np.diag(method.step * (high - low))
-        worlds = at[:, None] + np.concatenate([np.zeros((1, p)), steps, *([-steps] if central else [])])
-        if not central:
-            worlds = np.where(~periodic & (worlds > high), 2.0 * worlds[:, :1] - worlds, worlds)
-        reach = np.where(periodic, worlds, np.clip(worlds, low, high))
-        worlds = np.where(periodic, low + np.mod(worlds - low, high - low), reach)
-        value, metrics, ok = self.walk(worlds.reshape(-1, p))
-        value, ok = value.reshape(n, -1), ok.reshape(n, -1)
-        # Of each parameter two worlds with different values of it: either neighbour, or one and the point itself.
-        above = 1 + np.arange(p)
-        below = above + p if central else np.zeros(p, int)
-        rise = value[:, above] - value[:, below]
-        run = reach[:, above, np.arange(p)] - reach[:, below, np.arange(p)]
-        metrics = {name: column.reshape(n, -1)[:, 0] for name, column in metrics.items()}
-        return _evaluation(value[:, 0], rise / run, metrics, np.logical_and.reduce(ok, axis=1))
-
-    def walk(
-        self, points: np.ndarray, others: Mapping[str, np.ndarray] | None = None
-    ) -> tuple[np.ndarray, dict[str, np.ndarray], np.ndarray]:
-        """Objective, metrics and whether each of the points (n, p) walked to its end, (n,) each.
-
-        Args:
-            others: parameters beside the tuned ones, name -> (n,).
-        """
-        values = {name: np.full(len(points), value) for name, value in self.tuning.constants.items()}
-        values |= {name: points[:, i] for i, name in enumerate(self.names)} | dict(others or {})
-        how: dict[str, Any] = {"record": True} if self.reference is not None else {}
-        result = self.simulator.run(values, self.tuning.run, **how)
-        metrics = {name: np.asarray(column, float) for name, column in result.metrics.items()}
-        if self.reference is not None:
-            error = [float(self.reference.error(jnp.asarray(qpos))) for qpos in result.trace.qpos]
-            metrics[TRAJECTORY_ERROR] = np.array(error)
-        value = np.asarray(self.tuning.objective.value(metrics), float)
-        return value, metrics, (np.asarray(result.status) == "ok") & np.isfinite(value)
-
-
-def _evaluation(value: Any, slope: Any, metrics: dict[str, Any], ok: Any) -> Evaluation:
-    """Of NumPy arrays, which annotations of JAX's do not mean."""
-    return Evaluation(value, slope, metrics, ok)
-
-
-# ---
 # A tuning's worlds, distributed over workers: each evaluates those of some starts, with a program that stays warm.
 
 
@@ -244,7 +195,7 @@ class Evaluator:
     """Evaluates points; a `nermo_mjx.runs.workers.Computer`. The problem is sent pickled, and rebuilt there."""
 
     def __init__(self, tuning: Tuning, problem: Problem) -> None:
-        self._setup, self._engine = tuning.setup, tuning.method.engine
+        self._setup, self._engine = tuning.setup, tuning.engine
         self._problem: Problem | bytes = problem
 
     def __getstate__(self) -> dict[str, Any]:
@@ -299,51 +250,3 @@ class SharedProblem:
             raise failed.error from None
         parts = [found[k] for k in range(shares)]
         return jax.tree.map(lambda *leaves: np.concatenate(leaves)[: len(given)], *parts)
-
-
-# ---
-# Gradients of a search's quality and measures, through MJX: what CMA-MEGA steps along.
-
-
-#: From every parameter that the search names, name -> (runs,), and the shares of the points (points, p), which may have
-#: several runs each: d (quality, *measures) / d fraction of the bounds, (runs, 1 + m, p).
-Gradients = Callable[[Mapping[str, np.ndarray], np.ndarray], np.ndarray]
-
-
-class WalkGradients:
-    """`Gradients` by tangents, one a searched parameter: there are more outputs than cotangents pay for."""
-
-    def __init__(self, search: Search) -> None:
-        """Nothing is compiled before the first call."""
-        self._search = search
-        lowest = {each.name: float(each.tried(grid=False).min()) for each in search.sweep.axes}
-        lowest |= {each.name: float(each.at(np.zeros(1))[0]) for each in search.sweep.draws}
-        self._rollout = Rollout(search.setup, search.run, slowest=lowest.get("frequency"))
-        self._function = jax.jit(jax.vmap(self._jacobian), compiler_options=compiler_options())
-
-    def __call__(self, values: Mapping[str, np.ndarray], shares: np.ndarray) -> np.ndarray:
-        """See `Gradients`."""
-        runs = len(next(iter(values.values())))
-        # What is the same in all runs is no argument: the length of a run in cycles has to be known.
-        known = {*self._search.names, *self._search.sweep.constants}
-        given = {name: np.asarray(column, float) for name, column in values.items() if name not in known}
-        points = np.repeat(shares, runs // len(shares), axis=0)
-        limit = cpu_batch_limit() or runs
-        parts = []
-        for first in range(0, runs, limit):
-            part = slice(first, first + limit)
-            parts.append(np.asarray(self._function(jnp.asarray(points[part]), {k: v[part] for k, v in given.items()})))
-        return np.concatenate(parts).astype(float)
-
-    def _jacobian(self, shares: Float[Array, " p"], others: Mapping[str, Array]) -> Float[Array, "k p"]:
-        return jax.jacfwd(lambda at: self._outputs(at, others))(shares)
-
-    def _outputs(self, shares: Float[Array, " p"], others: Mapping[str, Array]) -> Float[Array, " k"]:
-        aim, axes = self._search.aim, self._search.sweep.axes
-        values: dict[str, Any] = dict(self._search.sweep.constants) | dict(others)
-        for axis, share in zip(axes, shares, strict=True):
-            low, high = axis.numbers[:2]
-            exponential = axis.form.startswith("log")
-            values[axis.name] = low * (high / low) ** share if exponential else low + (high - low) * share
-        metrics = self._rollout(values)
-        return jnp.stack([-aim.objective.value(metrics), *(metrics[each.metric] for each in aim.measures)])

@@ -29,7 +29,6 @@ from nermo_mjx.optimize.directory import (
 from nermo_mjx.optimize.figures import Pictures, make_pictures, search_figures_of
 from nermo_mjx.optimize.methods import (
     GenerationTuner,
-    LineTuner,
     Scores,
     Space,
     Tuner,
@@ -41,19 +40,16 @@ from nermo_mjx.optimize.methods import (
 )
 from nermo_mjx.optimize.objective import TRAJECTORY_ERROR, Problem
 from nermo_mjx.optimize.problems import (
-    Gradients,
     SharedProblem,
-    SimulatedProblem,
-    WalkGradients,
     WalkProblem,
     load_reference,
 )
-from nermo_mjx.optimize.spec import TUNING_METHODS, CmaMega, Differences, Generations, Gradient, Search, Tuning
+from nermo_mjx.optimize.spec import TUNING_METHODS, Generations, Search, Tuning
 from nermo_mjx.physics import resolve_engine
 from nermo_mjx.plotting.files import write_figures
 from nermo_mjx.robot import ParameterError
 from nermo_mjx.rollout import Simulator
-from nermo_mjx.rollout.differentiable import Rollout, choose_mode, cost
+from nermo_mjx.rollout.differentiable import Rollout
 from nermo_mjx.rollout.run import START_SPREAD
 from nermo_mjx.runs import RunDirectory, session, stamp
 from nermo_mjx.runs.directory import engine_of
@@ -110,7 +106,7 @@ def run_tuning(
     """Tune parameters by gradient, or by another method, into a directory, or resume what it contains.
 
     A tuning evaluates its starts `iterations` + 1 times, the last time where its last step led, or stops when nothing
-    more is gained (`History.stalled`); every evaluation is one batch of starts x (1 + samples) worlds. After each, the
+    more is gained (`History.stalled`); every evaluation is one batch. After each, the
     state is stored: killing the process loses the iteration in flight, and the resumed tuning ends with the same
     numbers, bit for bit, on the same machine. The best point is verified on the engine `c`, from starts that the tuning
     has not seen (`verified`).
@@ -148,11 +144,11 @@ def run_tuning(
 
         goes_on = not history.done
         if goes_on:
-            made_by = stamp(tuning.setup.load().fingerprint, tuning.method.engine)
+            made_by = stamp(tuning.setup.load().fingerprint, tuning.engine)
             directory.held.take_code(made_by, holds_rows=resumed > 0, accept=accept_new_code)
         report()
         if goes_on:
-            shared = SharedProblem(tuning, problem or simulation_of(tuning), workers or LocalWorkers())
+            shared = SharedProblem(tuning, problem or WalkProblem(tuning), workers or LocalWorkers())
             tuner = tuner_of(tuning, shared, history)
         directory.claim(history)
         tuning = directory.tuning
@@ -162,7 +158,7 @@ def run_tuning(
         while not history.done:
             began = time.perf_counter()
             state, found = tuner.step(state)
-            if found.lost.all() and not np.isfinite(state.best_value).any():
+            if not found.ok.any() and not np.isfinite(state.best_value).any():
                 raise JobFailed(
                     f"{directory.out}: no world of iteration {len(history)} walked to its end, nor did one before: "
                     "choose other starts or bounds."
@@ -204,12 +200,7 @@ def tuner_of(tuning: Tuning, problem: Problem, history: History | None = None) -
     if not tuning.method.has_gradient:
         values = history.column("objective") if history else np.empty((0, tuning.starts))
         return GenerationTuner(tuning, problem, values)
-    return (LineTuner if tuning.optimizer.searches else Tuner)(tuning, problem)
-
-
-def simulation_of(tuning: Tuning) -> Problem:
-    """The simulation of a tuning; raises `ParameterError` where its recording does not fit."""
-    return WalkProblem(tuning) if tuning.method.engine == "mjx" else SimulatedProblem(tuning)
+    return Tuner(tuning, problem)
 
 
 #: Walks of each point that is verified.
@@ -233,7 +224,7 @@ def verified(tuning: Tuning, points: Mapping[str, Mapping[str, float]], simulato
     """
     compared = TRAJECTORY_ERROR in tuning.objective.metrics
     walks = 1 if compared else WALKS
-    problem = SimulatedProblem(tuning, simulator=simulator)
+    problem = WalkProblem(tuning, simulator=simulator)
     rng = np.random.default_rng([tuning.seed, _UNSEEN])
     known = {*tuning.constants, *tuning.names}
     spread = {
@@ -324,7 +315,6 @@ def run_search(
     accept_new_code: bool = False,
     workers: Workers | None = None,
     simulator: SimulatorLike | None = None,
-    gradients: Gradients | None = None,
 ) -> SearchResult:
     """Search into a directory, or resume what it contains.
 
@@ -347,7 +337,6 @@ def run_search(
         accept_new_code: resume a directory that other code or another engine started.
         workers: what simulates; by default this process, else `nermo_mjx.runs.ray_workers.RayWorkers`.
         simulator: replaces `Simulator(search.setup, engine)`.
-        gradients: replaces those of MJX, which `cma_mega` asks for.
 
     Raises:
         SpecError: the search is wrong; nothing has been written.
@@ -368,7 +357,7 @@ def run_search(
         ran = engine_name(engine, simulator, engine_of(batches.out))
         computer = SweepSimulator(search.sweep.structures, ran, simulator, watch.notify)
         loop = SearchLoop(batches, workers, computer, watch)
-        loop.run(gradients, accept_new_code)
+        loop.run(accept_new_code)
         search = batches.search
         best = publish(batches, complete=True)
         if not best:
@@ -393,7 +382,7 @@ class SearchLoop:
         self._best: float | None = None
         self._cells = set[int]()
 
-    def run(self, gradients: Gradients | None, accept: bool) -> None:
+    def run(self, accept: bool) -> None:
         """Ask for batches until the budget is used up; simulate what the directory lacks, and tell the results."""
         search, repeats, stamp, published = self._search, self._search.repeats, None, time.monotonic()
         method, shares, batch = searcher(search, self._size), np.empty((0, len(search.names))), 0
@@ -412,19 +401,11 @@ class SearchLoop:
                     self._batches.runs.take_codes([stamp], accept=accept)
                     about = session(engine=self._computer.engine, code=stamp.id, begun_at=self._evaluations)
                     self._batches.held.note_session(about)
-                found, slopes = self._simulate(batch, rows), None
-                if request.gradients:
-                    gradients = gradients or WalkGradients(search)
-                    runs = np.arange(request.gradients * repeats)
-                    slopes = gradients(batch_values(search.sweep, rows.take(runs), len(runs)), request.points)
-                    slopes = slopes.reshape(request.gradients, repeats, *slopes.shape[1:]).mean(axis=1)
-                table = self._batches.write(batch, rows, first, found, stamp, slopes)
+                table = self._batches.write(batch, rows, first, self._simulate(batch, rows), stamp)
                 self.evaluated += len(request.points)
             self._evaluations, batch = len(shares), batch + 1
-            seconds = search.seconds(rows.values, len(rows))
-            self._seconds += float(np.sum(seconds))
-            self._seconds += gradient_cost(search) * float(np.sum(seconds[: request.gradients * repeats]))
-            method.tell(self._scores(table, request.gradients))
+            self._seconds += float(np.sum(search.seconds(rows.values, len(rows))))
+            method.tell(self._scores(table))
             self._report()
             if stamp is not None and time.monotonic() - published > PUBLISHED_EVERY:
                 publish(self._batches, complete=False)
@@ -467,7 +448,7 @@ class SearchLoop:
         status = np.concatenate([each.status[own] for each, own in found])
         return Simulated(metrics, status, sum(each.steps for each, _ in found), time.perf_counter() - began)
 
-    def _scores(self, table: pa.Table, gradients: int) -> Scores:
+    def _scores(self, table: pa.Table) -> Scores:
         """What a batch's rows say of its points."""
         aim = self._search.aim
         metrics = {name: table.column(name).to_numpy() for name in aim.metrics}
@@ -486,8 +467,7 @@ class SearchLoop:
         if not aim.pareto and scores.allowed.any():
             least = float(scores.cost[scores.allowed, 0].min())
             self._best = least if self._best is None else min(self._best, least)
-        jacobian = self._batches.gradients(table, gradients) if gradients else None
-        return dataclasses.replace(scores, jacobian=jacobian)
+        return scores
 
 
 # ---
@@ -508,7 +488,7 @@ class MethodCost:
 
     Attributes:
         method: its name.
-        evaluations: walks; of the method `gradient` with their derivatives.
+        evaluations: points; of the method `gradient` with their derivatives.
         simulated_seconds: of all walks, gradients at their cost in forward runs [s].
         wall_seconds: at this machine's speed, without compiling [s]; None if unknown, as for MJX on a GPU.
     """
@@ -520,7 +500,7 @@ class MethodCost:
 
 
 def costs_of(tuning: Tuning) -> list[MethodCost]:
-    """The cost of all iterations by each method, that of the tuning first; its estimator counts for the gradient.
+    """The cost of all iterations by each method, that of the tuning first.
 
     Raises:
         ParameterError: the tuning's recording cannot be compared with its walk.
@@ -539,30 +519,14 @@ def pace_here(tuning: Tuning) -> float:
 
 
 def _cost(tuning: Tuning, seconds: float, here: float) -> MethodCost:
-    method, estimator, parameters = tuning.method, tuning.estimator, len(tuning.names)
-    rounds, searches = tuning.iterations + 1, tuning.optimizer.searches
-    tried = tuning.starts * rounds * (1 + tuning.optimizer.line_search().points) if searches else 0
-    if not isinstance(method, Gradient):
-        points = tuning.starts * rounds
-        if isinstance(method, Generations):
-            points = method.population * rounds
-        elif isinstance(method, Differences):
-            points = tried + points * (1 + method.neighbours(parameters))
-        return MethodCost(method.name, points, points * seconds, points * seconds / here)
-    # A sampled estimator of a line search leaves the point itself out.
-    batch = tuning.starts * (estimator.samples or 1 if searches else estimator.worlds)
-    points, times, slower = batch * rounds, 1.0, MJX_SLOWER * max(1.0, MJX_WORLDS / batch)
-    if estimator.needs_gradient:
-        times = cost(parameters, choose_mode(parameters, tuning.mode))
-    elif searches:
-        slower = 1.0
-    wall = (points * times * slower + tried) * seconds / here if jax.default_backend() == "cpu" else None
-    return MethodCost(method.name, points + tried, (points * times + tried) * seconds, wall)
-
-
-def gradient_cost(search: Search) -> float:
-    """Cost of a run's gradients for CMA-MEGA, in forward runs."""
-    return cost(len(search.names), "forward")
+    method, rounds = tuning.method, tuning.iterations + 1
+    points = rounds * (method.population if isinstance(method, Generations) else tuning.starts)
+    walks = points * method.gradient_cost(len(tuning.names))
+    if tuning.engine == "c":
+        return MethodCost(method.name, points, walks * seconds, walks * seconds / here)
+    slower = MJX_SLOWER * max(1.0, MJX_WORLDS / tuning.starts)
+    wall = walks * slower * seconds / here if jax.default_backend() == "cpu" else None
+    return MethodCost(method.name, points, walks * seconds, wall)
 
 
 #: Points whose mean length of a run stands for all.
@@ -582,7 +546,6 @@ class Cost:
         simulated_seconds: of all runs [s], by the mean over the bounds.
         wall_seconds: at this machine's current speed, measured now [s].
         disk_bytes: of the table.
-        gradient_runs: what gradients cost, in forward runs; their time is not in the others.
     """
 
     engine: str
@@ -593,7 +556,6 @@ class Cost:
     simulated_seconds: float
     wall_seconds: float
     disk_bytes: int
-    gradient_runs: int = 0
 
 
 def cost_of(search: Search, engine: str = "auto", simulator: SimulatorLike | None = None) -> Cost:
@@ -618,9 +580,5 @@ def cost_of(search: Search, engine: str = "auto", simulator: SimulatorLike | Non
     simulator = simulator or Simulator(search.setup, engine)
     simulated = evaluations * point
     wall = simulated / pace(simulator, search.setup, batch * search.repeats)
-    gradients = 0
-    if isinstance(search.method, CmaMega):
-        centres = search.method.emitters * (batches // 2)
-        gradients = round(centres * search.repeats * gradient_cost(search))
     runs = evaluations * search.repeats
-    return Cost(engine, batch, batches, evaluations, runs, simulated, wall, runs * _ROW_BYTES, gradients)
+    return Cost(engine, batch, batches, evaluations, runs, simulated, wall, runs * _ROW_BYTES)

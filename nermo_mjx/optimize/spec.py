@@ -18,7 +18,6 @@ from pydantic_core.core_schema import CoreSchema
 from scipy.stats import qmc
 
 from nermo_mjx.files import MOST_FILE, read_bytes
-from nermo_mjx.optimize.estimators import ESTIMATORS, Estimator, Exact
 from nermo_mjx.optimize.objective import (
     AIMS,
     OBJECTIVE_METRICS,
@@ -32,6 +31,7 @@ from nermo_mjx.optimize.objective import (
 from nermo_mjx.optimize.optimizers import CONTROLLED, LEARNING_RATE, NAMES, Optimizer
 from nermo_mjx.robot.quantity import ParameterError, Quantity, did_you_mean
 from nermo_mjx.rollout import Metric, all_parameters
+from nermo_mjx.rollout.differentiable import MJX_GRADIENT, engine_for
 from nermo_mjx.rollout.run import Run, too_many
 from nermo_mjx.rollout.setup import Setup
 from nermo_mjx.specs.controllers import code_identity, known_names
@@ -65,22 +65,34 @@ class TuningMethod(Spec):
 
     Attributes:
         name: in a file.
-        engine: name of the engine that evaluates.
         has_gradient: whether its history has gradients.
         unread: fields of a tuning file that it does not read.
     """
 
     name: ClassVar[str]
-    engine: ClassVar[str] = "c"
     has_gradient: ClassVar[bool] = True
     unread: ClassVar[tuple[str, ...]] = ()
+
+    def gradient_cost(self, parameters: int) -> float:
+        """Cost of value and gradient, in runs."""
+        return 1.0
+
+    def engine_for(self, parameters: int) -> str:
+        """Name of the engine that evaluates."""
+        return "c"
 
 
 @dataclasses.dataclass(frozen=True)
 class Gradient(TuningMethod):
-    """Exact derivatives, from MJX."""
+    """Exact derivatives, on the engine that `Rollout` chooses."""
 
-    name, engine, what = "gradient", "mjx", "an option of 'gradient'"
+    name, what = "gradient", "an option of 'gradient'"
+
+    def gradient_cost(self, parameters: int) -> float:
+        return 1.0 + 2.0 * parameters if self.engine_for(parameters) == "c" else MJX_GRADIENT
+
+    def engine_for(self, parameters: int) -> str:
+        return engine_for(parameters)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -88,7 +100,7 @@ class Generations(TuningMethod):
     """CMA-ES, on MuJoCo C."""
 
     name, has_gradient, what = "cma", False, "an option of 'cma'"
-    unread = ("optimizer", "estimator", "mode", "starts")
+    unread = ("optimizer", "starts")
     sigma: Positive = 2.0
     """first standard deviation, in coordinates u"""
     population: Annotated[int, Whole(4, 100_000)] = 16
@@ -99,15 +111,14 @@ class Generations(TuningMethod):
 class Differences(TuningMethod):
     """Differences between neighbours, on MuJoCo C."""
 
-    name, unread, what = "differences", ("estimator", "mode"), "an option of 'differences'"
+    name, unread, what = "differences", (), "an option of 'differences'"
     scheme: Annotated[str, Choice(("central", "forward"))] = "central"
     """on which sides a slope is measured"""
     step: Positive = 0.02
     """to the neighbours, as a share of the bounds: secants of this width are useful"""
 
-    def neighbours(self, parameters: int) -> int:
-        """Runs beside that of a point itself."""
-        return parameters * (2 if self.scheme == "central" else 1)
+    def gradient_cost(self, parameters: int) -> float:
+        return 1.0 + parameters * (2 if self.scheme == "central" else 1)
 
 
 class SearchMethod(Spec):
@@ -154,19 +165,6 @@ class CmaMe(SearchMethod):
 
 
 @dataclasses.dataclass(frozen=True)
-class CmaMega(SearchMethod):
-    """CMA-MEGA, for an atlas, along gradients from MJX."""
-
-    name, aims, library, what = "cma_mega", ("atlas",), "ribs", "an option of 'cma_mega'"
-    sigma: Positive = 0.2
-    """first standard deviation of the gradients' coefficients"""
-    learning_rate: Positive = 0.05
-    """of the step along the gradients"""
-    emitters: Annotated[int, Whole(1, 1000)] = 4
-    """number of parallel searches"""
-
-
-@dataclasses.dataclass(frozen=True)
 class Sobol(SearchMethod):
     """Points of a Sobol sequence, for comparison."""
 
@@ -175,7 +173,7 @@ class Sobol(SearchMethod):
 
 #: Methods by their names in files; of a search the first one for an aim is its default.
 TUNING_METHODS: Final[Mapping[str, type[TuningMethod]]] = {m.name: m for m in (Gradient, Generations, Differences)}
-SEARCH_METHODS: Final[Mapping[str, type[SearchMethod]]] = {m.name: m for m in (Cma, Nsga2, CmaMe, CmaMega, Sobol)}
+SEARCH_METHODS: Final[Mapping[str, type[SearchMethod]]] = {m.name: m for m in (Cma, Nsga2, CmaMe, Sobol)}
 
 # ---
 # A tuning file: tuned parameters, objective, optimizer.
@@ -264,7 +262,7 @@ class Tuned(Spec):
 
 
 class OptimizerFields(Fields):
-    """Adam with a controlled rate, a line search, or an optimizer of optax by name, with its options."""
+    """Adam with a controlled rate, or an optimizer of optax by name, with its options."""
 
     expected: ClassVar = "a name or {name: adam, learning_rate: 0.1}"
     short: ClassVar = ({"enum": [*NAMES]},)
@@ -272,7 +270,7 @@ class OptimizerFields(Fields):
     model_config = ConfigDict(extra="allow", use_attribute_docstrings=True)
     name: str = Field(
         default="adam",
-        description="controlled_adam, line_search, or a function of optax",
+        description="controlled_adam, or a function of optax",
         json_schema_extra={"enum": [*NAMES]},
     )
     learning_rate: Positive | dict[str, Any] = LEARNING_RATE
@@ -299,14 +297,12 @@ class OptimizerFields(Fields):
             doc.fail(tuple(subject.split(".")), message, subject)
 
 
-#: How a derivative is computed: chosen by parameter count, in forward mode, or in reverse mode.
-MODES: Final = ("auto", "forward", "reverse")
 #: A run counted in gait cycles may not grow longer than this where the frequency is tuned [s].
 LONGEST_RUN: Final = 120.0
 #: Fields that do not change what an iteration computes: a tuning may be resumed with others.
 _FREE_OF_TUNING: Final = ("iterations", "patience", "plots", "video")
 #: Fields that a tuning has as they stand in its file.
-_PLAIN: Final = ("starts", "iterations", "patience", "seed", "mode", "plots", "video")
+_PLAIN: Final = ("starts", "iterations", "patience", "seed", "plots", "video")
 _KNOWN_METRICS: Final[Any] = {"properties": {aim: {"enum": [*OBJECTIVE_METRICS]} for aim in AIMS}}
 
 
@@ -330,13 +326,9 @@ class TuningFile(WalkFields):
     method: Annotated[TuningMethod, one_of("TuningMethod", "is not a method", TUNING_METHODS)] = Field(
         default_factory=Gradient
     )
-    """how an iteration finds its step: along exact or measured gradients, or by CMA-ES, whose generations replace the
+    """how an iteration finds its step: along exact gradients or secants, or by CMA-ES, whose generations replace the
     starts"""
     optimizer: OptimizerFields = optional("how an iteration steps")
-    estimator: Annotated[Estimator, one_of("Estimator", "is not an estimator", ESTIMATORS)] = Field(
-        default_factory=Exact
-    )
-    """of gradients"""
     starts: Annotated[int, Whole(1, 100_000)] = 1
     """points that are tuned in parallel in one batch; the first is the given one, the others are drawn"""
     iterations: Annotated[int, Whole(1, 1_000_000)] = 40
@@ -344,9 +336,7 @@ class TuningFile(WalkFields):
     patience: Annotated[int, Whole(1, 1_000_000)] = 6
     """iterations in a row that may gain almost nothing before the tuning stops"""
     seed: Annotated[int, Whole(0, 2**32 - 1)] = 0
-    """of the other starts, and of perturbations"""
-    mode: Annotated[str, Choice(MODES)] = "auto"
-    """how a derivative is computed"""
+    """of the other starts, and of CMA-ES"""
     plots: bool = True
     """whether figures are made at the end"""
     video: bool = False
@@ -372,12 +362,10 @@ class Tuning(WalkSpec, Described):
     objective: Objective
     recording: Path | None = None
     optimizer: Optimizer = dataclasses.field(default_factory=Optimizer)
-    estimator: Estimator = dataclasses.field(default_factory=Exact)
     starts: int = 1
     iterations: int = 40
     patience: int = 6
     seed: int = 0
-    mode: str = "auto"
     plots: bool = True
     video: bool = False
     method: TuningMethod = dataclasses.field(default_factory=Gradient)
@@ -407,6 +395,11 @@ class Tuning(WalkSpec, Described):
         low, high = (jnp.array([getattr(each, end) for each in self.tuned], float) for end in ("low", "high"))
         return Bounds(low, high, jnp.array([each.periodic for each in self.tuned]))
 
+    @property
+    def engine(self) -> str:
+        """Name of the engine that evaluates."""
+        return self.method.engine_for(len(self.names))
+
     def seconds(self, values: Mapping[str, float]) -> float:
         """How long a run with these parameters lasts [s]."""
         timing = {name: value for name, value in (self.constants | dict(values)).items() if name in self.setup.timing}
@@ -430,8 +423,6 @@ class Tuning(WalkSpec, Described):
         if not isinstance(self.method, Gradient):
             data["method"] = named(self.method, TUNING_METHODS)
         data["optimizer"] = self.optimizer.written()
-        exact = isinstance(self.estimator, Exact)
-        data["estimator"] = "exact" if exact else {self.estimator.name: _without_false(self.estimator)}
         data |= {name: getattr(self, name) for name in _PLAIN}
         return {name: value for name, value in data.items() if name not in self.method.unread}
 
@@ -459,8 +450,8 @@ class Tuning(WalkSpec, Described):
         }
 
     def without_path(self) -> Tuning:
-        """As far as it decides the objective at a point: without optimizer, estimator, starts and seed."""
-        return dataclasses.replace(self, optimizer=Optimizer("adam"), estimator=Exact(), starts=1, seed=0)
+        """As far as it decides the objective at a point: without optimizer, starts and seed."""
+        return dataclasses.replace(self, optimizer=Optimizer("adam"), starts=1, seed=0)
 
     def digest(self) -> str:
         """A hash of the `identity`."""
@@ -514,14 +505,13 @@ def _read_tuning(doc: Document, *, recorded: bool = True) -> Tuning:
         objective=objective,
         recording=recording,
         optimizer=OptimizerFields.optimizer(doc),
-        estimator=file.estimator,
         method=method,
         **{name: getattr(file, name) for name in _PLAIN},
     )
     if isinstance(method, Generations):
         tuning = dataclasses.replace(tuning, starts=method.population)
-    if wrong := too_many(tuning.starts * max(tuning.estimator.samples, 1)):
-        doc.fail(("starts",), f"is {tuning.starts:,}, each with its samples: {wrong}")
+    if wrong := too_many(tuning.starts):
+        doc.fail(("starts",), f"is {tuning.starts:,}: {wrong}")
     check_sources(doc, tuning, {"tune": list(tuning.names)})
     low = {each.name: each.low for each in tuning.tuned}.get("frequency")
     if low is not None and "frequency" in tuning.setup.timing and tuning.run.duration is None:
@@ -900,8 +890,6 @@ def _read_search(doc: Document) -> Search:
         asked = {"objective": "one objective", "pareto": "several objectives", "atlas": "an atlas"}[aim.kind]
         names = ", ".join(each.name for each in allowed)
         doc.fail(("method",), f"is {method.name}, which is not for {asked}: allowed are {names}.")
-    if isinstance(method, CmaMega):
-        _refuse_distance(doc, walk["run"])
     if file.keep.elites is not None and not aim.measures:
         doc.fail(("keep", "elites"), "is for an atlas: take {best: N}.")
     if wrong := too_many((file.batch or 0) * sweep.repeats):

@@ -110,6 +110,8 @@ class CSession:
         self._spans = _spans(len(qpos), engine.threads)
         threads = max(1, engine.threads // len(self._spans))
         self._x64 = bool(jax.config.read("jax_enable_x64"))
+        settings: Any = jax.config
+        self._device = settings.jax_default_device
         self._blocks = []
         for span in self._spans:
             lanes = np.pad(span, (0, LANES - len(span)), mode="edge")
@@ -166,7 +168,7 @@ class CSession:
         """The results of `work` for each block, with the blocks in parallel on all cores."""
 
         def run(block: _Block) -> Result:
-            with jax.enable_x64(self._x64):  # a thread-local setting
+            with jax.enable_x64(self._x64), jax.default_device(self._device):  # settings of a thread
                 return work(block)
 
         with _warnings_logged():

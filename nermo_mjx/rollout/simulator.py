@@ -6,10 +6,11 @@ import contextlib
 import copy
 import dataclasses
 import functools
+import logging
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Any
+from typing import Any, Final
 
 import jax
 import numpy as np
@@ -155,6 +156,9 @@ class RunResult:
 
 #: Ticks between progress reports.
 BLOCK = 25
+#: What compiling takes on two free cores [s]; from the cache a program of `c` takes less than `PATIENCE` [s].
+COMPILE_SECONDS: Final = {"c": 5, "mjx": 30, "warp": 30}
+PATIENCE: Final = 1.5
 #: What a recording takes for a tick of a world, and at most [bytes].
 TICK_BYTES = 1_500
 MOST_RECORDED = 4e9
@@ -324,18 +328,19 @@ class Simulator:
         began = time.perf_counter()
         with _compile_time() as compile_time:
             keeper = None if save is None else Keeper(save, self.robot, self.controller.dt)
-            result = self._run(self.prepare(values, run, policy), record, progress, notify, keeper)
+            result = self.run_batch(self.prepare(values, run, policy), record, progress, notify, keeper)
         wall = time.perf_counter() - began
         return dataclasses.replace(result, wall_seconds=wall, compile_seconds=sum(compile_time))
 
-    def _run(
+    def run_batch(
         self,
         batch: Batch,
-        record: bool,
-        progress: Callable[[float], None] | None,
-        notify: Callable[[str], None] | None,
-        keeper: Keeper | None,
+        record: bool = False,
+        progress: Callable[[float], None] | None = None,
+        notify: Callable[[str], None] | None = None,
+        keeper: Keeper | None = None,
     ) -> RunResult:
+        """Simulate what `prepare` has made, and maybe the caller changed; the other arguments are those of `run`."""
         traced, ends, ticks = record or keeper is not None, batch.ticks, int(batch.ticks.max())
         if (needed := TICK_BYTES * ticks * len(batch.qpos)) > MOST_RECORDED and record:
             raise ParameterError(
@@ -343,10 +348,10 @@ class Simulator:
                 f"allowed are {MOST_RECORDED / 1e9:g} GB; take a shorter run, or fewer at once."
             )
         program = (len(batch.qpos), tuple(batch.fields), traced)
-        if notify and program not in self._compiled:
-            notify(f"compiling the {self.engine.name} program, once per machine")
+        says = contextlib.nullcontext() if program in self._compiled else self._compiling(notify)
         self._compiled.add(program)
-        session = self.engine.open(batch.params, batch.qpos, batch.fields)
+        with says:
+            session = self.engine.open(batch.params, batch.qpos, batch.fields)
         # Whole blocks only: a recorded block of another length would need another program.
         ticks = -(-ticks // BLOCK) * BLOCK if traced else ticks
         traces: list[Trace] = []
@@ -390,6 +395,24 @@ class Simulator:
             trace=self._history(traces, int(ends.max())) if record else None,
             series=None if keeper is None else keeper.series(self._ends(batch, table, ends)),
         )
+
+    @contextlib.contextmanager
+    def _compiling(self, notify: Callable[[str], None] | None) -> Iterator[None]:
+        """Says that a program is being compiled: by `notify` at once, or else in the log if it takes long."""
+        sentence = (
+            f"compiling the {self.engine.name} program, about {COMPILE_SECONDS[self.engine.name]} s, once per machine"
+        )
+        if notify is not None:
+            notify(sentence)
+            yield
+            return
+        timer = threading.Timer(PATIENCE, logging.getLogger(__name__).warning, [sentence])
+        timer.daemon = True
+        timer.start()
+        try:
+            yield
+        finally:
+            timer.cancel()
 
     def _ends(self, batch: Batch, table: Mapping[str, np.ndarray], ticks: np.ndarray) -> np.ndarray:
         """When each world's run ended (n,) [s]: at its distance or at its length, or before its state diverged."""
