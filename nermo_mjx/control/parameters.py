@@ -284,10 +284,17 @@ AS_PUBLISHED: Final = {
     "pilot.change_gain": 200.0,
     "pilot.guidance": 0.0,
 }
-#: His body, from his model of the same days, whose physics no later commit of that year changes: torque limits of legs
-#: (0.4 N m) and spine (0.157), damping, the masses in front and behind as compiled, and MuJoCo's default friction of
-#: the tail. His servos have gains of 200 and 300 N m/rad without damping, which only their torque limits keep stable.
-#: Here they have 60 with 0.05 N m s/rad, with which his own model is 3 % faster (docs/published_set_up.md).
+#: His body, from his model of the same days (in MuJoCo 3.17), whose physics no later commit of that year changes:
+#: torque limits of legs (0.4 N m) and spine (0.157), damping, the masses in front and behind as compiled, and MuJoCo's
+#: default friction of the tail. His servos have gains of 200 and 300 N m/rad without damping, which only their torque
+#: limits keep stable. Here they have 60 with 0.05 N m s/rad, with which his own model is 3 % faster
+#: (docs/published_set_up.md). Contact of the soles is his, with an impedance that starts at zero (`Contact`).
+#: His feet are not where his kinematics has them (erratum 25), and his controller does not know. His tendons are limited
+#: to 62.000 mm in front, 60.000 behind and 74.050 in the spine, where path and l_t0 are 61.275, 60.275 and 74.003.
+#: These limits have MuJoCo's default softness: in the neutral stance tendons behind yield by 0.903 mm under 10.1 N, and
+#: those in front, whose reference pose makes them stiffer, by 0.036 mm under 8.2 N; in the spine the taut one yields by
+#: 0.107 mm under 16.9 N, at 0.4 rad of the servo. His rear legs are mounted 10 degrees up on a hip that is pitched by
+#: 14.9 degrees down, with axes 0.45 mm further forward and 0.55 mm lower than in Table A.5.
 AS_PUBLISHED_BODY: Final = {
     "servo.kp": 60.0,
     "servo.kv": 0.05,
@@ -300,22 +307,45 @@ AS_PUBLISHED_BODY: Final = {
     "mass.front": 0.2122,
     "mass.rear": 0.1257,
     "contact.tail_friction": 1.0,
+    "contact.time_constant": 0.008,
+    "contact.damping_ratio": 2.0,
+    "contact.impedance": 0.95,
+    "contact.width": 0.0005,
+    "build.front_slack": 0.000725,
+    "build.rear_slack": -0.000275,
+    "build.spine_slack": 0.000047,
+    "build.front_softness": 2.0,
+    "build.rear_softness": 90.0,
+    "build.spine_softness": 39.0,
+    "build.rear_tilt": math.radians(-4.9),
+    "geometry.hip.y": 0.00825,
+    "geometry.hip.z": -0.01045,
 }
 #: Weights (leg, spine) of the three published turning strategies.
 STEERING: dict[str, tuple[float, float]] = {"leg": (1.0, 0.0), "spine": (0.0, 1.0), "mix": (1.0, 1.0)}
 
 
-class ProfileSteering(str):
-    """A turning strategy that was not given: it is that of the profile and changes with the profile."""
+class ProfileChoice(str):
+    """A choice that was not given: it is that of the profile and changes with the profile."""
 
 
-def steering_of(profile: str) -> ProfileSteering:
+def steering_of(profile: str) -> ProfileChoice:
     """The turning strategy of a profile, unless one is given: the author's code turns by the spine.
 
     >>> steering_of("exact"), steering_of("as_published")
     ('leg', 'spine')
     """
-    return ProfileSteering("spine" if profile == "as_published" else "leg")
+    return ProfileChoice("spine" if profile == "as_published" else "leg")
+
+
+def robot_of(profile: str) -> dict[str, ProfileChoice]:
+    """Choices of a `RobotConfig` in a profile, unless they are given.
+
+    >>> robot_of("as_published")
+    {'tail': 'articulated', 'feet': 'capsules'}
+    """
+    choices = ("articulated", "capsules") if profile == "as_published" else ("rigid", "spheres")
+    return dict(zip(("tail", "feet"), map(ProfileChoice, choices), strict=True))
 
 
 #: Measured over expected curvature (`turning.path_curvature`), by type of steering. Measured without a path, at

@@ -144,7 +144,7 @@ def summary_of(table: pa.Table) -> dict[str, Any]:
 def _setup(setup: Setup, policy: Policy | None) -> Setup:
     if policy is None:
         return setup
-    own = ("robot", "scene", "tail", "routing", "cone", "physics", "timestep", "hinges", "metrics")
+    own = ("robot", "scene", "tail", "routing", "cone", "physics", "timestep", "feet", "hinges", "metrics")
     there = policy.upon(pilot=setup.pilot, waypoints=setup.waypoints)
     return Setup(**{name: getattr(setup, name) for name in own}, controller=there)
 

@@ -27,7 +27,7 @@ from nermo_mjx.control.protocol import ControllerLike
 from nermo_mjx.learn.acting import Acted, Acting, ActionField, ActionKind, Residual
 from nermo_mjx.learn.observing import OBSERVED, SENSED, TOLD, Sensing
 from nermo_mjx.robot import ModelParameters, ParameterError, Quantity, Robot, Sensors, identified
-from nermo_mjx.robot.geometry import names_geometry
+from nermo_mjx.robot.model_parameters import is_shaped
 from nermo_mjx.robot.quantity import (
     did_you_mean,
     group,
@@ -439,8 +439,8 @@ class Episodes:
         window = Window(begin=0.0, end=1e6, distance=1e6)
         world = dataclasses.replace(world, control=control)
         loop = loop_parameters(self.robot, world, window, values)
-        geometry = world.model.geometry if names_geometry(values) else None
-        first = StartPose(self.robot, self.controller).qpos(control, world.start, loop.terrain, geometry)
+        shape = world.model if is_shaped(values) else None
+        first = StartPose(self.robot, self.controller).qpos(control, world.start, loop.terrain, shape)
         number = jax.random.randint(seed, (), 0, 1 << 24)
         ticks, part = self.task.ticks(self.controller.dt), self.task.decimation
         short = part * jax.random.randint(jax.random.fold_in(seed, 1), (), 1, ticks // part + 1)

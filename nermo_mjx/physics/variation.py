@@ -6,7 +6,7 @@ import copy
 import functools
 import operator
 from collections.abc import Callable, Iterable, Mapping
-from typing import Any, Final
+from typing import Final
 
 import jax
 import jax.numpy as jnp
@@ -18,11 +18,12 @@ from mujoco.batch import Batch
 from nermo_mjx.dynamics.constants import MassConstants, PlaceConstants
 from nermo_mjx.physics.geometry_fields import GeometryFields
 from nermo_mjx.physics.servo_play import PLAY_FIELDS, SERVO_PLAY, UNLIMITED, Play, without_play
-from nermo_mjx.robot import ModelParameters, Robot
-from nermo_mjx.robot.equipment import chain_of, contact_kinds, is_spine_joint, slack_of
+from nermo_mjx.robot import LIMBS, ModelParameters, Robot
+from nermo_mjx.robot.equipment import chain_of, contact_kinds, is_spine_joint, pair_of
 from nermo_mjx.robot.geometry import names_geometry
 from nermo_mjx.robot.masses import is_front, mass_values
-from nermo_mjx.robot.model_parameters import gravity_vector
+from nermo_mjx.robot.model_parameters import Build, gravity_vector, is_shaped
+from nermo_mjx.robot.parameters import LEGS
 from nermo_mjx.robot.quantity import replace_quantities
 from nermo_mjx.robot.scene import scene_geoms
 from nermo_mjx.robot.terrains import TERRAINS, TerrainShape, field_shares, geom_names, terrain_values
@@ -38,9 +39,11 @@ FIELDS: Final[dict[str, tuple[str, ...]]] = {
     "contact": ("pair_friction", "pair_solref", "pair_solimp"),
     "stiffness": ("jnt_stiffness",),
     "damping": ("dof_damping",),
-    "build.leg_slack": ("tendon_range",),
-    "build.spine_slack": ("tendon_range",),
+    **{f"build.{part}_slack": ("tendon_range",) for part in ("leg", "front", "rear", "spine")},
+    "build.front_tilt": ("body_pos", "body_quat", "site_pos"),
+    "build.rear_tilt": ("body_pos", "body_quat", "site_pos"),
     "build.asymmetry": ("jnt_stiffness",),
+    **{f"build.{part}_softness": ("tendon_solref_lim",) for part in ("front", "rear", "spine")},
     "mass": ("body_mass", "body_inertia"),
     "ground": ("opt.gravity",),
     "terrain": ("geom_pos", "geom_quat", "geom_size", "geom_rbound", "hfield_data"),
@@ -56,10 +59,12 @@ FIELDS: Final[dict[str, tuple[str, ...]]] = {
         "tendon_range",
     ),
 }
-#: Model fields that depend on the geometry.
-_BUILT: Final = frozenset(("body_pos", "body_ipos", "body_iquat", "site_pos", "tendon_range"))
+#: Parameters that turn the mounts of the legs.
+TILTS: Final = ("build.front_tilt", "build.rear_tilt")
+#: Model fields that depend on the geometry, or on how the robot is built.
+_BUILT: Final = frozenset(("body_pos", "body_quat", "body_ipos", "body_iquat", "site_pos", "tendon_range"))
 #: Fields that the constants below are derived from.
-_MASSES_AND_PLACES: Final = frozenset(("body_mass", "body_inertia", "body_pos", "body_ipos", "body_iquat", "site_pos"))
+_MASSES_AND_PLACES: Final = _BUILT - {"tendon_range"} | {"body_mass", "body_inertia"}
 #: Constants that MuJoCo derives from masses and positions (`mj_setConst`) and that MJX's step reads.
 DERIVED_FIELDS: Final = (
     "body_subtreemass",
@@ -101,10 +106,11 @@ class Variation:
         left = np.array(["left" in names[i] for i in range(model.njnt)])
         knees = np.concatenate([self._springs["front_knee"], self._springs["rear_knee"]])
         self._knees = {1.0: knees[left[knees]], -1.0: knees[~left[knees]]}
-        self._tendons = [
-            np.array([i for i in range(model.ntendon) if slack_of(model.tendon(i).name) == kind], int)
-            for kind in ("leg_slack", "spine_slack")
-        ]
+        self._tendons = {
+            pair: np.array([i for i in range(model.ntendon) if pair_of(model.tendon(i).name) == pair], int)
+            for pair in ("front", "rear", "spine")
+        }
+        self._mounts = {pair: [_mount(model, limb) for limb in LIMBS if limb.startswith(pair)] for pair in LEGS}
         self._scene = str(robot.config.scene)
         self._terrain = np.array([model.geom(name).id for name in geom_names(self._scene)], int)
         self._pairs = contact_kinds(model, scene_geoms(str(robot.config.scene)))
@@ -115,7 +121,7 @@ class Variation:
 
         Args:
             parameters: leaves of shape ().
-            lengths: names of the parameters of its geometry that may differ from the published ones.
+            lengths: names of those parameters of its geometry, and of `TILTS`, that may differ from the published ones.
         """
         p, model = parameters, self.model
         # With explicit dtypes: JAX caches the dtype that it chose for a NumPy array, even across precisions.
@@ -156,11 +162,14 @@ class Variation:
         mass = jnp.asarray(model.body_mass, float)
         front, rear = model.body_mass[self._front].sum(), model.body_mass[1:][~self._front[1:]].sum()
         scale = jnp.where(self._front, p.mass.front / front, p.mass.rear / rear)
-        placed = self._geometry(lengths)(p.geometry) if lengths else {}
+        geometry = tuple(name for name in lengths if name not in TILTS)
+        placed = self._geometry(geometry)(p.geometry) if geometry else {}
         inertia = placed.pop("body_inertia", jnp.asarray(model.body_inertia, float))
         reach = placed.pop("tendon_range", jnp.asarray(model.tendon_range, float))
-        for ids, slack in self.slacks(p):
-            reach = reach.at[ids, 1].add(slack)
+        held = jnp.asarray(model.tendon_solref_lim, float)
+        for pair, ids in self._tendons.items():
+            reach = reach.at[ids, 1].add(p.build.slack(pair))
+            held = held.at[ids, 0].multiply(jnp.sqrt(getattr(p.build, f"{pair}_softness")))
         return placed | {
             "actuator_gainprm": gain,
             "actuator_biasprm": bias,
@@ -171,6 +180,8 @@ class Variation:
             "jnt_stiffness": stiffness,
             "dof_damping": damping,
             "tendon_range": reach,
+            "tendon_solref_lim": held,
+            **(self._tilted(p.build, placed) if set(lengths) & set(TILTS) else {}),
             "body_mass": mass * scale,
             "body_inertia": inertia * scale[:, None],
             "opt.gravity": gravity_vector(p.ground.gravity, p.ground.slope, p.ground.direction, jnp),
@@ -179,10 +190,23 @@ class Variation:
             **self._shaped(p.terrain, placed),
         }
 
-    def slacks(self, parameters: ModelParameters) -> list[tuple[np.ndarray, Any]]:
-        """Ids of the tendons of legs and spine, and by how much they are too long [m]."""
-        build = parameters.build
-        return list(zip(self._tendons, (build.leg_slack, build.spine_slack), strict=True))
+    def _tilted(self, build: Build, placed: Mapping[str, Array]) -> dict[str, Float[Array, ...]]:
+        """Fields of the legs, turned about the axes of their hips with their pulleys and all that leads tendons."""
+        model = self.model
+        found = {name: jnp.asarray(getattr(model, name), float) for name in ("body_pos", "body_quat", "site_pos")}
+        found |= {name: field for name, field in placed.items() if name in found}
+        for pair, limbs in self._mounts.items():
+            angle = jnp.asarray(getattr(build, f"{pair}_tilt"), float)
+            cosine, sine = jnp.cos(angle / 2), jnp.sin(angle / 2)
+            for hip, cross, bodies, sites in limbs:
+                centre = found["body_pos"][hip]
+                turn = jnp.eye(3) + jnp.sin(angle) * cross + (1.0 - jnp.cos(angle)) * (cross @ cross)
+                for name, ids in (("body_pos", bodies), ("site_pos", sites)):
+                    found[name] = found[name].at[ids].set(centre + (found[name][ids] - centre) @ turn.T)
+                quat = found["body_quat"][bodies]
+                across = quat[:, np.array([1, 0, 3, 2])] * jnp.array([-1.0, 1.0, 1.0, -1.0])
+                found["body_quat"] = found["body_quat"].at[bodies].set(cosine * quat + sine * across)
+        return found
 
     def _shaped(self, shape: TerrainShape, placed: Mapping[str, Array]) -> dict[str, Float[Array, ...]]:
         """Fields of the geoms that a terrain's shape moves, merged with those of the robot; none in other scenes."""
@@ -267,8 +291,19 @@ def _reached(named: Iterable[str]) -> list[str]:
 
 
 def _lengths(named: Iterable[str]) -> tuple[str, ...]:
-    """Those of the named parameters that belong to the geometry."""
-    return tuple(sorted(name for name in named if names_geometry([name])))
+    """Those of the named parameters that bodies and sites are placed by."""
+    return tuple(sorted(name for name in named if names_geometry([name]) or name in TILTS))
+
+
+def _mount(model: mujoco.MjModel, limb: str) -> tuple[int, np.ndarray, np.ndarray, np.ndarray]:
+    """The body on a leg's axis, the matrix of the cross product with that axis, and the bodies and sites that turn
+    about it with the leg's mount."""
+    hip, along = model.body(f"{limb}_upper").id, np.zeros(3)
+    mujoco.mju_rotVecQuat(along, np.array([1.0, 0.0, 0.0]), model.body_quat[hip])
+    trunk = model.body_parentid[hip]
+    bodies = [i for i in range(model.nbody) if model.body_parentid[i] == trunk and model.body(i).name.startswith(limb)]
+    sites = [i for i in range(model.nsite) if model.site_bodyid[i] == trunk and model.site(i).name.startswith(limb)]
+    return hip, np.cross(along, np.eye(3)).T, np.array(bodies), np.array(sites, int)
 
 
 def moves_constants(fields: Iterable[str]) -> bool:
@@ -281,9 +316,9 @@ def compile_model(robot: Robot, values: Mapping[str, float]) -> mujoco.MjModel:
     variation = Variation(robot)
     standing = mass_values(robot.config.robot) | terrain_values(str(robot.config.scene))
     parameters = replace_quantities(ModelParameters(), standing | dict(values))
-    lengths = _lengths(values)
     # Built with its geometry, so that its meshes match.
-    model = robot.with_geometry(parameters.geometry) if lengths else copy.copy(robot.model)
+    shaped = is_shaped(values)
+    model = robot.with_geometry(parameters.geometry, parameters.build) if shaped else copy.copy(robot.model)
     for name, field in variation.batch(parameters, 1, values).items():
         if name in _BUILT or name in PLAY_FIELDS:
             continue
@@ -296,8 +331,6 @@ def compile_model(robot: Robot, values: Mapping[str, float]) -> mujoco.MjModel:
             set_heights(model, robot.model, field[0])
         else:
             operator.attrgetter(name)(model)[...] = field[0]
-    for ids, slack in variation.slacks(parameters):
-        model.tendon_range[ids, 1] += float(slack)
     mujoco.mj_setConst(model, mujoco.MjData(model))
     return model
 

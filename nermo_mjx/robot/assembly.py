@@ -36,6 +36,7 @@ from nermo_mjx.robot.scene import Scene, load_scene, resolve_scene, scene_geoms,
 
 ROBOTS: Final = ("nermo_lite", "nermo_41")
 TAILS: Final = ("rigid", "articulated")
+FEET: Final = ("spheres", "capsules")
 CONES: Final = ("elliptic", "pyramidal")
 #: The torso's cameras that follow the robot without turning with it.
 FOLLOWING: Final = ("track_side", "track_top", "track_three_quarter")
@@ -66,6 +67,9 @@ class RobotConfig:
     timestep: float = static(
         PresetTimestep("nan"),
         "physics step [s]: the control period 0.01 s divided by a whole number; takes precedence over that of physics",
+    )
+    feet: str = static(
+        "spheres", "form of the soles; capsules: 7 mm wide, and front ankles touch, too, as in the author's model", FEET
     )
     hinges: int = static(1, f"of each compliant joint of legs and spine, from 1 to {MOST_HINGES}; see `flexure`")
 
@@ -109,14 +113,14 @@ def assemble(config: RobotConfig | None = None, parameters: ModelParameters | No
     _attach(spec, geometry, spec.frame("spine_end"), "hip", robot)
     for limb in LIMBS:
         trunk = "torso" if limb.startswith("front") else "hip"
-        _attach_leg(spec, geometry, spec.frame(f"{trunk}_{limb}_mount"), limb, config)
+        _attach_leg(spec, parameters, spec.frame(f"{trunk}_{limb}_mount"), limb, config)
     _attach(spec, geometry, spec.frame("hip_tail_mount"), "tail", robot)
     if config.tail == "rigid":
         _stiffen_tail(spec)
     _pose(spec, config)
     _finish(spec, config, parameters)
     add_sensors(spec)
-    add_contacts(spec, scene_geoms(scene), parameters, config.preset.trunk_contacts)
+    add_contacts(spec, scene_geoms(scene), parameters, config.preset.trunk_contacts, config.feet == "capsules")
     return spec
 
 
@@ -127,9 +131,8 @@ def assemble_leg(
     if limb not in LIMBS:
         raise ParameterError(f"limb is {limb!r}: allowed is one of {', '.join(LIMBS)}.")
     config, parameters = RobotConfig(routing=routing, hinges=hinges), parameters or ModelParameters()
-    geometry = parameters.geometry
     spec = _stand(f"{limb}_leg_stand")
-    _attach_leg(spec, geometry, spec.worldbody, limb, config)
+    _attach_leg(spec, parameters, spec.worldbody, limb, config)
     _pose(spec, config)
     _finish(spec, config, parameters)
     return spec
@@ -181,9 +184,9 @@ def _attach(
                 element.name = short
 
 
-def _attach_leg(spec: mujoco.MjSpec, geometry: Geometry, place: Any, limb: str, config: RobotConfig) -> None:
+def _attach_leg(spec: mujoco.MjSpec, parameters: ModelParameters, place: Any, limb: str, config: RobotConfig) -> None:
     pair, side = limb.split("_")
-    leg = load_part(f"{pair}_leg", geometry)
+    leg = load_part(f"{pair}_leg", parameters.geometry)
     for tendon in list(leg.tendons):
         if tendon.name != config.routing:
             leg.delete(tendon)
@@ -196,6 +199,8 @@ def _attach_leg(spec: mujoco.MjSpec, geometry: Geometry, place: Any, limb: str, 
     if side == "right":
         mirror(leg)
     frame = place if isinstance(place, mujoco.MjsFrame) else place.add_frame()
+    half = float(getattr(parameters.build, f"{pair}_tilt")) / 2
+    frame.quat = np.array([np.cos(half), np.sin(half), 0.0, 0.0])
     spec.attach(leg, prefix=f"{limb}_", frame=frame)
 
 

@@ -6,6 +6,7 @@ The numbers come from the table of masses and the parameter trees; the functions
 from __future__ import annotations
 
 import itertools
+import math
 import re
 from typing import Any, Final
 
@@ -110,6 +111,15 @@ TAIL_SEGMENTS: Final = tuple((f"tail_ground_{i}", f"tail_touch_{i}") for i in (1
 BUMPER: Final = "_bumper"
 
 
+#: Geoms of the feet end so.
+FOOT: Final = ("_sole", "_ankle")
+#: Of the author's model: radius of the lower front legs, and the straight part of the soles' capsules [m], which lie
+#: across the robot.
+ANKLE_RADIUS: Final = 0.002
+SOLE_WIDTH: Final = 0.007
+ACROSS: Final = (math.sqrt(0.5), 0.0, math.sqrt(0.5), 0.0)
+
+
 def set_masses(spec: mujoco.MjSpec, robot: str, parameters: ModelParameters) -> None:
     """Give every moving body the mass, centre of mass and inertia of its part; geoms weigh nothing."""
     for geom in spec.geoms:
@@ -170,20 +180,24 @@ def _compliant(joint: Any, stiffness: Any, damping: Any, armature: float, rest: 
     joint.armature, joint.springref = hinges * armature, rest / hinges
 
 
-def slack_of(tendon: str) -> str | None:
-    """The parameter of `Build` that a tendon's slack is, by its name."""
-    return "spine_slack" if tendon.startswith("spine_") else "leg_slack" if tendon.endswith("_tendon") else None
+def pair_of(tendon: str) -> str | None:
+    """Whether a tendon, by its name, belongs to the `front` or the `rear` legs or to the `spine`; None for the tail."""
+    part = tendon.split("_")[0]
+    return part if part in ("front", "rear", "spine") else None
 
 
 def set_tendons(spec: mujoco.MjSpec, parameters: ModelParameters) -> None:
-    """Make every tendon's length limit as stiff as the time step permits, and add the slack of the built robot."""
+    """Make every tendon's length limit as stiff as the time step permits, and add slack and softness of the built
+    robot."""
     time_constant = max(TENDON_TIME_CONSTANT, 2.0 * spec.option.timestep)
     for tendon in spec.tendons:
         tendon.solref_limit = np.array([time_constant, 1.0])
         tendon.solimp_limit = np.array(TENDON_SOLIMP)
-        slack = slack_of(tendon.name)
-        if slack is not None:
-            tendon.range = np.array(tendon.range) + np.array([0.0, float(getattr(parameters.build, slack))])
+        pair = pair_of(tendon.name)
+        if pair is not None:
+            softness = float(getattr(parameters.build, f"{pair}_softness"))
+            tendon.solref_limit = np.array([time_constant * np.sqrt(softness), 1.0])
+            tendon.range = np.array(tendon.range) + np.array([0.0, float(parameters.build.slack(pair))])
 
 
 def add_servos(spec: mujoco.MjSpec, routing: str, parameters: ModelParameters) -> None:
@@ -249,18 +263,25 @@ def _tail_ground(spec: mujoco.MjSpec) -> list[tuple[str, str]]:
 
 
 def add_contacts(
-    spec: mujoco.MjSpec, scene: SceneGeoms, parameters: ModelParameters, trunk_contacts: bool = True
+    spec: mujoco.MjSpec, scene: SceneGeoms, parameters: ModelParameters, trunk_contacts: bool, capsules: bool
 ) -> None:
     """Declare the few contact pairs that matter; there are no other collisions.
 
     Args:
         scene: its geoms that can touch the robot.
         trunk_contacts: whether the spheres of `TRUNK` touch the ground, too. They always touch obstacles.
+        capsules: whether soles are capsules instead of spheres, and the ankles of the front legs touch the ground, too.
     """
     contact = parameters.contact
     solref = np.array([float(contact.time_constant), float(contact.damping_ratio)])
     solimp = np.array([0.0, float(contact.impedance), float(contact.width), 0.5, 2.0])
     soft = {f"{limb}_sole": contact.friction for limb in LIMBS}
+    for limb in LIMBS if capsules else ():
+        sole = spec.geom(f"{limb}_sole")
+        if limb.startswith("front"):
+            ankle = spec.body(f"{limb}_foot").add_geom(sole.classname, name=f"{limb}_ankle", size=[ANKLE_RADIUS, 0, 0])
+            soft[ankle.name] = contact.friction
+        sole.type, sole.size[1], sole.quat = mujoco.mjtGeom.mjGEOM_CAPSULE, SOLE_WIDTH / 2, ACROSS
     soft |= {geom: contact.tail_friction for geom, _ in _tail_ground(spec)}
     hard = dict.fromkeys(TRUNK if trunk_contacts else (), contact.trunk_friction)
     for ground in scene.ground:
@@ -293,7 +314,7 @@ def contact_kinds(model: mujoco.MjModel, scene: SceneGeoms) -> dict[str, np.ndar
             kinds["obstacle"].append(i)
         else:
             (part,) = names - set(scene.ground)
-            kinds["sole" if part.endswith("_sole") else "trunk" if part in TRUNK else "tail"].append(i)
+            kinds["sole" if part.endswith(FOOT) else "trunk" if part in TRUNK else "tail"].append(i)
     return {kind: np.array(ids, int) for kind, ids in kinds.items()}
 
 

@@ -10,6 +10,7 @@ fields.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from typing import Any, Final
 
 import numpy as np
@@ -140,13 +141,34 @@ class Mass:
 
 @parameter_tree
 class Build:
-    """How the built robot differs from its drawings: printed parts and tendons that were tied by hand."""
+    """How the built robot differs from its drawings: printed parts and tendons that were tied by hand.
 
-    leg_slack: Any = quantity(0.0, unit="m", low=0.0, high=0.004, doc="by how much the legs' tendons are too long")
+    The controller does not know of it. A softness of n makes a taut tendon yield n times as far under the same force,
+    and more slowly by the root of n; at 1 those of the legs yield by 0.02 to 0.05 mm under 10 N.
+    """
+
+    leg_slack: Any = quantity(
+        0.0, unit="m", low=-0.002, high=0.004, doc="by how much all legs' tendons are too long; negative: too short"
+    )
+    front_slack: Any = quantity(0.0, unit="m", low=-0.002, high=0.004, doc="the same of the front legs, in addition")
+    rear_slack: Any = quantity(0.0, unit="m", low=-0.002, high=0.004, doc="the same of the rear legs, in addition")
     spine_slack: Any = quantity(0.0, unit="m", low=0.0, high=0.004, doc="by how much the spine's tendons are too long")
+    front_softness: Any = quantity(1.0, unit="1", low=1.0, high=1000.0, doc="how soft the front legs' tendons are")
+    rear_softness: Any = quantity(1.0, unit="1", low=1.0, high=1000.0, doc="how soft the rear legs' tendons are")
+    spine_softness: Any = quantity(1.0, unit="1", low=1.0, high=1000.0, doc="how soft the spine's tendons are")
     asymmetry: Any = quantity(
         0.0, unit="1", low=-0.5, high=0.5, doc="share by which the left knees' springs are stiffer, the right softer"
     )
+    front_tilt: Any = quantity(
+        0.0, unit="rad", low=-0.3, high=0.3, doc="turn of both front legs with their servos; positive: feet backward"
+    )
+    rear_tilt: Any = quantity(
+        0.0, unit="rad", low=-0.3, high=0.3, doc="turn of both rear legs with their servos; positive: feet backward"
+    )
+
+    def slack(self, pair: str) -> Any:
+        """By how much the tendons of the `front` or `rear` legs, or of the `spine`, are too long [m]."""
+        return self.spine_slack if pair == "spine" else self.leg_slack + getattr(self, f"{pair}_slack")
 
 
 @parameter_tree
@@ -178,6 +200,15 @@ class ModelParameters:
     ground: Ground = group(Ground)
     terrain: TerrainShape = group(TerrainShape)
     geometry: Geometry = group(Geometry)
+
+
+def is_shaped(names: Iterable[str]) -> bool:
+    """Whether any of these parameters, of geometry and build, decides where a robot has its feet.
+
+    >>> is_shaped(["build.rear_tilt"]), is_shaped(["build.asymmetry", "servo.kp"])
+    (True, False)
+    """
+    return any(name.startswith(("geometry.", "build.")) and name != "build.asymmetry" for name in names)
 
 
 # ---

@@ -20,7 +20,7 @@ from nermo_mjx.robot.equipment import chain_of
 from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.masses import MassModel, is_front, physical_model, reduced_model
 from nermo_mjx.robot.meshes.body import redraw
-from nermo_mjx.robot.model_parameters import gravity_values
+from nermo_mjx.robot.model_parameters import Build, gravity_values
 from nermo_mjx.robot.parameters import LIMBS, Sensors
 from nermo_mjx.robot.quantity import ParameterError, quantities, replace_quantities, values_of
 from nermo_mjx.robot.scene import Scene, Terrain, scene_geoms, scene_name
@@ -129,17 +129,17 @@ class Robot:
         """`model` without visuals and unused markers, for engines; the ids of geoms and sites differ."""
         return copy.copy(self._compiled.physical)
 
-    def with_geometry(self, geometry: Geometry) -> mujoco.MjModel:
+    def with_geometry(self, geometry: Geometry, build: Build | None = None) -> mujoco.MjModel:
         """The whole model of this robot with other lengths and positions, otherwise the same.
 
         Args:
-            geometry: leaves of shape ().
+            geometry, build: leaves of shape (); by default it is built as drawn.
         """
-        return self.spec_with_geometry(geometry).compile()
+        return self.spec_with_geometry(geometry, build).compile()
 
-    def spec_with_geometry(self, geometry: Geometry) -> mujoco.MjSpec:
+    def spec_with_geometry(self, geometry: Geometry, build: Build | None = None) -> mujoco.MjSpec:
         """An editable specification, from which `with_geometry` is compiled."""
-        spec = self._with(geometry)
+        spec = self._with(geometry, build)
         redraw(spec, geometry)
         return spec
 
@@ -148,8 +148,9 @@ class Robot:
         known = self._compiled.physical
         return reduced_model(self._with(geometry), [known.site(i).name for i in range(known.nsite)])
 
-    def _with(self, geometry: Geometry) -> mujoco.MjSpec:
-        parameters = dataclasses.replace(default_parameters(self.config.robot), geometry=geometry)
+    def _with(self, geometry: Geometry, build: Build | None = None) -> mujoco.MjSpec:
+        own = default_parameters(self.config.robot)
+        parameters = dataclasses.replace(own, geometry=geometry, build=build or own.build)
         return assemble(self.config, replace_quantities(parameters, gravity_values(self.gravity)))
 
     @property
@@ -314,6 +315,7 @@ def load_robot(
     physics: str = "reference",
     timestep: float | None = None,
     hinges: int = 1,
+    feet: str = "spheres",
 ) -> Robot:
     """Assemble a robot in a scene. The same arguments compile once; each call returns a robot with models of its own.
 
@@ -327,15 +329,15 @@ def load_robot(
     Raises:
         ParameterError: unknown name, unusable scene, time step out of range, or other arguments beside a `RobotConfig`.
     """
-    others = (scene, tail, routing, cone, physics, timestep, hinges)
+    others = (scene, tail, routing, cone, physics, timestep, hinges, feet)
     if isinstance(robot, RobotConfig):
-        if others != ("flat", "rigid", "type3", "elliptic", "reference", None, 1):
+        if others != ("flat", "rigid", "type3", "elliptic", "reference", None, 1, "spheres"):
             raise ParameterError(
                 "robot is a RobotConfig beside other arguments: change its fields with dataclasses.replace."
             )
         return Robot(robot, _compile(robot))
     given = {} if timestep is None else {"timestep": timestep}
-    config = RobotConfig(robot, scene, tail, routing, cone, physics, hinges=hinges, **given)
+    config = RobotConfig(robot, scene, tail, routing, cone, physics, hinges=hinges, feet=feet, **given)
     return Robot(config, _compile(config))
 
 

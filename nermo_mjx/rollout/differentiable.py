@@ -28,7 +28,7 @@ from nermo_mjx.control.protocol import ControllerLike
 from nermo_mjx.dynamics.checkpointing import checkpointed_scan
 from nermo_mjx.dynamics.precision import full_precision
 from nermo_mjx.physics.variation import Variation
-from nermo_mjx.robot.geometry import names_geometry
+from nermo_mjx.robot.model_parameters import is_shaped
 from nermo_mjx.robot.quantity import ParameterError, Quantity, choice
 from nermo_mjx.rollout import metrics as measures
 from nermo_mjx.rollout.electrical import Supply
@@ -274,8 +274,8 @@ class Rollout:
         loop = loop_parameters(self.robot, params, window, values)
         ticks = self._ticks(values, policy)
         if qpos is None:
-            geometry = params.model.geometry if names_geometry(values) else None
-            qpos = self.start.qpos(self.loop.control_at(loop, 0.0), params.start, loop.terrain, geometry)
+            shape = params.model if is_shaped(values) else None
+            qpos = self.start.qpos(self.loop.control_at(loop, 0.0), params.start, loop.terrain, shape)
         first = jnp.asarray(qpos, float)
         still = jnp.zeros((self.robot.model.nv,)) if qvel is None else jnp.asarray(qvel, float)
         carry = self.engine.start(loop, first, still, self.robot.sensordata_at_rest(first))

@@ -18,7 +18,7 @@ from nermo_mjx.dynamics.precision import full_precision
 from nermo_mjx.kinematics import spine
 from nermo_mjx.kinematics.body import feet_positions, hips, shoulders
 from nermo_mjx.kinematics.leg import forward, four_legs
-from nermo_mjx.robot import ParameterError, Robot
+from nermo_mjx.robot import LIMBS, ModelParameters, ParameterError, Robot
 from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.terrains import TerrainShape
 from nermo_mjx.rollout.setup import Start
@@ -168,7 +168,7 @@ class StartPose:
     controller: ControllerLike
 
     def qpos(
-        self, control: Any, start: Start, terrain: TerrainShape | None = None, geometry: Geometry | None = None
+        self, control: Any, start: Start, terrain: TerrainShape | None = None, body: ModelParameters | None = None
     ) -> Float[Array, " nq"]:
         """Positions of one world (leaves of shape ()); torso level, the body's mean heading `start.yaw` from -y.
 
@@ -176,13 +176,19 @@ class StartPose:
             control: the controller's parameters.
             start: position, heading and phase.
             terrain: shape of the ground, see `Terrain.height`.
-            geometry: of the body, by default the published one.
+            body: whose geometry and build it has, by default the published ones.
         """
-        geometry = geometry or Geometry()
+        geometry = body.geometry if body else Geometry()
         servo = self.controller.initial_servo(control, start.phase)
         legs = four_legs(geometry)
-        eased = servo.knee + legs.servo_direction * TAUT / legs.pulley_radius
+        pairs = [limb.split("_")[0] for limb in LIMBS]
+        slack = jnp.stack([body.build.slack(pair) for pair in pairs]) if body else 0.0
+        eased = servo.knee + legs.servo_direction * (TAUT + slack) / legs.pulley_radius
         pose = forward(legs, jnp.stack([servo.hip, eased], axis=-1), self.robot.config.routing)
+        if body:
+            tilt = jnp.stack([getattr(body.build, f"{pair}_tilt") for pair in pairs])
+            (y, z), cosine, sine = pose.foot.T, jnp.cos(tilt), jnp.sin(tilt)
+            pose = pose._replace(foot=jnp.stack([cosine * y - sine * z, sine * y + cosine * z], axis=-1))
         bend = spine.joint_angle(servo.spine, geometry)
         lifted = spine.joint_angle(servo.spine_vertical, geometry) if self.robot.joints.spine_vertical else None
         axis_height = jnp.concatenate([shoulders(geometry)[:, 2], hips(bend, geometry)[:, 2]])
@@ -211,10 +217,10 @@ class StartPose:
         return qpos.at[np.array(joints.spine_vertical)].set(lifted / hinges).at[pulley].set(servo.spine_vertical)
 
     def batch(
-        self, control: Any, start: Start, terrain: TerrainShape | None = None, geometry: Geometry | None = None
+        self, control: Any, start: Start, terrain: TerrainShape | None = None, body: ModelParameters | None = None
     ) -> np.ndarray:
         """Positions of all worlds, (n, nq), from leaves with a leading world axis."""
-        return np.asarray(self._batched(control, start, terrain, geometry), float)
+        return np.asarray(self._batched(control, start, terrain, body), float)
 
     @functools.cached_property
     def _batched(self) -> Lanes:

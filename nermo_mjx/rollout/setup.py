@@ -17,9 +17,10 @@ from nermo_mjx.control.parameters import (
     PROFILES,
     STEERING,
     ControlParameters,
-    ProfileSteering,
+    ProfileChoice,
     body_values,
     published_values,
+    robot_of,
     steering_of,
     with_geometry,
 )
@@ -39,6 +40,7 @@ from nermo_mjx.control.spine_modes import SAGITTAL_MODES, SPINES, SpineModes, mo
 from nermo_mjx.control.stepping import FREE
 from nermo_mjx.control.trajectory import FORMS
 from nermo_mjx.robot import GAIT_CODES, GAIT_NAMES, GAITS, ParameterError, Robot, RobotConfig, load_robot
+from nermo_mjx.robot.assembly import FEET, TAILS
 from nermo_mjx.robot.equipment import check_servo, highest_kp, highest_kv
 from nermo_mjx.robot.geometry import Geometry, check_geometry, names_geometry
 from nermo_mjx.robot.masses import mass_values
@@ -221,6 +223,18 @@ class Setup(RobotConfig):
     steering: str = static(
         steering_of("exact"), "what turns the robot; in the profile as_published by default spine", STEERING
     )
+    tail: str = static(
+        robot_of("exact")["tail"],
+        "rigid is a third faster, articulated has 19 joints; same mass and centre of mass; in the profile as_published "
+        "by default articulated",
+        TAILS,
+    )
+    feet: str = static(
+        robot_of("exact")["feet"],
+        "form of the soles; capsules: 7 mm wide, and front ankles touch, too, as in the author's model; in the profile "
+        "as_published by default capsules",
+        FEET,
+    )
     profile: str = static(
         "exact",
         "as_published is the published simulation with its body, as_built has the body of the built robot",
@@ -245,10 +259,13 @@ class Setup(RobotConfig):
     schedule: tuple[Switch, ...] = static((), "what changes while the robot walks, see `control.schedule`")
 
     def __post_init__(self) -> None:
+        for name, chosen in robot_of(self.profile).items():
+            if isinstance(getattr(self, name), ProfileChoice):
+                object.__setattr__(self, name, chosen)
         super().__post_init__()
         object.__setattr__(self, "gait", GAIT_CODES.get(self.gait, self.gait))
         published_values(self.gait, steering=self.steering, profile=self.profile)
-        if isinstance(self.steering, ProfileSteering) and self._applies("steering"):
+        if isinstance(self.steering, ProfileChoice) and self._applies("steering"):
             object.__setattr__(self, "steering", steering_of(self.profile))
         object.__setattr__(self, "schedule", tuple(self.schedule))
         for spine in (self.spine, *(switch.spine for switch in self.schedule)):
@@ -289,8 +306,8 @@ class Setup(RobotConfig):
         own, switches = given.pop("metrics"), [switch.written() for switch in given.pop("schedule")]
         if own:
             given["metrics"] = tuple(each if isinstance(each, str) else each.name for each in own)
-        if "steering" in given:
-            given["steering"] = str(self.steering)  # without the type that YAML cannot write
+        # Without the type that YAML cannot write.
+        given |= {name: str(value) for name, value in given.items() if isinstance(value, ProfileChoice)}
         plain = (str, int, float, tuple, type(None))
         written = {name: value if isinstance(value, plain) else type(value).__name__ for name, value in given.items()}
         return written | ({"schedule": switches} if switches else {})
@@ -504,7 +521,8 @@ def all_metrics(setup: Setup | None = None) -> dict[str, Metric]:
 
 def without_presettings(setup: Setup) -> Setup:
     """The setup with the first choices of `PRESETTINGS`: setups for which it is equal run the same programs."""
-    return dataclasses.replace(setup, **{name: getattr(Setup, name) for name in PRESETTINGS})
+    kept: Any = {name: str(getattr(setup, name)) for name in robot_of(setup.profile)}
+    return dataclasses.replace(setup, **kept, **{name: getattr(Setup, name) for name in PRESETTINGS})
 
 
 def all_parameters(setup: Setup | None = None) -> dict[str, Quantity]:

@@ -20,6 +20,7 @@ from nermo_mjx.physics import Trace, Variation, make_engine
 from nermo_mjx.recording import Recording, recording_of
 from nermo_mjx.robot import Sensors
 from nermo_mjx.robot.geometry import names_geometry
+from nermo_mjx.robot.model_parameters import is_shaped
 from nermo_mjx.robot.quantity import ParameterError, values_of
 from nermo_mjx.rollout import metrics as measures
 from nermo_mjx.rollout.electrical import Supply
@@ -274,11 +275,11 @@ class Simulator:
         window = Window(begin=begin, end=end, distance=distance)
         mass = np.asarray(params.model.mass.front + params.model.mass.rear, float)
         terrain = terrain_of(self.robot, params)
-        geometry = params.model.geometry if names_geometry(values) else None
+        body = params.model if is_shaped(values) else None
         loop = loop_parameters(self.robot, params, window, values)
         return Batch(
             params=default_precision(loop),
-            qpos=self.start.batch(self.loop.control_at(loop, 0.0), params.start, terrain, geometry),
+            qpos=self.start.batch(self.loop.control_at(loop, 0.0), params.start, terrain, body),
             fields=self.variation.batch(params.model, worlds, values),
             ticks=ticks_until(end, self.controller.dt),
             may_end_early=run.distance is not None,

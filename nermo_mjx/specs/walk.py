@@ -16,7 +16,7 @@ import numpy as np
 from pydantic import BeforeValidator, Field, create_model
 
 from nermo_mjx.control.head_and_tail import COUNTER_ROLL, COUNTER_YAW, GAZE, HEADS, SWING, TAIL_MOTIONS
-from nermo_mjx.control.parameters import STEERING, ProfileSteering
+from nermo_mjx.control.parameters import STEERING, ProfileChoice, robot_of
 from nermo_mjx.control.schedule import Switch
 from nermo_mjx.control.spine_modes import SPINES
 from nermo_mjx.control.stepping import FREE
@@ -300,8 +300,9 @@ class WalkSpec:
         """
         own, given = self.setup.controller is not None, self.setup.fields()
         data: dict[str, Any] = {name: given[name] for name in SETUP_FIELDS if name in given and name != "controller"}
-        if isinstance(self.setup.steering, ProfileSteering):
-            data.pop("steering", None)  # it follows the profile, which may vary
+        for name in ("steering", *robot_of(self.setup.profile)):
+            if isinstance(getattr(self.setup, name), ProfileChoice):
+                data.pop(name, None)  # it follows the profile, which may vary
         data |= {"controller": written_controller(self.setup, folder)} if own else {}
         data["timestep"] = float(self.setup.timestep)
         if not own or self.pilot or self.setup.pilot != Setup.pilot:

@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from nermo_mjx.recording import Recording
 from nermo_mjx.robot import Robot, RobotConfig
 from nermo_mjx.robot.geometry import Geometry
+from nermo_mjx.robot.model_parameters import ModelParameters
 from nermo_mjx.robot.quantity import values_of
 from nermo_mjx.view.camera import body_radius, put_pose, root_body, smooth_path
 from nermo_mjx.view.page import Packer, Page, document
@@ -22,6 +23,7 @@ from nermo_mjx.view.recorded import (
     finite_samples,
     headline_of,
     motion_of,
+    own_build,
     own_geometry,
     plots_of,
     recorded_model,
@@ -183,7 +185,8 @@ class Models:
 
     def index(self, recording: Recording, robot: Robot) -> int:
         """Index of the header of a recording's robot, which is added if it is new."""
-        key = robot.config, tuple(float(value) for _, value in values_of(own_geometry(recording) or Geometry()))
+        shape = own_geometry(recording) or Geometry(), own_build(recording) or ModelParameters().build
+        key = robot.config, tuple(float(value) for each in shape for _, value in values_of(each))
         if key not in self._known:
             self._known[key] = len(self.headers)
             self.headers.append(shapes_of(shown_model(recording, robot), self._packer))

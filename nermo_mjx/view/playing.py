@@ -16,7 +16,7 @@ import numpy as np
 from nermo_mjx.recording import Recording, RecordingError
 from nermo_mjx.robot import ParameterError, Robot
 from nermo_mjx.view.camera import body_radius, following_camera, move_sun_above, put_sun_overhead, root_body
-from nermo_mjx.view.recorded import own_geometry, robot_of
+from nermo_mjx.view.recorded import robot_of, shown_spec
 
 #: Frame rate of the viewer [Hz].
 _REFRESH: Final = 60.0
@@ -122,8 +122,7 @@ def write_keyframes(
         raise ParameterError(f"rate is {rate:g} Hz: that would be {count:,} keyframes, of {MOST_KEYS:,}.")
     wanted = recording.time[0] + np.arange(count) / rate
     samples = np.unique(np.abs(recording.time - wanted[:, None]).argmin(axis=1))
-    own = own_geometry(recording)
-    spec = mujoco.MjSpec.from_string(robot.to_xml()) if own is None else robot.spec_with_geometry(own)
+    spec = shown_spec(recording, robot) or mujoco.MjSpec.from_string(robot.to_xml())
     for sample in samples:
         key = spec.add_key(name=f"t{recording.time[sample]:.3f}", time=float(recording.time[sample]))
         key.qpos, key.qvel, key.ctrl = recording.qpos[sample], recording.qvel[sample], recording.ctrl[sample]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 import mujoco
 import numpy as np
@@ -14,9 +14,12 @@ from nermo_mjx.plotting.shown import shown as in_shown_unit
 from nermo_mjx.recording import Recording, RecordingError
 from nermo_mjx.robot import LIMBS, ModelParameters, Robot, RobotConfig, load_robot
 from nermo_mjx.robot.geometry import Geometry
+from nermo_mjx.robot.model_parameters import Build
 from nermo_mjx.robot.parameters import servos_by_count
 from nermo_mjx.robot.quantity import quantities, replace_quantities, values_of
 from nermo_mjx.robot.terrains import terrain_values
+
+Tree = TypeVar("Tree")
 
 
 def robot_of(recording: Recording) -> Robot:
@@ -36,18 +39,34 @@ def robot_of(recording: Recording) -> Robot:
 
 def own_geometry(recording: Recording) -> Geometry | None:
     """The recorded robot's geometry if it differs from the published one."""
-    given, published = recording.metadata.get("parameters") or {}, dict(values_of(Geometry()))
-    own = {name.removeprefix("geometry."): value for name, value in given.items() if value is not None}
-    changed = {name: np.asarray(own[name], float) for name in published.keys() & own.keys()}
-    if all(float(value) == float(published[name]) for name, value in changed.items()):
+    return _own(recording, Geometry(), "geometry.")
+
+
+def own_build(recording: Recording) -> Build | None:
+    """How the recorded robot was built, if not as drawn."""
+    return _own(recording, ModelParameters().build, "build.")
+
+
+def _own(recording: Recording, published: Tree, group: str) -> Tree | None:
+    given, known = recording.metadata.get("parameters") or {}, dict(values_of(published))
+    own = {name.removeprefix(group): value for name, value in given.items() if value is not None}
+    changed = {name: np.asarray(own[name], float) for name in known.keys() & own.keys()}
+    if all(float(value) == float(known[name]) for name, value in changed.items()):
         return None
-    return replace_quantities(Geometry(), changed)
+    return replace_quantities(published, changed)
+
+
+def shown_spec(recording: Recording, robot: Robot) -> mujoco.MjSpec | None:
+    """An editable specification for rendering, with the geometry and the build of the recorded robot; None if these
+    are the published ones."""
+    geometry, build = own_geometry(recording), own_build(recording)
+    return None if geometry is build is None else robot.spec_with_geometry(geometry or Geometry(), build)
 
 
 def shown_model(recording: Recording, robot: Robot) -> mujoco.MjModel:
-    """The robot's whole model for rendering, with the geometry of the recorded robot."""
-    own = own_geometry(recording)
-    return robot.model if own is None else robot.with_geometry(own)
+    """The robot's whole model for rendering, compiled from `shown_spec`."""
+    spec = shown_spec(recording, robot)
+    return robot.model if spec is None else spec.compile()
 
 
 def recorded_model(recording: Recording, robot: Robot) -> mujoco.MjModel:
