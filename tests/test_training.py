@@ -357,8 +357,8 @@ def test_a_walk_that_is_too_slow_is_no_success_of_the_validation(policy):
 @pytest.mark.parametrize("identified", [True, False])
 def test_more_unseen_walks_begin_with_those_of_fewer(key: int, identified: bool) -> None:
     """So that trainings with other counts are paired, and a page shows a walk of the evaluation."""
-    randomize = {"start.yaw": [-0.3, 0.3], "contact.friction": [0.8, 1.6], "start.phase": [0.0, 1.0]}
-    training = Training.from_dict({"randomize": randomize} | ({"bodies": "identified"} if identified else {}))
+    randomize = {"start.yaw": [-0.3, 0.3], "start.x": [0.8, 1.6], "start.phase": [0.0, 1.0]}
+    training = Training.from_dict({"randomize": randomize, "task": {"bodies": identified}})
     many, one = (bodies(training, training.task, Draws(count, key)) for count in (200, 1))
     for count in (100, 3, 1):
         few = bodies(training, training.task, Draws(count, key))
