@@ -24,7 +24,7 @@ from nermo_mjx.experiments.identification import CASES
 from nermo_mjx.experiments.run import run_experiments
 from nermo_mjx.optimize import Tuning, run_landscape, run_tuning
 from nermo_mjx.runs import Interrupted, RunDirectory, codes_of, stamp
-from nermo_mjx.runs.code import local_time, moment
+from nermo_mjx.runs.code import local_time
 from nermo_mjx.runs.rows import part_files
 from nermo_mjx.sweep import run_sweep
 
@@ -108,7 +108,7 @@ def test_the_last_three_sessions_are_shown(tmp_path: Path) -> None:
 def test_times_are_those_of_this_machines_zone_and_name_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, zone: str, local: str
 ) -> None:
-    """Wherever a session ran; the later of two is the later one, whatever its clock showed."""
+    """Wherever a session ran; what is no time is shown as it is."""
     monkeypatch.setenv("TZ", zone)
     time.tzset()
     sessions = [{"started": each} for each in ("2026-01-01T00:30:00+0000", "2025-12-31T16:30:00-0800", "2026-01-01")]
@@ -118,7 +118,6 @@ def test_times_are_those_of_this_machines_zone_and_name_it(
     assert "session  some time, " in text
     assert "session  2026-01-01 00:00 " in text
     assert [local_time(each["started"]) for each in sessions[:2]] == [local, local]
-    assert moment("2026-01-01T01:00:00+0900") < moment("2025-12-31T20:00:00+0000")
     monkeypatch.undo()
     time.tzset()
 

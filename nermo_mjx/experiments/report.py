@@ -16,7 +16,7 @@ from nermo_mjx.experiments.cases import PROFILES, Column, Outcome, texts
 from nermo_mjx.experiments.published import AGREES, KINDS, Experiment, Line, counts, set_ups
 from nermo_mjx.plotting.shown import shown
 from nermo_mjx.recording import Recording
-from nermo_mjx.runs.code import local_time, moment
+from nermo_mjx.runs.code import local_time
 from nermo_mjx.runs.files import MISSING, listed, table
 from nermo_mjx.sweep.spec import START_SPREAD
 from nermo_mjx.sweep.table import Columns, meta
@@ -165,7 +165,7 @@ def collect(entries: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
         return {**entry["settings"], "engine": entry["engine"], "code": entry.get("code", "unknown"), **made}
 
     lines = [line for entry in entries.values() for line in entry["lines"]]
-    latest = max(entries.values(), key=lambda entry: moment(entry["started"]), default={})
+    latest = max(entries.values(), key=lambda entry: entry["started"], default={})
     hidden, unlike = ("experiment", "lines", "finished"), []
     for name in list(entries)[1:]:
         first = next(iter(entries))

@@ -43,7 +43,7 @@ from nermo_mjx.plotting.shown import ShownValues, shown, spoken
 from nermo_mjx.plotting.style import BAND, INK, LINE, MUTED
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.runs import RunDirectory, Written, engine_of, session, stamp
-from nermo_mjx.runs.code import local_time, moment
+from nermo_mjx.runs.code import local_time
 from nermo_mjx.runs.files import (
     MISSING,
     DirectoryError,
@@ -277,7 +277,7 @@ def points_of(runs: Runs) -> pa.Table:
     """The table of all points, which are there; its metadata is of the batches, `session` of the last one."""
     parts = [stored_table(part.path, "points that can be read any more") for part in runs.parts]
     notes = [{key.decode(): text.decode() for key, text in part.schema.metadata.items()} for part in parts]
-    about = max(notes, key=lambda each: moment(json.loads(each["session"])["started"]))
+    about = max(notes, key=lambda each: json.loads(each["session"])["started"])
     about |= {"wall_seconds": f"{sum(part.seconds for part in runs.parts):.3f}", "batches": str(len(parts))}
     table = joined([part.replace_schema_metadata(None) for part in parts], np.arange(len(runs.numbers)))
     return table.drop_columns(["row", "key"]).replace_schema_metadata(about)

@@ -155,15 +155,10 @@ def session(**more: Any) -> dict[str, Any]:
     return {"started": started, "command": shlex.join(sys.argv), "versions": versions(), "machine": machine(), **more}
 
 
-def moment(started: Any) -> datetime.datetime:
-    """When a session started, in this machine's time zone; raises `ValueError` if that is no time."""
-    return datetime.datetime.fromisoformat(str(started)).astimezone()
-
-
 def local_time(started: Any) -> str:
     """When a session started, for people: in this machine's time zone, and with its name."""
     try:
-        return f"{moment(started):%Y-%m-%d %H:%M %Z}"
+        return f"{datetime.datetime.fromisoformat(str(started)).astimezone():%Y-%m-%d %H:%M %Z}"
     except (ValueError, OverflowError):
         return str(started)
 
