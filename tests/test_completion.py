@@ -8,9 +8,9 @@ import sys
 from pathlib import Path
 
 import pytest
-from command import call
+from command import call, json_of
 
-from nermo_mjx.cli import choices
+from nermo_mjx.cli import choices, main
 from nermo_mjx.cli.options import offered
 
 
@@ -62,8 +62,20 @@ def test_the_shell_offers_commands_names_and_files_by_their_kind(line: str, offe
 def test_every_shell_is_offered_the_same_after_what_the_command_prints(shell: str, folder: Path) -> None:
     assert set(complete("nermo-mjx sweep t", folder, shell)) & {"trot.yaml", "plain,trot.yaml"}
     text = call("completion", shell).stdout
+    assert text == call("completion", shell, "--quiet").stdout
+    assert json_of("completion", shell) == {"shell": shell, "script": text.removesuffix("\n")}
     assert f"_NERMO_MJX_COMPLETE={shell}_complete" in text
     assert "nermo-mjx" in text
+
+
+@pytest.mark.parametrize("name", sorted(main.commands))
+def test_every_command_has_json_and_quiet(name: str) -> None:
+    """As its reference and the README promise; a failure prints no object, and its sentence on standard error."""
+    options = {flag for each in main.commands[name].params for flag in each.opts}
+    assert {"--json", "--quiet", "-q"} <= options
+    failed = call(name, "--json", "--no-such-option")
+    assert (failed.exit_code, failed.stdout) == (2, "")
+    assert "--no-such-option" in failed.stderr
 
 
 def test_names_written_out_for_the_shell_are_those_of_the_package() -> None:

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import copy
+import pickle
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 gymnasium = pytest.importorskip("gymnasium")
 pytestmark = pytest.mark.compiles
 
-from nermo_mjx import Setup  # noqa: E402
+from nermo_mjx import ParameterError, Setup  # noqa: E402
 from nermo_mjx.learn import Environment, Task  # noqa: E402
 
 
@@ -80,6 +84,71 @@ def test_the_checker_of_gymnasium_passes_a_world(door):
     from gymnasium.utils.env_checker import check_env
 
     check_env(OneWorld(door), skip_render_check=True)
+
+
+@pytest.fixture(scope="module")
+def three():
+    """Three worlds whose starts differ, in episodes of three control steps."""
+    from nermo_mjx.learn.gymnasium_door import NermoVectorEnv
+
+    task = Task(duration=0.03, randomize={"start.phase": (0.0, 1.0)}, observe=("phase", "servo_angle", "action"))
+    return NermoVectorEnv(setup=Setup(physics="fast"), worlds=3, task=task)
+
+
+def test_each_world_has_its_seed(three):
+    """Of a list, a tuple or an array, wherever it stands there, and in all episodes that follow."""
+
+    def episodes(seed):
+        rows = [three.reset(seed=seed)[0]]
+        rows += [three.step(np.zeros((3, 9), np.float32))[0] for _ in range(4)]
+        return np.stack(rows)
+
+    first = episodes([1, 2, 3])
+    assert len(np.unique(first[0], axis=0)) == 3
+    np.testing.assert_array_equal(first, episodes(np.array([1, 2, 3])))
+    np.testing.assert_array_equal(first[:, [1, 0, 2]], episodes((2, 1, 3)))
+    other = episodes([1, 9, 1])
+    np.testing.assert_array_equal(other[:, [0, 2]], first[:, [0, 0]])
+    assert (other[0, 1] != first[0, 1]).any()
+    np.testing.assert_array_equal(episodes([1, None, None])[:, 0], first[:, 0])
+    assert (episodes(1)[0] != first[0]).any()
+    np.testing.assert_array_equal(episodes(1), episodes(np.int64(1)))
+
+
+@pytest.mark.parametrize("seed", [[], [1], [1, 2], np.arange(4), (1, 2, 3, 4)], ids=str)
+def test_another_number_of_seeds_is_refused(three, seed):
+    with pytest.raises(ParameterError, match=rf"seed has {len(seed)} entries: expected one number, or 3, a world each"):
+        three.reset(seed=seed)
+
+
+@pytest.mark.parametrize("seed", [[1, 2.5, 3], [1, -1, 3], "abc", [1, "a", 3], [[1], 2, 3], 1.5], ids=str)
+def test_a_seed_that_is_no_whole_number_is_refused(three, seed):
+    with pytest.raises(ParameterError, match="allowed is a whole number from 0 to 2\\^64 - 1"):
+        three.reset(seed=seed)
+
+
+@pytest.mark.parametrize("beyond", [50.0, -3.0])
+def test_an_action_beyond_its_range_is_its_end_in_all_that_follows(three, beyond):
+    """In what is observed, in the reward and in the physics."""
+    rows = []
+    for action in (beyond, np.sign(beyond)):
+        three.reset(seed=5)
+        rows.append([three.step(np.full((3, 9), action, np.float32))[:2] for _ in range(2)])
+    for (seen, reward), (expected, expected_reward) in zip(*rows, strict=True):
+        np.testing.assert_array_equal(seen, expected)
+        np.testing.assert_array_equal(reward, expected_reward)
+
+
+def test_what_gymnasium_cannot_do_with_it_is_said(three):
+    """Copies, and wrappers for another way of beginning episodes."""
+    for copied in (pickle.dumps, copy.deepcopy):
+        for each in (three, three.environment):
+            with pytest.raises(TypeError, match="cannot be pickled or copied: make one from its arguments"):
+                copied(each)
+    with pytest.raises(ValueError, match="NEXT_STEP"):
+        gymnasium.wrappers.vector.NormalizeObservation(three)
+    page = Path(__file__).parents[1] / "docs" / "howto" / "environment.md"
+    assert "NormalizeObservation" in page.read_text(encoding="utf-8")
 
 
 def test_stable_baselines_takes_its_form(door):

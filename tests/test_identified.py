@@ -46,6 +46,17 @@ def test_bodies_are_distinct_weighed_and_chosen_without_repeats_and_by_seed():
     assert set(map(tuple, rows[1])) <= set(map(tuple, rows[5]))
 
 
+def test_more_bodies_begin_with_those_of_fewer_and_the_first_is_drawn_by_weight():
+    ensemble = identified.bodies()
+    for n in (1, 5, 12):
+        for name, column in identified.choose(n, 7).items():
+            np.testing.assert_array_equal(column, identified.choose(13, 7)[name][:n])
+    heaviest = ensemble.values["damping.knee"][np.argsort(ensemble.weights)[-8:]]
+    first = np.array([identified.choose(1, seed)["damping.knee"][0] for seed in range(1000)])
+    expected = np.sort(ensemble.weights)[-8:].sum()
+    assert np.isin(first, heaviest).mean() == pytest.approx(expected, abs=4 * np.sqrt(expected * (1 - expected) / 1000))
+
+
 @pytest.mark.parametrize("n", [0, 100_000])
 def test_more_bodies_than_there_are_is_refused_with_their_number(n):
     with pytest.raises(ParameterError, match=rf"bodies is {n}: allowed is 1 to {len(identified.bodies())}"):

@@ -8,6 +8,7 @@ import pickle
 import mujoco
 import numpy as np
 import pytest
+from command import call
 from conftest import shared_simulator
 
 from nermo_mjx.robot import LIMBS, ParameterError, load_robot
@@ -97,6 +98,17 @@ def test_only_ground_and_obstacles_touch_the_robot():
     assert "lawn" not in touching
     assert {"floor", "ground_0", "leg", "seat", "torso_bumper"} < touching
     assert not model.geom_contype.any()
+
+
+def test_a_warning_of_a_command_is_one_sentence(tmp_path):
+    """Not the line of code that it comes from; also where several parts read the scene."""
+    file = tmp_path / "scene.xml"
+    file.write_text(scene().replace("<worldbody>", "<option solver='PGS'/><worldbody>"))
+    told = call("model", "--scene", file, "--json").stderr
+    assert told.count("its option has solver") == 1
+    assert told.startswith("nermo-mjx: scene is ")
+    assert "Warning" not in told
+    assert ".py" not in told
 
 
 @pytest.mark.filterwarnings("ignore:scene is MJCF. its option has")

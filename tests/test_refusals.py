@@ -120,7 +120,17 @@ REFUSED: dict[Callable[[Any], Any], list[tuple[Any, str]]] = {
     course_through: [
         (LINE[:2], "The way points have shape (2, 2): expected at least three rows of (x, y)."),
         ([(0, 0, 0)] * 4, "The way points have shape (4, 3): expected at least three rows of (x, y)."),
-        ([(0, 0), (0, -1), (0, np.nan)], "Way point 2 is (0, nan): expected finite numbers."),
+        ([(0, 0), (0, -1), (0, np.nan)], "Way point 2 is (0, nan): expected finite numbers, allowed up to 10000 m."),
+        (
+            [(0, 0), (0, -1), (0, -1e308)],
+            "Way point 2 is (0, -1e+308): expected finite numbers, allowed up to 10000 m.",
+        ),
+        (
+            [(-1e308, 0), (1e308, -1), (0, -2)],
+            "Way point 0 is (-1e+308, 0): expected finite numbers, allowed up to 10000 m.",
+        ),
+        ([(0, 0), (0, 10**400), (0, -2)], "The way points are not numbers in rows of (x, y)."),
+        ([(0, 0), (0, -9000), (9000, -9000)], "The course is 18000 m long: allowed are 10000 m."),
         ([(0, 0), (0, -1), (0, -1), (0, -2)], "Way point 2 repeats the one before it."),
         (CIRCLE, r"The course bends with a radius of 0.0\d+ m: allowed is at least 0.05 m."),
         ([(0, 0), (0, -1), (0, 0)], r"The course bends with a radius of \S+ m: allowed is at least 0.05 m."),

@@ -11,7 +11,7 @@ from typing import Any
 
 import jsonschema
 import pytest
-from command import call
+from command import call, json_of
 
 from nermo_mjx.cli.tools import FILES
 from nermo_mjx.rollout import all_parameters
@@ -179,10 +179,13 @@ def test_the_landscape_reads_a_tuning_file(schemas):
 
 
 def test_the_command_writes_a_file(tmp_path):
-    """It prints nothing then; its folder is made."""
+    """It prints only its name then, and with --quiet nothing; its folder is made."""
     out = tmp_path / "new" / "sweep.schema.json"
-    ran = call("schema", "sweep", "--out", out)
-    assert (ran.exit_code, ran.output) == (0, "")
+    for more, said in (((), f"wrote {out}\n"), (("--quiet",), "")):
+        ran = call("schema", "sweep", "--out", out, *more)
+        assert (ran.exit_code, ran.output) == (0, said)
+    assert json_of("schema", "sweep", "--out", out) == json.loads(out.read_text()) == json_of("schema", "sweep")
+    assert json.loads(call("schema", "sweep", "--quiet").stdout) == json_of("schema", "sweep")
     gaits = json.loads(out.read_text())["properties"]["gait"]["enum"]
     assert gaits[:6] == ["trt", "trt1", "lat", "bound", "gallop", "trot"]
 

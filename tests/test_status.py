@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import json
 import re
+import time
 import types
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,7 @@ from nermo_mjx.experiments.identification import CASES
 from nermo_mjx.experiments.run import run_experiments
 from nermo_mjx.optimize import Tuning, run_landscape, run_tuning
 from nermo_mjx.runs import Interrupted, RunDirectory, codes_of, stamp
+from nermo_mjx.runs.code import local_time
 from nermo_mjx.runs.rows import part_files
 from nermo_mjx.sweep import run_sweep
 
@@ -72,7 +74,7 @@ def test_a_directory_that_is_being_written_is_read(tmp_path: Path) -> None:
         assert content["code"] == [code.id]
         text = status(tmp_path).stdout
         assert f"code     {code.id}: nermo-mjx {code.package}, sources {code.sources}, model a model, engine c" in text
-        assert "2026-01-01T00:00" in text
+        assert "2026-01-01 00:00" in text
         assert "nermo-mjx sweep a.yaml --out elsewhere" in text
 
 
@@ -95,7 +97,28 @@ def test_the_last_three_sessions_are_shown(tmp_path: Path) -> None:
     text = status(tmp_path).stdout
     assert "code     not known" in text
     assert "session  and 2 earlier" in text
-    assert text.count("2026-01-01T00:00, jax 0.1, on far, 4 cores") == 3
+    assert len(re.findall(r"2026-01-01 \d\d:\d\d \S+, jax 0.1, on far, 4 cores", text)) == 3
+
+
+@pytest.mark.parametrize(
+    ("zone", "local"),
+    [("Asia/Tokyo", "2026-01-01 09:30 JST"), ("UTC", "2026-01-01 00:30 UTC"), ("EST5EDT", "2025-12-31 19:30 EST")],
+)
+def test_times_are_those_of_this_machines_zone_and_name_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, zone: str, local: str
+) -> None:
+    """Wherever a session ran; what is no time is shown as it is."""
+    monkeypatch.setenv("TZ", zone)
+    time.tzset()
+    sessions = [{"started": each} for each in ("2026-01-01T00:30:00+0000", "2025-12-31T16:30:00-0800", "2026-01-01")]
+    (tmp_path / "run.json").write_text(json.dumps({"kind": "sweep", "sessions": [*sessions, {"started": "then"}, {}]}))
+    text = status(tmp_path).stdout
+    assert "session  then, " in text
+    assert "session  some time, " in text
+    assert "session  2026-01-01 00:00 " in text
+    assert [local_time(each["started"]) for each in sessions[:2]] == [local, local]
+    monkeypatch.undo()
+    time.tzset()
 
 
 @pytest.mark.compiles

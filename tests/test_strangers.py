@@ -575,6 +575,16 @@ def test_a_picture_with_many_pixels_is_refused(tmp_path: Path) -> None:
             "81,000 worlds at once take 4",
         ),
         (Training.from_dict, {"worlds": 500_000, "steps": 1_000_000}, "500,000 worlds at once take 25.0 GB"),
+        *(
+            (read, spec | {"pilot": {"waypoints": {"points": [[0.0, 0.0], [0.0, -0.5], [far, -1.0]]}}}, said)
+            for read, spec in (
+                (Sweep.from_dict, {"vary": {"frequency": [0.8]}}),
+                (Search.from_dict, SEARCH),
+                (Tuning.from_dict, TUNE),
+                (Training.from_dict, {}),
+            )
+            for far, said in ((1e308, "field 'pilot.waypoints.points' is refused: Way point 2 is (1e+308, -1): "),)
+        ),
     ],
 )
 def test_a_batch_that_does_not_fit_and_a_run_without_end_are_refused(read: Any, spec: Any, said: str) -> None:

@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 import time
+import warnings
 from pathlib import Path
 
 import jax
@@ -20,13 +21,14 @@ import pytest
 from click.testing import CliRunner
 from explore_data import falling
 from learn_toy import PointMass
+from scipy.stats import kstest
 
 from nermo_mjx import ParameterError, Run, Setup, Simulator, show
 from nermo_mjx.cli import main
 from nermo_mjx.learn import PPO, Environment, Policy, Residual, Task, Training, load_policy, run_training
 from nermo_mjx.learn.directory import Directory, status
 from nermo_mjx.learn.environment import Mixture, divided
-from nermo_mjx.learn.evaluation import Draws, Evaluator, summary_of
+from nermo_mjx.learn.evaluation import UNSEEN, Draws, Evaluator, bodies, recorded, summary_of
 from nermo_mjx.learn.experience import collector
 from nermo_mjx.learn.policy import export
 from nermo_mjx.learn.run import _KEY, Choice, successes
@@ -349,6 +351,99 @@ def test_a_walk_that_is_too_slow_is_no_success_of_the_validation(policy):
     assert speeds.success.all()
     assert limit > 0.0
     assert successes(asked, policy[0]) == {"flat": 0.5}
+
+
+@pytest.mark.parametrize("key", [UNSEEN, _KEY], ids=["evaluation", "validation"])
+@pytest.mark.parametrize("identified", [True, False])
+def test_more_unseen_walks_begin_with_those_of_fewer(key: int, identified: bool) -> None:
+    """So that trainings with other counts are paired, and a page shows a walk of the evaluation."""
+    randomize = {"start.yaw": [-0.3, 0.3], "start.x": [0.8, 1.6], "start.phase": [0.0, 1.0]}
+    training = Training.from_dict({"randomize": randomize, "task": {"bodies": identified}})
+    many, one = (bodies(training, training.task, Draws(count, key)) for count in (200, 1))
+    for count in (100, 3, 1):
+        few = bodies(training, training.task, Draws(count, key))
+        assert few.keys() == many.keys()
+        for name, column in few.items():
+            np.testing.assert_array_equal(column, many[name][:count], err_msg=name)
+    assert one.keys() == many.keys() >= randomize.keys()
+    other = bodies(training, training.task, Draws(200, UNSEEN + _KEY - key))
+    for name, (low, high) in randomize.items():
+        drawn = (many[name] - low) / (high - low)
+        assert drawn.min() >= 0.0
+        assert drawn.max() <= 1.0
+        assert kstest(drawn, "uniform").pvalue > 1e-3
+        assert not set(many[name]) & set(other[name])
+    assert abs(np.corrcoef([many[name] for name in randomize])[np.triu_indices(3, 1)]).max() < 0.25
+
+
+def test_a_page_shows_the_first_walk_of_the_evaluation(policy):
+    """On each scene the same start, body and numbers."""
+    fields = {
+        "run": {"duration": 0.3},
+        "randomize": {"start.yaw": [-0.3, 0.3], "contact.friction": [0.8, 1.6]},
+        "evaluate": {"bodies": 3, "distance": 0.0, "scenes": ["flat", "planks"]},
+    }
+    training = Training.from_dict(fields)
+    table = Evaluator(training)(policy[0], walkers=("policy",)).to_pandas().set_index(["scene", "body"])
+    for scene, recording in recorded(training, policy[0]):
+        first = table.loc[scene, 0]
+        for name in fields["randomize"]:
+            assert recording.metadata["parameters"][name] == pytest.approx(first[name], rel=1e-12)
+        for name in ("speed", "distance", "servo_work"):
+            assert recording.metadata["metrics"][name] == first[name]
+
+
+def test_a_policy_in_another_physics_than_it_was_judged_in_says_so(policy, tmp_path):
+    """In Python, for a walk and for a sweep; nothing is said in its own, or of a file that does not know."""
+    policy, path, run = policy[0], tmp_path / "policy.npz", Run(duration=0.05, warmup=0.0)
+    path.write_bytes(policy.content())
+    sentence = "judged in physics reference at steps of 2 ms and walks in"
+    for setup in (Setup(physics="fast"), Setup(timestep=0.001)):
+        with pytest.warns(UserWarning, match=f"{sentence} {setup.physics} at {1e3 * setup.timestep:.4g} ms"):
+            Simulator(setup, engine="c", controller=str(path))
+    old = dataclasses.replace(policy, about={})
+    with warnings.catch_warnings(action="error"):
+        Simulator(engine="c", controller=str(path))({}, run)
+        Simulator(Setup(timestep=0.002), engine="c", controller=policy)({}, run)
+        Simulator(Setup(physics="fast"), engine="c", controller=old)
+    (tmp_path / "swept.yaml").write_text(
+        f"physics: fast\ncontroller: {path}\nrun: {{duration: 0.05, warmup: 0.0}}\nvary: {{frequency: [0.6, 0.8]}}\n"
+        "plots: false\n"
+    )
+    walk = ["walk", "--controller", str(path), "--duration", "0.05", "--warmup", "0", "--json"]
+    sweep = ["sweep", str(tmp_path / "swept.yaml"), "--out", str(tmp_path / "swept"), "--engine", "c", "--json"]
+    for args, told in ((walk, 0), ([*walk, "--physics", "fast"], 1), (sweep, 1)):
+        result = CliRunner().invoke(main, args)
+        assert result.exit_code == 0, result.output
+        assert result.stderr.count(sentence) == told
+        assert "Warning" not in result.stderr
+        assert ".py" not in result.stderr
+        json.loads(result.stdout)
+
+
+def test_a_policys_evaluation_is_made_again_from_its_file(tmp_path):
+    """In another process, to the last bit, in the physics that the summary names; whatever is loaded first."""
+    fields = SPEC | {"physics": "fast", "worlds": 2, "steps": 16, "checkpoint": 16, "task": {"duration": 0.1}}
+    fields |= {"run": {"duration": 0.3}, "evaluate": {"bodies": 4}, "randomize": {"contact.friction": [0.8, 1.6]}}
+    fields["algorithm"] = {"ppo": {"horizon": 4, "hidden": [64]}}
+    out = tmp_path / "out"
+    result = run_training(fields, out, engine="c")
+    assert result.summary["judged"] == {"physics": "fast", "timestep": pytest.approx(0.01 / 3)}
+    again = """
+import sys, json
+from nermo_mjx.learn import load_policy
+policy = load_policy(sys.argv[1] + "/policy.npz")
+import numpy as np
+import pyarrow.parquet as pq
+from nermo_mjx import Run, Setup, Simulator
+table = pq.read_table(sys.argv[1] + "/evaluation.parquet").to_pandas().query("controller == 'policy'")
+judged = json.load(open(sys.argv[1] + "/summary.json"))["judged"]
+setup = Setup(physics=judged["physics"], controller=policy)
+found = Simulator(setup, engine="c").run({"contact.friction": table["contact.friction"].to_numpy()}, Run(duration=0.3))
+for name in ("speed", "distance", "servo_work"):
+    np.testing.assert_array_equal(found.metrics[name], table[name].to_numpy(), err_msg=name)
+"""
+    subprocess.run([sys.executable, "-W", "error::UserWarning", "-c", again, str(out)], check=True)
 
 
 def test_an_evaluation_without_todays_metrics_is_still_summed_up(evaluated):

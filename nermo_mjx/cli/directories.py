@@ -130,6 +130,8 @@ def status_command(path: Path) -> Outcome:
 
 def _worked(sessions: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, str]]:
     """The newest sessions: when, with what, where, by which command."""
+    from nermo_mjx.runs.code import local_time
+
     latest = sessions[-3:]
     if len(sessions) > len(latest):
         yield "session", f"and {len(sessions) - len(latest)} earlier"
@@ -138,7 +140,7 @@ def _worked(sessions: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, str]]:
         named = ", ".join(f"{name} {versions[name]}" for name in ("nermo-mjx", "mujoco", "jax") if name in versions)
         where = ", ".join(str(machine[name]) for name in ("host", "processor") if name in machine)
         cores = f", {machine['cores']} cores" if "cores" in machine else ""
-        yield "session", f"{str(each.get('started', 'some time'))[:16]}, {named}, on {where}{cores}"
+        yield "session", f"{local_time(each.get('started', 'some time'))}, {named}, on {where}{cores}"
         if each.get("command"):
             yield "", str(each["command"])
 

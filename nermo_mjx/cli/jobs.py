@@ -601,7 +601,9 @@ def _print_training(result: TrainingResult, exported: Path | None) -> None:
             rows.append([scene, name, f"{100 * found['success']:.0f}", f"{1e3 * found['speed']:.1f}", *costs])
     if rows:
         headings = ["scene", "walks", "success [%]>", "speed [mm/s]>", "cost of transport, mechanical>", "electrical>"]
-        print_table(f"On {result.training.evaluation.bodies:,} unseen bodies and starts", headings, rows)
+        physics = summary["judged"]["physics"]
+        title = f"On {result.training.evaluation.bodies:,} unseen bodies and starts, in physics {physics}"
+        print_table(title, headings, rows)
     cpu = summary["environment_cpu"] + summary["learner_cpu"]
     click.echo(
         f"{summary['steps']:,} control steps, {duration(summary['simulated_seconds'])} simulated, in "

@@ -15,6 +15,7 @@ import shutil
 import signal
 import sys
 import threading
+import warnings
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from types import FrameType
@@ -92,8 +93,18 @@ class CommandGroup(click.Group):
         in_main = threading.current_thread() is threading.main_thread()
         found = {each: signal.getsignal(each) for each in ENDING if in_main}
         before = {each: signal.signal(each, _as_ctrl_c) for each in found if found[each] is signal.SIG_DFL}
+        warned = set[str]()
+
+        def warn(message: Warning | str, *_: Any) -> None:
+            """A warning is a sentence, said once, without the line of code that it comes from."""
+            if str(message) not in warned:
+                warned.add(str(message))
+                TELL.get()(one_line(str(message)))
+
         try:
-            return super().invoke(ctx)
+            with warnings.catch_warnings():
+                warnings.showwarning = warn  # type: ignore[assignment]
+                return super().invoke(ctx)
         except KeyboardInterrupt as error:
             # Sweeps and tunings say themselves how to resume; commands without state simply stop.
             raise Failure(str(error) or "stopped; nothing was kept, run the same command again.") from None
@@ -204,7 +215,7 @@ class Outcome:
 COMMANDS: Final[list[click.Command]] = []
 
 
-def command(name: str, *, reads: bool = False, prints: bool = False) -> Callable[[Callable[..., Any]], click.Command]:
+def command(name: str, *, reads: bool = False) -> Callable[[Callable[..., Any]], click.Command]:
     """A command of a function that does the work, and returns how it ended; its `--json` and `--quiet` are added.
 
     Its docstring is the help; the epilog begins with the first list in it that has a heading. What libraries print goes
@@ -213,7 +224,6 @@ def command(name: str, *, reads: bool = False, prints: bool = False) -> Callable
     Args:
         name: as it is typed.
         reads: it runs no Python that files name.
-        prints: the function prints by itself, and returns nothing; there are no such options.
     """
 
     def make(function: Callable[..., Any]) -> click.Command:
@@ -235,12 +245,10 @@ def command(name: str, *, reads: bool = False, prints: bool = False) -> Callable
             if outcome.failure:
                 raise Failure(outcome.failure)
 
-        decorated: Any = only_reading()(run) if reads else function if prints else run
-        if not prints:
-            quietly = click.Option(["--quiet", "-q"], is_flag=True, help="Print errors only, no progress or summary.")
-            about = "Print one JSON object on standard output, nothing else."
-            declared = [quietly, click.Option(["--json", "as_json"], is_flag=True, help=about), *declared]
-        decorated.__click_params__ = declared
+        decorated: Any = only_reading()(run) if reads else run
+        quietly = click.Option(["--quiet", "-q"], is_flag=True, help="Print errors only, no progress or summary.")
+        about = "Print one JSON object on standard output, nothing else."
+        decorated.__click_params__ = [quietly, click.Option(["--json", "as_json"], is_flag=True, help=about), *declared]
         COMMANDS.append(click.command(name, help=text, epilog="\n\n".join(f"\b\n{each}" for each in lists))(decorated))
         return COMMANDS[-1]
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import importlib
 import json
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -92,10 +91,10 @@ FILES: Final = {
 }
 
 
-@command("schema", prints=True)
+@command("schema")
 @click.argument("kind", type=click.Choice(list(FILES)))
 @options.file("--out", ".json", "File for the schema, instead of standard output.")
-def schema_command(kind: str, out: Path | None) -> None:
+def schema_command(kind: str, out: Path | None) -> Outcome:
     """Print the JSON Schema of the file that a command reads.
 
     An editor that supports it completes fields, names and parameters, with
@@ -109,17 +108,17 @@ def schema_command(kind: str, out: Path | None) -> None:
     With "# yaml-language-server: $schema=tune.schema.json" as its first line, a
     file next to it is completed and checked as you type.
     """
-    with contextlib.redirect_stdout(sys.stderr):
-        from nermo_mjx.runs.files import replace_file
-        from nermo_mjx.specs.fields import schema_of
+    from nermo_mjx.runs.files import replace_file
+    from nermo_mjx.specs.fields import schema_of
 
-        module, _, name = FILES[kind].partition(":")
-        text = json.dumps(schema_of(getattr(importlib.import_module(f"nermo_mjx.{module}"), name)), indent=2) + "\n"
+    module, _, name = FILES[kind].partition(":")
+    schema = schema_of(getattr(importlib.import_module(f"nermo_mjx.{module}"), name))
+    text = json.dumps(schema, indent=2)
     if out is None:
-        click.echo(text, nl=False)
-    else:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        replace_file(out, text.encode())
+        return Outcome(schema, lambda: click.echo(text), always=True)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    replace_file(out, f"{text}\n".encode())
+    return Outcome(schema, files=[out])
 
 
 @command("bench")
@@ -162,10 +161,10 @@ SHELLS = ("bash", "zsh", "fish")
 _PROGRAM, _VARIABLE = "nermo-mjx", "_NERMO_MJX_COMPLETE"
 
 
-@command("completion", prints=True)
+@command("completion")
 @click.argument("shell", type=click.Choice(SHELLS))
 @click.pass_context
-def completion_command(context: click.Context, shell: str) -> None:
+def completion_command(context: click.Context, shell: str) -> Outcome:
     """Print a script with which a shell completes commands, options, names and files.
 
     Examples:
@@ -177,4 +176,5 @@ def completion_command(context: click.Context, shell: str) -> None:
     """
     kind = get_completion_class(shell)
     assert kind is not None
-    click.echo(kind(context.find_root().command, {}, _PROGRAM, _VARIABLE).source())
+    script = kind(context.find_root().command, {}, _PROGRAM, _VARIABLE).source()
+    return Outcome({"shell": shell, "script": script}, lambda: click.echo(script), always=True)

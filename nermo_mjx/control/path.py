@@ -84,6 +84,9 @@ PATHS: Final[dict[str, Callable[[Pilot, Array], PathPoint]]] = {"straight": stra
 #: a stride; ahead, the window leaves room to cut a bend.
 BEHIND: Final = 0.05
 AHEAD: Final = 0.15
+#: Largest coordinate of a way point [m], where float32 still tells millimetres; and samples of the longest course.
+FARTHEST_POINT: Final = 1e4
+MOST_SAMPLES: Final = 1_000_000
 #: Smallest radius of curvature that is not a kink [m].
 SMALLEST_RADIUS: Final = 0.05
 
@@ -137,6 +140,8 @@ def course_through(points: Sequence[Sequence[float]] | np.ndarray, spacing: floa
 
     way = _checked(points, spacing)
     chords = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(way, axis=0), axis=1))])
+    if chords[-1] > MOST_SAMPLES * spacing:
+        raise ParameterError(f"The course is {chords[-1]:g} m long: allowed are {MOST_SAMPLES * spacing:g} m.")
     curve = CubicSpline(chords, way, bc_type="natural")
 
     # Arc length on a grid whose polygon is shorter than the curve by less than a micrometre per metre.
@@ -201,13 +206,14 @@ def locate(course: Course, progress: Scalars, position: Spatial) -> PathPoint:
 def _checked(points: Sequence[Sequence[float]] | np.ndarray, spacing: float) -> Float[np.ndarray, "points 2"]:
     try:
         way = np.asarray(points, dtype=float)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise ParameterError("The way points are not numbers in rows of (x, y).") from None
     if way.ndim != 2 or way.shape[1:] != (2,) or len(way) < 3:
         raise ParameterError(f"The way points have shape {way.shape}: expected at least three rows of (x, y).")
-    if not np.isfinite(way).all():
-        row = int(np.flatnonzero(~np.isfinite(way).all(axis=1))[0])
-        raise ParameterError(f"Way point {row} is ({way[row, 0]:g}, {way[row, 1]:g}): expected finite numbers.")
+    if len(far := np.flatnonzero(~(np.abs(way) <= FARTHEST_POINT).all(axis=1))):
+        x, y = way[far[0]]
+        allowed = f"expected finite numbers, allowed up to {FARTHEST_POINT:g} m"
+        raise ParameterError(f"Way point {far[0]} is ({x:g}, {y:g}): {allowed}.")
     repeated = np.flatnonzero(np.linalg.norm(np.diff(way, axis=0), axis=1) < 1e-6)
     if len(repeated):
         raise ParameterError(f"Way point {repeated[0] + 1} repeats the one before it.")

@@ -89,6 +89,10 @@ class ActsUpon(Protocol):
             ParameterError: it cannot act upon that one.
         """
 
+    def elsewhere(self, physics: str, timestep: float) -> str:
+        """A sentence on why it may walk otherwise in this physics, with this time step [s]; empty if nothing is known
+        of that."""
+
 
 @runtime_checkable
 class PlansContact(Protocol):

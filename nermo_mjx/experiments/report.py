@@ -16,6 +16,7 @@ from nermo_mjx.experiments.cases import PROFILES, Column, Outcome, texts
 from nermo_mjx.experiments.published import AGREES, KINDS, Experiment, Line, counts, set_ups
 from nermo_mjx.plotting.shown import shown
 from nermo_mjx.recording import Recording
+from nermo_mjx.runs.code import local_time
 from nermo_mjx.runs.files import MISSING, listed, table
 from nermo_mjx.sweep.spec import START_SPREAD
 from nermo_mjx.sweep.table import Columns, meta
@@ -369,7 +370,7 @@ def _what_was_run(content: Mapping[str, Any], chosen: list[Experiment]) -> Itera
             "code": about.get("code", MISSING),
             "parameters": setting_text(settings["values"]),
             "took": f"{about['wall_seconds']:.0f} s",
-            "on": about["started"][:16].replace("T", " "),
+            "on": local_time(about["started"]),
         }
         rows.append(row)
     yield table(list(rows[0]) if rows else [], [[*map(str, row.values())] for row in rows], "lrlrrrllllrl")

@@ -41,6 +41,7 @@ from nermo_mjx.recording import Recording
 from nermo_mjx.robot import ParameterError, load_robot
 from nermo_mjx.robot.quantity import choice
 from nermo_mjx.runs import CodeStamp, DirectoryError, RunDirectory, Written, codes_of, engine_of, session, stamp
+from nermo_mjx.runs.code import local_time
 from nermo_mjx.runs.directory import Session, read_record, remove_leftovers
 from nermo_mjx.runs.files import clear_errors, parquet_bytes, parquet_table, replace_file, stored_json, to_json
 from nermo_mjx.runs.job import SILENT, JobFailed, Progress, Watch, resumable
@@ -203,7 +204,7 @@ def status(out: Path) -> Status:
         about, runs = stored.about, f"{name}: {len(stored.outcome)} runs"
         runs += f", and {len(bodies[name].outcome)} of identified bodies" if name in bodies else ""
         code = f", code {about['code']}" if "code" in about else ""
-        notes.append(f"{runs}, of {about['started'][:16]}, engine {about['engine']}{code}.")
+        notes.append(f"{runs}, of {local_time(about['started'])}, engine {about['engine']}{code}.")
     rows = sum(len(stored.outcome) for stored in (*found.values(), *bodies.values()))
     complete = bool(found) and not missing
     command = f"nermo-mjx plot {shlex.quote(str(out))}" if complete else last_command(out)
@@ -553,7 +554,9 @@ class _Call:
             made = codes_of(out).get(kept.about.get("code", ""))
             unlike = "" if made is None else made.unlike(self.code)
             other = " by code that is not known" if made is None else f" by other code ({unlike})" if unlike else ""
-            self.watch.warn(f"{chosen.name}: kept as run on {kept.about['started']}{other}; --again reruns it.")
+            self.watch.warn(
+                f"{chosen.name}: kept as run on {local_time(kept.about['started'])}{other}; --again reruns it."
+            )
         several = self.directory.load(chosen.name, bodies=True)
         lines = compare(stored.outcome, several.outcome if several else None, chosen.figures)
         if stored.about["settings"].get("controller"):  # reasons were found for the published controller

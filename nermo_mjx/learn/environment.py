@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, NoReturn
 
 import jax
 import jax.numpy as jnp
@@ -123,8 +123,9 @@ class CWorlds:
         """
         if k not in self.drawn:
             n = self.worlds
-            keys = np.broadcast_to(self.key, (n, *self.key.shape))
-            params, model, qpos = self.draw(keys, np.arange(n), np.full(n, k))
+            keys = np.broadcast_to(self.key, (n, self.key.shape[-1]))
+            places = np.arange(n) if self.key.ndim == 1 else np.zeros(n, int)  # where each has a key of its own
+            params, model, qpos = self.draw(keys, places, np.full(n, k))
             fields = self.variation.batch(model, n, self.episodes.reached)
             self.drawn[k] = params, fields, np.asarray(qpos, float)
             for old in [each for each in self.drawn if each <= self.count.min() and each != k]:
@@ -160,8 +161,10 @@ class MjxWorlds:
 
     @full_precision
     def reset(self, key: Any) -> State:
-        keys = jax.random.split(jax.random.wrap_key_data(key), self.worlds)
-        world = jax.vmap(functools.partial(self.begin, cut_short=self.staggered))(jax.random.key_data(keys))
+        keys = (
+            key if key.ndim == 2 else jax.random.key_data(jax.random.split(jax.random.wrap_key_data(key), self.worlds))
+        )
+        world = jax.vmap(functools.partial(self.begin, cut_short=self.staggered))(keys)
         seen = jax.vmap(self.seen)(world)
         return _state(seen, seen.observation, seen.privileged, world)
 
@@ -290,10 +293,23 @@ class Environment:
         """Begin an episode in every world.
 
         Args:
-            key: a `jax.random.key`, a raw key (2,), or a whole number; the environment's seed by default.
+            key: a `jax.random.key`, a raw key (2,), or a whole number; the environment's seed by default. A list of
+                whole numbers has one for each world, whose episodes depend on it alone, not on the world's place.
         """
+        if isinstance(key, (list, tuple)):
+            if len(key) != self.worlds:
+                raise ParameterError(
+                    f"seed has {len(key)} entries: expected one number, or {self.worlds}, a world each."
+                )
+            key = jnp.stack([_raw_key(each) for each in key])
         state: State = self._worlds.reset(_raw_key(self.seed if key is None else key))
         return state
+
+    def __reduce__(self) -> NoReturn:
+        raise TypeError(
+            "an environment holds worlds of MuJoCo and compiled programs, which cannot be pickled or copied: make one "
+            "from its arguments in each process."
+        )
 
     def step(self, state: State, action: Any) -> State:
         """One control step of all worlds.

@@ -106,15 +106,19 @@ class Evaluator:
 
 
 def bodies(training: Training, task: Task, draws: Draws) -> dict[str, np.ndarray]:
-    """Parameters of the unseen bodies and starts (n,): from the ranges and the ensemble of the training."""
-    count = draws.number
-    random = np.random.default_rng([training.seed, draws.key])
-    drawn = {name: random.uniform(low, high, count) for name, (low, high) in task.randomize.items()}
+    """Parameters of the unseen bodies and starts (n,): from the ranges and the ensemble of the training.
+
+    Each walk has a stream of its own, as in a sweep, so that more walks begin with those of fewer.
+    """
+    ranges, walks = task.randomize, range(draws.number)
+    streams = (np.random.default_rng([training.seed, draws.key, walk]) for walk in walks)
+    *shares, body = np.array([stream.random(len(ranges) + 1) for stream in streams]).T
+    drawn = {
+        name: low + share * (high - low) for (name, (low, high)), share in zip(ranges.items(), shares, strict=True)
+    }
     if task.bodies:
         ensemble = identified.bodies()
-        weights = np.asarray(ensemble.weights, float)
-        chosen = random.choice(len(ensemble), count, p=weights / weights.sum())
-        drawn |= {name: np.asarray(column, float)[chosen] for name, column in ensemble.values.items()}
+        drawn |= ensemble.take(ensemble.at(body))
     return drawn
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import gymnasium
@@ -46,28 +47,30 @@ class NermoVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self._state: State | None = None
 
     def reset(
-        self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
+        self, *, seed: int | Sequence[int | None] | np.ndarray | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
         """Begin an episode in all worlds; without a seed the episodes differ each time.
 
         Args:
-            seed: of all worlds, from 0 to 2^64 - 1; of several the first.
+            seed: from 0 to 2^64 - 1, one for all worlds, or one for each, whose episodes depend on it alone; a world
+                without (None) gets one at random.
             options: none are known.
 
         Raises:
-            ParameterError: another seed, or options, such as a mask of the worlds to reset.
+            ParameterError: another seed or number of seeds, or options, such as a mask of the worlds to reset.
         """
         if options:
             raise ParameterError(f"options has {', '.join(options)}: none are known, and all worlds are reset.")
-        if isinstance(seed, (list, tuple)) and not seed:
-            raise ParameterError("seed is an empty list: expected a whole number, or one for each world.")
-        first = seed[0] if isinstance(seed, (list, tuple)) else seed
-        if first is not None and (not isinstance(first, (int, np.integer)) or not 0 <= first < 1 << 64):
-            raise ParameterError(f"seed is {first!r}: allowed is a whole number from 0 to 2^64 - 1.")
+        given: Any = seed.tolist() if isinstance(seed, np.ndarray) else seed
+        seeds = list(given) if isinstance(given, (list, tuple)) else [given]
+        for each in seeds:
+            if each is not None and (not isinstance(each, (int, np.integer)) or not 0 <= each < 1 << 64):
+                raise ParameterError(f"seed is {each!r}: allowed is a whole number from 0 to 2^64 - 1.")
+        first = next((each for each in seeds if each is not None), None)
         super().reset(seed=None if first is None else int(first))
         # The generator of Gymnasium says which episodes come, so that a seed makes all that follow repeatable.
-        key = first if first is not None else int(self.np_random.integers(1 << 31))
-        self._state = self.environment.reset(key)
+        keys = [int(self.np_random.integers(1 << 31)) if each is None else each for each in seeds]
+        self._state = self.environment.reset(keys if isinstance(given, (list, tuple)) else keys[0])
         return np.asarray(self._state.observation), {"privileged": self._state.privileged}
 
     def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:

@@ -141,7 +141,7 @@ class EpisodeLoop:
         speed = self._speed(params, state, self.run.measure(params.loop, state.loop, sensordata))
         loop, ctrl = self.run.step(params.loop, state.loop, sensordata)
         sensors = self.run.last_reading(loop.metrics, sensordata)
-        first = {"before": loop.metrics, "action": self.input(params), "last_action": state.action}
+        first = {"before": loop.metrics, "action": jnp.clip(self.input(params), -1.0, 1.0), "last_action": state.action}
         kept = {name: getattr(state, name) for name in first}
         chosen = jax.tree.map(functools.partial(jnp.where, begins), first, kept)
         memory = self.observer.remembered(state.memory, self.observer.readings(sensors))

@@ -33,6 +33,7 @@ from nermo_mjx.learn.observing import LONGEST_DELAY, Observer
 from nermo_mjx.learn.task import GIVEN, Given, commanded
 from nermo_mjx.robot import ParameterError, Sensors, ServoAngles
 from nermo_mjx.robot.geometry import geometry_of
+from nermo_mjx.robot.parameters import PRESETS
 from nermo_mjx.robot.quantity import (
     check_quantities,
     choice,
@@ -44,6 +45,7 @@ from nermo_mjx.robot.quantity import (
 )
 from nermo_mjx.rollout.setup import Setup
 from nermo_mjx.runs.code import versions
+from nermo_mjx.runtime import start_jax
 from nermo_mjx.shapes import Array, Count, Scalar
 from nermo_mjx.specs.model import named
 
@@ -113,7 +115,7 @@ class Policy:
         decimation: control ticks for which an action is held.
         base: choices of the setup whose controller is acted on, by name.
         fixed: parameters that differ from that setup's defaults, and those of `Given`.
-        about: what else the file says: how it was trained, versions.
+        about: what else the file says: how it was trained, in which physics it was judged, versions.
     """
 
     actor: Actor
@@ -127,7 +129,8 @@ class Policy:
 
     @classmethod
     def of(cls, environment: Environment, learned: Learned, about: Mapping[str, Any] | None = None) -> Policy:
-        """What was `learned` in an environment; `about` is further content of the file.
+        """What was `learned` in an environment; `about` is further content of the file: the `judged` physics and time
+        step [s] where they are not the environment's.
 
         Raises:
             ParameterError: it acts on a controller that is not a published one.
@@ -146,7 +149,7 @@ class Policy:
             task.decimation,
             {name: getattr(setup, name) for name in BASE},
             fixed | given,
-            about or {},
+            {**(about or {}), "judged": (about or {}).get("judged", judged_in(setup))},
         )
 
     def upon(self, **choices: Any) -> Policy:
@@ -156,6 +159,17 @@ class Policy:
         if self.observer.sees_path and choices.get("pilot") == "open_loop":
             raise ParameterError("pilot is 'open_loop', which has no path, and the policy observes one.")
         return dataclasses.replace(self, base={**self.base, **choices})
+
+    def elsewhere(self, physics: str, timestep: float) -> str:
+        """See `ActsUpon`: a policy has adapted to the physics in which it was chosen."""
+        judged = self.about.get("judged")
+        if judged is None or (judged["physics"] == physics and np.isclose(judged["timestep"], timestep, rtol=1e-6)):
+            return ""
+        return (
+            f"controller is a policy that was judged in physics {judged['physics']} at steps of "
+            f"{1e3 * judged['timestep']:.4g} ms and walks in {physics} at {1e3 * timestep:.4g} ms: its numbers are not "
+            "those of its evaluation."
+        )
 
     @functools.cached_property
     def setup(self) -> Setup:
@@ -281,6 +295,16 @@ def load_policy(path: str | Path) -> Policy:
         raise ParameterError(f"{subject}, which holds no policy of `nermo-mjx train`: {reason}.") from None
 
 
+def judged_in(setup: Setup) -> dict[str, Any]:
+    """The physics and time step [s] of a setup, as a policy's file remembers them."""
+    return {"physics": setup.physics, "timestep": float(setup.timestep)}
+
+
+class _Judged(BaseModel, extra="forbid"):
+    physics: Literal[*PRESETS]  # type: ignore[valid-type]
+    timestep: Annotated[FiniteFloat, Field(gt=0)]
+
+
 class _Trained(BaseModel, extra="forbid"):
     steps: int
     training: str
@@ -302,6 +326,7 @@ class _About(BaseModel, extra="forbid"):
     fixed: dict[str, FiniteFloat]
     versions: dict[str, str]
     trained: _Trained | None = None
+    judged: _Judged | None = None
 
 
 @functools.lru_cache(maxsize=8)
@@ -324,6 +349,7 @@ def _policy(content: bytes) -> Policy:
     for name in shapes:
         if not np.isfinite(arrays[name]).all() or (name == "variance" and not (arrays[name] >= 0).all()):
             raise FileError(f"{name!r} has numbers that are not finite, or a variance below 0")
+    start_jax()  # with its own settings, on which the last bits of walks depend
     numbers = {name: jnp.asarray(arrays[name]) for name in shapes}
     policy = Policy(
         Actor(tuple((numbers[f"weights.{i}"], numbers[f"bias.{i}"]) for i in range(about.layers)), numbers["log_std"]),
@@ -333,7 +359,7 @@ def _policy(content: bytes) -> Policy:
         about.decimation,
         about.base,
         about.fixed,
-        about.model_dump(include={"trained", "versions"}, exclude_none=True),
+        about.model_dump(include={"trained", "judged", "versions"}, exclude_none=True),
     )
     if policy.observer.names != about.observation:
         raise ParameterError("this version observes other numbers under these names")

@@ -29,7 +29,7 @@ from nermo_mjx.learn.directory import EVALUATION, POLICY_FILE, SPEC, SUMMARY, Cu
 from nermo_mjx.learn.environment import Environment, Mixture
 from nermo_mjx.learn.evaluation import POLICY, Draws, Evaluator, summary_of
 from nermo_mjx.learn.experience import RESET, EnvironmentLike, Learned, Scores
-from nermo_mjx.learn.policy import Policy, load_policy
+from nermo_mjx.learn.policy import Policy, judged_in, load_policy
 from nermo_mjx.learn.spec import Training, Until
 from nermo_mjx.physics import resolve_engine
 from nermo_mjx.robot.quantity import ParameterError
@@ -121,8 +121,9 @@ class TrainingResult:
         out: its directory.
         training: what was trained.
         policy: file of the policy; None in an environment that is not of a robot.
-        summary: content of summary.json: `steps`, those after which the policy was chosen, `return` and `success`, and
-            of each scene of the evaluation the numbers of the policy and of the controller alone.
+        summary: content of summary.json: `steps`, those after which the policy was chosen, `return` and `success`, the
+            physics and time step [s] in which it was `judged`, and of each scene of the evaluation the numbers of the
+            policy and of the controller alone.
         learned: the learning state after the last iteration.
         history: what happened in each iteration.
         iterations_run: by this call.
@@ -283,14 +284,23 @@ class _Learning:
     def _chosen(self, learned: Learned) -> Policy | None:
         """The best policy so far where the training asks for it, otherwise that of what was learned."""
         policy = self._policy(learned)
-        return policy if policy is None or self.choice is None else self.choice.of(policy)
+        if policy is None or self.choice is None:
+            return policy
+        kept = self.choice.of(policy)  # of an earlier session, maybe, with another evaluation
+        return dataclasses.replace(kept, about={**kept.about, "judged": self._judged})
 
     def _policy(self, learned: Learned) -> Policy | None:
         """What was learned, as a controller; None in an environment that is not of a robot."""
         if (robot := self._robot) is None:
             return None
-        about = {"trained": {"steps": int(learned.steps), "training": self.directory.training.digest()}}
+        trained = {"steps": int(learned.steps), "training": self.directory.training.digest()}
+        about = {"trained": trained, "judged": self._judged}
         return Policy.of(robot, learned, about)
+
+    @property
+    def _judged(self) -> dict[str, Any]:
+        """The physics of the evaluation, whose scenes all have it."""
+        return judged_in(self.directory.training.evaluated()[0][0])
 
     @property
     def _robot(self) -> Environment | None:
@@ -334,6 +344,7 @@ def _summary(
         "episodes": int(curves.column("episodes").sum()),
         "simulated_seconds": float(int(learned.steps) * training.step_seconds),
         **effort,
+        **({} if policy is None else {"judged": judged_in(training.evaluated()[0][0])}),
         "scenes": scenes,
     }
 

@@ -43,6 +43,7 @@ from nermo_mjx.plotting.shown import ShownValues, shown, spoken
 from nermo_mjx.plotting.style import BAND, INK, LINE, MUTED
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.runs import RunDirectory, Written, engine_of, session, stamp
+from nermo_mjx.runs.code import local_time
 from nermo_mjx.runs.files import (
     MISSING,
     DirectoryError,
@@ -454,7 +455,7 @@ def report_text(content: Mapping[str, Any]) -> str:
         "## What was run\n",
         f"- Objective: {terms}",
         f"- {content['evaluations']} walks with gradients in batches of {content['batch']}, {content['precision']}, in "
-        f"{content['wall_seconds']:.0f} s, begun on {content['started']}",
+        f"{content['wall_seconds']:.0f} s, begun on {local_time(content['started'])}",
         f"- Command: `{content['command']}`",
         f"- Versions: {listed(content['versions'])}",
         f"- Machine: {listed(content['machine'])}",

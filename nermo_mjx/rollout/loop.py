@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import warnings
 from collections.abc import Callable, Container
 from typing import Any, Final, NoReturn
 
@@ -12,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from nermo_mjx.control.controller import Controller, canonical, with_dtypes_of
-from nermo_mjx.control.protocol import ControllerLike, FollowsPath, PlansContact, named_place, user_code
+from nermo_mjx.control.protocol import ActsUpon, ControllerLike, FollowsPath, PlansContact, named_place, user_code
 from nermo_mjx.control.schedule import Schedule, scheduled
 from nermo_mjx.robot import ParameterError, Robot, Sensors, ServoAngles
 from nermo_mjx.robot.model_parameters import Servo
@@ -265,7 +266,8 @@ def _check_at_rest(robot: Robot, controller: ControllerLike) -> None:
 
 
 def checked_loop(setup: Setup) -> ClosedLoop:
-    """The loop of a setup, whose own controller and metrics have been checked.
+    """The loop of a setup, whose own controller and metrics have been checked; warns of a policy that was judged in
+    another physics.
 
     Raises:
         ParameterError: see `check_controller` and `check_metrics`; its first word is the setup's field.
@@ -273,6 +275,8 @@ def checked_loop(setup: Setup) -> ClosedLoop:
     loop = ClosedLoop(setup.load(), setup.make_controller(), setup.own_metrics)
     check_controller(loop.robot, loop.controller)
     check_metrics(loop.robot.config, loop.own)
+    if isinstance(loop.controller, ActsUpon) and (why := loop.controller.elsewhere(setup.physics, setup.timestep)):
+        warnings.warn(why, stacklevel=3)
     return loop
 
 

@@ -6,6 +6,7 @@ A directory records it, and mixes results of different codes only on request.
 from __future__ import annotations
 
 import dataclasses
+import datetime
 import functools
 import hashlib
 import importlib.metadata
@@ -152,6 +153,14 @@ def session(**more: Any) -> dict[str, Any]:
     """One session of work: when, by which command, with which versions, where."""
     started = time.strftime("%Y-%m-%dT%H:%M:%S%z")
     return {"started": started, "command": shlex.join(sys.argv), "versions": versions(), "machine": machine(), **more}
+
+
+def local_time(started: Any) -> str:
+    """When a session started, for people: in this machine's time zone, and with its name."""
+    try:
+        return f"{datetime.datetime.fromisoformat(str(started)).astimezone():%Y-%m-%d %H:%M %Z}"
+    except (ValueError, OverflowError):
+        return str(started)
 
 
 def processor() -> str:

@@ -13,7 +13,7 @@ from matplotlib import rc_context
 from nermo_mjx.learn.directory import EVALUATION, POLICY_FILE, SPEC
 from nermo_mjx.learn.evaluation import POLICY, recorded, summary_of
 from nermo_mjx.learn.plots import figures
-from nermo_mjx.learn.policy import load_policy
+from nermo_mjx.learn.policy import judged_in, load_policy
 from nermo_mjx.learn.spec import Training
 from nermo_mjx.plotting.files import lay_out
 from nermo_mjx.plotting.style import STYLE
@@ -52,7 +52,8 @@ def trained(path: Path, *, engine: str = "c") -> Page:
             parts.append(f"<h2>The policy on {html.escape(scene)}</h2>{page._repr_html_()}")
             samples = max(samples, page.samples)
     if (content := content_of(path / EVALUATION)) is not None:
-        where = f"On {training.evaluation.bodies:,} unseen bodies and starts; medians."
+        judged = judged_in(training.evaluated()[0][0])
+        where = f"On {training.evaluation.bodies:,} unseen bodies and starts, in physics {judged['physics']}; medians."
         table = _table(summary_of(parquet_table(content)))
         parts.append(f'<h2>Evaluation</h2><p>{where}</p><div class="wide"><table>{table}</table></div>')
     with rc_context(STYLE):
