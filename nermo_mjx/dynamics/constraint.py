@@ -25,9 +25,9 @@ from nermo_mjx.shapes import Array, Dofs, Efc
 ROUNDING: Final = 4.0
 
 
-def gradient(layout: Layout, problem: Problem, qacc: Dofs, lost: Efc | float = 0.0) -> Dofs:
-    """g(a), zero at the solution; `lost` is what rounding has taken from the residual."""
-    force = forces(layout, problem, residual(problem, qacc) + lost)
+def gradient(layout: Layout, problem: Problem, qacc: Dofs, known: Efc | None = None) -> Dofs:
+    """g(a), zero at the solution; `known` is a more exact value of the residual."""
+    force = forces(layout, problem, residual(problem, qacc, known))
     return problem.inertia @ qacc - problem.smooth - problem.jacobian.T @ force
 
 
@@ -38,9 +38,9 @@ def rounding(layout: Layout, problem: Problem, sizes: Problem, qacc: Dofs) -> Do
     return ROUNDING * jnp.finfo(qacc.dtype).eps * terms
 
 
-def hessian(layout: Layout, problem: Problem, qacc: Dofs, lost: Efc | float = 0.0) -> Float[Array, "nv nv"]:
-    """dg/da = M - J^T f'(r) J, positive definite and, up to rounding, symmetric; `lost` as in `gradient`."""
-    jacobian, at = problem.jacobian, residual(problem, qacc) + lost
+def hessian(layout: Layout, problem: Problem, qacc: Dofs, known: Efc | None = None) -> Float[Array, "nv nv"]:
+    """dg/da = M - J^T f'(r) J, positive definite and, up to rounding, symmetric; `known` as in `gradient`."""
+    jacobian, at = problem.jacobian, residual(problem, qacc, known)
     springs, _ = _simple(layout, problem, at)
     end = _first_cone(layout, at)
     parts = [jnp.where(springs, problem.stiffness, 0.0)[:end, None] * jacobian[:end]]
@@ -53,34 +53,38 @@ def hessian(layout: Layout, problem: Problem, qacc: Dofs, lost: Efc | float = 0.
     return problem.inertia + jacobian.T @ jnp.concatenate(parts)
 
 
-def residual(problem: Problem, qacc: Dofs) -> Efc:
-    """r = J a - aref."""
-    return problem.jacobian @ qacc - problem.aref
+def residual(problem: Problem, qacc: Dofs, known: Efc | None = None) -> Efc:
+    """r = J a - aref, or a more exact value of it, with the same derivatives."""
+    plain = problem.jacobian @ qacc - problem.aref
+    return plain if known is None else _known(known, plain)
 
 
-def lost(problem: Problem, qacc: Dofs) -> Efc:
-    """What rounding has taken from `residual`: products and sums with their errors, as Dekker and Knuth have them.
+def exact_residual(problem: Problem, qacc: Dofs) -> Efc:
+    """As `residual`, to the rounding of the result rather than that of its terms.
 
-    The force of a stiff row is its residual, the small difference of large accelerations, times up to 1e8.
+    The force of a stiff row is the small difference of large accelerations, times up to 1e8. J and a are split into
+    parts with so few digits that their products' sums are exact, and rests (Ozaki's scheme).
     """
+    kind = jnp.finfo(qacc.dtype)
+    digits = (kind.nmant + 1 - qacc.size.bit_length()) // 2
+    share, power = jnp.frexp(qacc)
+    jacobian = problem.jacobian * jnp.ldexp(jnp.ones_like(qacc), power)
+    _, largest = jnp.frexp(jnp.max(jnp.abs(jacobian), axis=1, keepdims=True))
+    grid = jnp.ldexp(jnp.ones_like(problem.aref)[:, None], largest - digits)
+    front, coarse = jax.lax.reduce_precision(share, kind.nexp, digits - 1), grid * jnp.round(jacobian / grid)
+    rest = coarse @ (share - front) + (jacobian - coarse) @ share
+    return (coarse @ front - problem.aref) + rest
 
-    def halves(numbers: Array) -> tuple[Array, Array]:
-        bits = jnp.finfo(numbers.dtype)
-        high = jax.lax.reduce_precision(numbers, bits.nexp, bits.nmant // 2)
-        return high, numbers - high
 
-    (high, low), (of_high, of_low) = halves(problem.jacobian), halves(qacc)
-    terms = problem.jacobian * qacc
-    errors = jnp.sum(((high * of_high - terms) + high * of_low + low * of_high) + low * of_low, axis=1)
-    terms = jnp.concatenate([terms, -problem.aref[:, None]], axis=1)
-    while (count := terms.shape[1]) > 1:
-        half = count // 2
-        one, other, odd = terms[:, :half], terms[:, half : 2 * half], terms[:, 2 * half :]
-        sums = one + other
-        added = sums - one
-        errors += jnp.sum((one - (sums - added)) + (other - added), axis=1)
-        terms = jnp.concatenate([sums, odd], axis=1)
-    return (terms[:, 0] - residual(problem, qacc)) + errors
+@jax.custom_jvp
+def _known(value: Array, plain: Array) -> Array:
+    """A more exact value of something, with its derivatives."""
+    return value
+
+
+@_known.defjvp
+def _(primals: tuple[Array, Array], tangents: tuple[Array, Array]) -> tuple[Array, Array]:
+    return _known(*primals), tangents[1]
 
 
 def forces(layout: Layout, problem: Problem, residual: Efc) -> Efc:

@@ -44,9 +44,8 @@ class Verdict(NamedTuple):
 
     Attributes:
         rounds: of the solver.
-        residual: size of the last step of Newton's method as a share of the acceleration, or of that without
-            constraints if it is larger, both weighed by the inertia. The error is at most about as large, and where it
-            has converged about its square.
+        residual: size of the last step of Newton's method, as a share of the acceleration or, if that is larger, of
+            forces over inertias; each joint counts with its inertia. The error that is left is about its square.
         converged: whether the solver was done, and the residual is less than the root of the number's precision.
     """
 
@@ -220,15 +219,14 @@ def solve(model: mjx.Model, data: mjx.Data) -> Solved:
         return data.replace(qacc=data.qacc_smooth)
     layout, problem = rows.read(model, data)
     starts_warm = not model.opt.disableflags & mjx.DisableBit.WARMSTART
-    fixed, start, smooth = jax.lax.stop_gradient(
-        (problem, data.qacc_warmstart if starts_warm else data.qacc_smooth, data.qacc_smooth)
-    )
+    fixed, start = jax.lax.stop_gradient((problem, data.qacc_warmstart if starts_warm else data.qacc_smooth))
     found = solver.solve(layout, fixed, start)
     last = _newton(layout, checkpoint_name(found.qacc, KEPT), fixed)
-    qacc = _solution(layout, last.qacc, last.lost, problem)
-    force = constraint.forces(layout, problem, constraint.residual(problem, qacc) + last.lost)
-    size = jnp.maximum(last.qacc @ (fixed.inertia @ last.qacc), smooth @ fixed.smooth)
-    share = jnp.sqrt(last.step @ (fixed.inertia @ last.step) / jnp.where(size > 0.0, size, 1.0))
+    qacc = _solution(layout, last.qacc, last.residual, problem)
+    force = constraint.forces(layout, problem, constraint.residual(problem, qacc, last.residual))
+    own = jnp.diag(fixed.inertia)
+    size = jnp.maximum(own @ last.qacc**2, (1.0 / own) @ fixed.smooth**2)
+    share = jnp.sqrt(own @ last.step**2 / jnp.where(size > 0.0, size, 1.0))
     settled = share < jnp.finfo(share.dtype).eps ** 0.5
     solved: Solved = data.tree_replace(
         {
@@ -243,34 +241,32 @@ def solve(model: mjx.Model, data: mjx.Data) -> Solved:
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
-def _solution(layout: Layout, qacc: Dofs, lost: Efc, problem: Problem) -> Dofs:
-    """`qacc` unchanged, with the derivative of the problem's solution; `lost` is that of the residual there."""
+def _solution(layout: Layout, qacc: Dofs, known: Efc, problem: Problem) -> Dofs:
+    """`qacc` unchanged, with the derivative of the problem's solution; `known` is the residual there."""
     return qacc
 
 
 @_solution.defjvp
 @full_precision
 def _(layout: Layout, primals: Any, tangents: Any) -> tuple[Array, Array]:
-    qacc, lost, problem = primals
+    qacc, known, problem = primals
     *_, change = tangents
-    qacc = _solution(layout, qacc, lost, problem)  # depends on the problem, for derivatives of this rule
-    _, slope = jax.jvp(lambda p: constraint.gradient(layout, p, qacc, lost), (problem,), (change,))
-    return qacc, -solve_definite(constraint.hessian(layout, problem, qacc, lost), slope)
+    qacc = _solution(layout, qacc, known, problem)  # depends on the problem, for derivatives of this rule
+    _, slope = jax.jvp(lambda p: constraint.gradient(layout, p, qacc, known), (problem,), (change,))
+    return qacc, -solve_definite(constraint.hessian(layout, problem, qacc, known), slope)
 
 
 class _Last(NamedTuple):
-    """The last step of Newton's method, where it leads, and what rounding takes from the residual there."""
+    """The last step of Newton's method, where it leads, and the residual there, as if that had not been rounded."""
 
     step: Dofs
     qacc: Dofs
-    lost: Efc
+    residual: Efc
 
 
 def _newton(layout: Layout, qacc: Dofs, problem: Problem) -> _Last:
     """One step of Newton's method from `qacc`."""
-    lost = constraint.lost(problem, qacc)
-    factor = cho_factor(constraint.hessian(layout, problem, qacc, lost))
-    step = -cho_solve(factor, constraint.gradient(layout, problem, qacc, lost))
-    after = qacc + step
-    there = constraint.residual(problem, qacc) + lost + problem.jacobian @ step
-    return _Last(step, after, there - constraint.residual(problem, after))
+    known = constraint.exact_residual(problem, qacc)
+    factor = cho_factor(constraint.hessian(layout, problem, qacc, known))
+    step = -cho_solve(factor, constraint.gradient(layout, problem, qacc, known))
+    return _Last(step, qacc + step, known + problem.jacobian @ step)
