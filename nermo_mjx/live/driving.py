@@ -42,6 +42,8 @@ from nermo_mjx.trust import FileError
 #: Largest force of a push on each axis [N]; the robot weighs 2.65 N. Longest push [s].
 MOST_FORCE: Final = 10.0
 LONGEST_PUSH: Final = 5.0
+#: Changes under way at once: each takes its time in every tick.
+MOST_BLENDS: Final = 100
 
 
 @dataclasses.dataclass(frozen=True)
@@ -171,6 +173,8 @@ class Driving:
                 legs' workspace, or a limb that would go backward; nothing has changed then.
         """
         values, rate = switch.absolute(), self.cycle_rate
+        if len(self._blends) >= MOST_BLENDS:
+            raise ParameterError(f"command: {MOST_BLENDS} changes are under way, and no more are allowed at once.")
         for name, value in values.items():
             self.parameters[choice("parameter", name, self.parameters)].check(name, value)
         dict(quantities(Schedule))["blend.1"].check("blend", switch.blend)

@@ -105,7 +105,9 @@ def sides_of(metrics: Mapping[str, Metric]) -> dict[str, str]:
     >>> sides_of(METRICS)["speed"]
     'max'
     """
-    own = {name: SIDES[about.better] for name, about in metrics.items() if name not in METRICS and about.better in SIDES}
+    own = {
+        name: SIDES[about.better] for name, about in metrics.items() if name not in METRICS and about.better in SIDES
+    }
     return {name: side for name, side in OBJECTIVES.items() if name in metrics} | own
 
 
