@@ -607,7 +607,7 @@ def test_the_robot_follows_keys_gamepad_and_hand(drive, module):
         # Over a gait cycle, in which the torso sways by 10 degrees to either side.
         tab.evaluate("""(window.yaw = () => {
             const clip = viewer.clips[0], yaw = clip.plots.find((plot) => plot.key === "attitude").lines[2].values;
-            const last = yaw.subarray(clip.rowAt(clip.end - 1.25));
+            const last = yaw.subarray(clip.rowAt(clip.end - 1.25)).filter((each) => !Number.isNaN(each));
             return last.reduce((sum, each) => sum + each, 0) / last.length;
         }, 1)""")
         tab.evaluate(
@@ -641,6 +641,15 @@ def test_the_robot_follows_keys_gamepad_and_hand(drive, module):
             assert np.linalg.norm(drive.driving.pushes[0].force) > 0.2
         tab.key(" ")
         tab.wait("viewer.drive.state.paused")
+        # What comes long after the last row is joined to it by no line.
+        joined = """((later) => {
+            const {clip} = viewer.drive, before = clip.time.length, row = new Float32Array(clip.width);
+            row[0] = clip.end + later;
+            clip.append(row);
+            return [clip.time.length - before, clip.lines.every(({values}) => Number.isNaN(values.at(-2)))];
+        })"""
+        assert tab.evaluate(f"{joined}(0.09)") == [1, False]
+        assert tab.evaluate(f"{joined}(0.2)") == [2, True]
         assert tab.complaints() == []
         loaded = tab.requests() if module is chromium else []
         assert [each for each in loaded if not each.startswith(drive.address)] == []
