@@ -476,10 +476,8 @@ def _setup(about: Mapping[str, Any], controller: Any) -> Setup:
     """The setup of a drive, with a controller that is given instead of the one that it names."""
     given = RecordedSetup.choices(about.get("setup") or {}) | ({} if controller is None else {"controller": controller})
     if controller is None and (named := given.get("controller")) is not None and not is_data(named):
-        raise ParameterError(
-            f"controller is {named!r}, code that a file names, which is not run: give your own copy of it, "
-            "--controller FILE.py:NAME."
-        )
+        own = "give your own copy of it, --controller FILE.py:NAME"
+        raise ParameterError(f"controller is {named!r}, code that a file names, which is not run: {own}.")
     setup = Setup(**given)
     if (code := about.get("code")) and code != _code(setup):
         raise ParameterError(f"controller is {setup.controller!r}: another one than that of the drive.")
