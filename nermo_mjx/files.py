@@ -7,11 +7,13 @@ Python is run, is in `nermo_mjx.trust`.
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import functools
 import io
 import math
 import os
+import secrets
 import stat
 import zipfile
 from collections.abc import Mapping
@@ -29,6 +31,8 @@ MOST_ARRAYS: Final = 1 << 28
 MOST_JSON: Final = 1 << 24
 #: Bytes of any file: those of the longest walk that is recorded.
 MOST_FILE: Final = 1 << 32
+#: Suffix of a file that is being written.
+TEMPORARY: Final = ".nermo-tmp"
 #: Arrays in a file.
 _MOST_NAMES: Final = 1000
 
@@ -75,6 +79,38 @@ def read_bytes(path: Path, most: int) -> bytes:
     if max(size, len(content)) > most:
         raise UnfitFile(path, f"it has {_megabytes(max(size, len(content)))}: allowed are {_megabytes(most)}")
     return content
+
+
+def replace_file(path: Path, content: bytes) -> None:
+    """Replace a file by new content, atomically and durably; its folder is created if missing.
+
+    Raises:
+        OSError: it cannot be written; what was there is still there.
+    """
+    path.parent.mkdir(exist_ok=True)
+    # Two processes may write the same file, even on two machines with equal process ids.
+    temporary = path.parent / f".{path.name}.{secrets.token_hex(8)}{TEMPORARY}"
+    try:
+        with open(temporary, "wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(temporary, path)
+    except BaseException:
+        temporary.unlink(missing_ok=True)
+        raise
+    sync_folder(path.parent)
+
+
+def sync_folder(folder: Path) -> None:
+    """Make renames in a folder durable: otherwise a power cut may undo them."""
+    # Not every system opens folders, and not every file system syncs them; there a rename is as durable as it gets.
+    with contextlib.suppress(OSError):
+        held = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(held)
+        finally:
+            os.close(held)
 
 
 def json_of(content: bytes | str, shape: Any, called: object) -> Any:

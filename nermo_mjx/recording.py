@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import hashlib
 import io
 import json
 import os
-import secrets
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
@@ -18,7 +16,7 @@ import numpy as np
 from jaxtyping import Float
 from pydantic import BaseModel
 
-from nermo_mjx.files import MOST_FILE, FileError, arrays_of, check_arrays, json_of, read_bytes
+from nermo_mjx.files import MOST_FILE, FileError, arrays_of, check_arrays, json_of, read_bytes, replace_file
 
 #: Version of the file's layout; a reader refuses any other.
 LAYOUT: Final = 1
@@ -179,16 +177,12 @@ def write_whole(path: Path, what: str, content: bytes) -> Path:
     Raises:
         RecordingError: it cannot be written; what was there is still there.
     """
-    temporary = path.parent / f".{path.name}.{secrets.token_hex(8)}"
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        temporary.write_bytes(content)
-        return temporary.replace(path)
+        replace_file(path, content)
     except OSError as error:
         raise RecordingError(f"{path}: {what} cannot be written ({error.strerror or error}).") from None
-    finally:
-        with contextlib.suppress(OSError):
-            temporary.unlink()
+    return path
 
 
 def model_hash(model: mujoco.MjModel) -> str:

@@ -2,7 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
+import errno
 import json
+import re
+import signal
+import socket as sockets
+import subprocess
+import sys
 import threading
 import time
 import urllib.error
@@ -21,7 +28,7 @@ from websockets.sync.client import connect
 from nermo_mjx.control.controller import published_controller
 from nermo_mjx.control.schedule import Switch
 from nermo_mjx.live.driving import Driving, difference, replayed
-from nermo_mjx.live.server import REPLACED, Drive
+from nermo_mjx.live.server import CONNECTIONS, REPLACED, Drive, free
 from nermo_mjx.recording import Recording, RecordingError
 from nermo_mjx.robot import ParameterError
 from nermo_mjx.robot.quantity import values_of
@@ -111,7 +118,9 @@ def test_a_command_beside_a_longer_one_leaves_it_its_length(running):
 @pytest.mark.parametrize(
     ("switch", "sentence"),
     [
-        (Switch(0, values={"frequency": 9}), r"frequency is 9: allowed is \(0, 5\] Hz"),
+        (Switch(0, values={"frequency": 9}), r"frequency is 9: allowed is \[0.001, 5\] Hz"),
+        (Switch(0, values={"frequency": 1e-20}), r"frequency is 1e-20: allowed is \[0.001, 5\] Hz"),
+        (Switch(0, values={"frequency": 0.000999}), r"frequency is 0.000999: allowed is \[0.001, 5\] Hz"),
         (Switch(0, values={"froquency": 1}), r"'froquency': did you mean 'frequency'"),
         (Switch(0, values={"contact.friction": 1}), r"'contact.friction'"),
         (Switch(0, values={"stride": 1.2, "stance.max_stride": 0.08}), r"stride is 1.2: .* allowed is \[0, 1.050\]"),
@@ -198,7 +207,7 @@ def test_only_its_own_page_gets_in(drive):
         ('{"speed": NaN}', "speed"),
         ('{"speed": 1e9}', "speed: input should be less than or equal to 4"),
         ('{"open": "a file"}', "open: extra inputs are not permitted"),
-        ('{"set": {"frequency": 9}}', r"frequency is 9: allowed is (0, 5] Hz."),
+        ('{"set": {"frequency": 9}}', r"frequency is 9: allowed is [0.001, 5] Hz."),
         ('{"gait": "walzer"}', "gait is 'walzer'"),
         ('{"set": {}, "gait": "trot", "blend": 0.001}', "blend is 0.001"),
         ('{"push": {"body": 0, "force": [1, 0, 0], "seconds": 0.1}}', "push.body is 0"),
@@ -308,6 +317,270 @@ def test_the_command_prints_its_address_and_waits_for_a_page(tmp_path):
     assert not (tmp_path / "d.npz").exists()
 
 
+# ---
+# Nothing ends the loop, and it waits for nothing.
+
+
+def test_any_error_of_a_message_is_a_refusal(drive, page, monkeypatch):
+    """Of a controller of one's own, for example."""
+
+    def failing(*_):
+        raise ZeroDivisionError("of a cycle")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(drive.driving, "command", failing)
+        told = said(page, '{"set": {"stride": 0.8}}', lambda told: "refused" in told)
+        assert told["refused"] == "that failed: ZeroDivisionError('of a cycle')."
+        patched.setattr(drive.driving, "push", failing)
+        push = '{"push": {"body": 1, "force": [1, 0, 0], "seconds": 0.1}}'
+        assert "that failed" in said(page, push, lambda told: "refused" in told)["refused"]
+    assert said(page, speed=1.0)["speed"] == 1.0
+
+
+def test_a_switch_that_comes_due_is_refused_as_a_command_is_and_the_drive_goes_on(drive, page):
+    drive.driving._due = [Switch(0.0, values={"stride": 1.2, "stance.max_stride": 0.08})]
+    assert "stride is 1.2" in said(page, '{"speed": 1.0}', lambda told: "refused" in told)["refused"]
+    before = drive.driving.ticks
+    wait(lambda: drive.driving.ticks > before + 5)
+
+
+def wait(reached, seconds: float = 20.0) -> None:
+    end = time.monotonic() + seconds
+    while not reached():
+        assert time.monotonic() < end
+        time.sleep(0.02)
+
+
+@pytest.mark.parametrize("message", ['{"set": {"stride": 0.8}}', "garbage", '{"shown": 1}'])
+def test_a_page_that_sends_without_reading_stops_neither_time_nor_a_second_page(drive, message):
+    with socket(drive) as first:
+        said(first, wanted=lambda told: not told["paused"], pause=False, speed=1.0)
+        stop = threading.Event()
+
+        def flood() -> None:
+            with contextlib.suppress(ConnectionClosed):
+                while not stop.is_set():
+                    first.send(message)
+
+        sender = threading.Thread(target=flood)
+        sender.start()
+        time.sleep(1.0)
+        before = drive.driving.ticks
+        with socket(drive) as second:
+            wait(lambda: drive._page is not None and drive._page.remote_address == second.local_address, 10)
+            wait(lambda: drive.driving.ticks > before + 30, 10)
+            stop.set()
+            said(second, speed=0.5)
+        sender.join(10)
+    said_again = socket(drive)
+    said(said_again, wanted=lambda told: not told["paused"], pause=False, speed=1.0)
+    said_again.close()
+
+
+def test_connections_that_do_not_get_in_make_room_for_those_that_do(drive, page):
+    port = int(drive.address.split(":")[2].split("/")[0])
+    idle = [sockets.create_connection(("127.0.0.1", port), 5) for _ in range(CONNECTIONS + 5)]
+    assert status(drive.address) == 200
+    assert len(drive._connections) <= CONNECTIONS
+    said(page, speed=1.0)
+    with socket(drive) as second:
+        said(second, wanted=lambda told: not told["paused"], pause=False)
+    for each in idle:
+        each.close()
+
+
+@pytest.mark.parametrize(
+    "error", [OSError(errno.EMFILE, "Too many open files"), RuntimeError("can't start new thread")]
+)
+def test_accepting_goes_on_after_an_error(drive, monkeypatch, error):
+    failed, real = list[int](), sockets.socket.accept
+
+    def failing(listening):
+        if len(failed) < 3:
+            failed.append(1)
+            raise error
+        return real(listening)
+
+    monkeypatch.setattr(sockets.socket, "accept", failing)
+    assert status(drive.address) == 200
+    assert len(failed) == 3
+
+
+@pytest.mark.parametrize(
+    "lines",
+    [
+        ["GET /\u00e4/ HTTP/1.1", "Host: 127.0.0.1"],
+        ["GET / HTTP/1.1", "Host: ["],
+        ["GET / HTTP/1.1", "Host: 127.0.0.1", "Host: localhost"],
+        ["GET / HTTP/1.1", "Host: 127.0.0.1:x"],
+        ["GET {token} HTTP/1.1", "Host: 127.0.0.1", "Origin: a", "Origin: b"],
+    ],
+)
+def test_a_request_that_is_none_is_refused(drive, lines):
+    port = int(drive.address.split(":")[2].split("/")[0])
+    with sockets.create_connection(("127.0.0.1", port), 10) as raw:
+        path = "/" + drive.address.split("/", 3)[3] + "socket"
+        raw.sendall("\r\n".join([*lines, "", ""]).replace("{token}", path).encode())
+        answer = raw.makefile("rb").readline().decode()
+    assert not answer or answer.split()[1] in ("400", "403", "404"), answer
+
+
+def test_the_token_is_not_in_the_process_list(tmp_path, monkeypatch):
+    opened = []
+
+    def browser(address: str) -> None:
+        path = Path(address.removeprefix("file://"))
+        opened.append((address, path.read_text(), path.stat().st_mode & 0o777))
+
+    monkeypatch.setattr("webbrowser.open", browser)
+    answer = call("drive", "--seconds", "0.1")
+    ((address, text, mode),) = opened
+    secret = answer.stderr.split("http://", 1)[1].split()[0]
+    assert secret.split("/")[1] not in address
+    assert (f"http://{secret}" in text, mode) == (True, 0o600)
+    assert not Path(address.removeprefix("file://")).exists()
+
+
+# ---
+# What is driven is on the disk.
+
+
+@pytest.fixture
+def recorded(tmp_path, running):
+    """A drive that runs with a page and a file."""
+    running.reset()
+    made = Drive(running, tmp_path / "d.npz")
+    thread = threading.Thread(target=made.run)
+    thread.start()
+    with socket(made) as page:
+        said(page, speed=1.0)
+        yield made, page, thread
+    made.over = True
+    thread.join(30)
+
+
+def test_what_is_driven_is_in_a_journal_at_every_moment(recorded, tmp_path):
+    """Copies of the file, as a killed process or a power cut would leave it: each makes the samples that were."""
+    made, page, thread = recorded
+    copies, journal = list[tuple[int, bytes]](), tmp_path / "d.jsonl"
+    for k in range(6):
+        page.send(json.dumps({"set": {"stride": 0.9 - 0.05 * k}, "blend": 0.3} if k != 2 else {"gait": "lat"}))
+        push = {"body": 1, "force": [1.0, 0.0, 0.0], "seconds": 0.1}
+        page.send(json.dumps({"push": push} if k == 3 else {"speed": 1.0}))
+        time.sleep(0.4)
+        ticks = made.driving.ticks
+        copies.append((ticks, journal.read_bytes()))
+    made.over = True
+    thread.join(30)
+    recording = Recording.load(tmp_path / "d.npz")
+    assert [path.name for path in tmp_path.iterdir()] == ["d.npz"]
+    for k, (ticks, content) in enumerate(copies):
+        torn = content + (b"\0" * 4096 if k % 2 else b'{"commands": [[1')
+        (tmp_path / "cut.jsonl").write_bytes(torn)
+        again = replayed(tmp_path / "cut.jsonl")
+        assert ticks - 100 <= len(again.time) <= len(recording.time)
+        assert difference(recording.between(0.0, again.time[-1]), again) is None
+    assert len(recording.metadata["driven"]["commands"]) == 6
+    answer = call("replay", tmp_path / "cut.jsonl", "--record", tmp_path / "cut.npz", "--quiet")
+    assert answer.exit_code == 0, answer.stderr
+    assert Recording.load(tmp_path / "cut.npz").metadata["driven"]["commands"]
+
+
+def test_a_full_disk_stops_time_until_there_is_room(recorded, tmp_path):
+    made, page, _ = recorded
+    journal = made._journal
+    real = journal._file
+
+    class Full:
+        def write(self, content):
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+        def __getattr__(self, name):
+            return getattr(real, name)
+
+    journal._file = Full()
+    told = said(page, '{"set": {"stride": 0.8}}', lambda told: "refused" in told)["refused"]
+    assert (
+        told
+        == f"{tmp_path / 'd.jsonl'} cannot be written (No space left on device): time stands still until it can be."
+    )
+    assert paused(made)
+    said(page, '{"pause": false}', lambda told: "refused" in told)
+    journal._file = real
+    wait(lambda: journal.error is None)
+    said(page, wanted=lambda told: not told["paused"], pause=False)
+    time.sleep(0.6)
+    assert len(replayed(tmp_path / "d.jsonl").metadata["driven"]["commands"]) == 1
+
+
+def test_where_the_recording_cannot_be_written_the_journal_stays(recorded, tmp_path, monkeypatch):
+    made, page, thread = recorded
+    wait(lambda: made.driving.ticks > 20)
+
+    def failing(self, path):
+        raise RecordingError(f"{path}: the recording cannot be written (No space left on device).")
+
+    monkeypatch.setattr(Recording, "save", failing)
+    said(page, reset=True)
+    wait(lambda: made.driving.ticks > 20)
+    made.over = True
+    thread.join(30)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["d-2.jsonl", "d.jsonl"]
+    assert "d-2.jsonl, for `nermo-mjx replay`" in made.failure
+    for name in ("d.jsonl", "d-2.jsonl"):
+        assert len(replayed(tmp_path / name).time) > 20
+
+
+def test_a_file_that_exists_is_never_replaced(tmp_path, running):
+    kept = {name: tmp_path / name for name in ("d.npz", "d-2.npz", "e.jsonl", "f-3.jsonl")}
+    for path in kept.values():
+        path.write_text("mine")
+    for name, why in (("d.npz", "d.npz exists;"), ("e.npz", r"e.jsonl exists .nermo-mjx replay")):
+        answer = call("drive", "--no-browser", "--record", tmp_path / name)
+        assert answer.exit_code == 2
+        assert re.search(why, answer.stderr), answer.stderr
+        assert "compiling" not in answer.stderr
+    assert free(tmp_path / "d.npz", first=False).name == "d-3.npz"
+    assert free(tmp_path / "f.npz").name == "f.npz"
+    running.reset()
+    made = Drive(running, tmp_path / "f.npz")
+    made._began = True
+    (tmp_path / "f.npz").write_text("mine")  # meanwhile
+    made.driving.tick()
+    made.run(0.2)
+    assert made.files == [tmp_path / "f-2.npz"]
+    assert all(path.read_text() == "mine" for path in (*kept.values(), tmp_path / "f.npz"))
+
+
+@pytest.mark.process
+@pytest.mark.parametrize("number", [signal.SIGHUP, signal.SIGUSR1, signal.SIGKILL])
+def test_a_drive_outlives_every_signal(number, tmp_path):
+    """A terminal that closes saves it, as Ctrl-C does; of one that is killed there is the journal."""
+    words = [sys.executable, "-m", "nermo_mjx", "drive", "--no-browser", "--record", str(tmp_path / "d.npz")]
+    with subprocess.Popen(words, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True) as process:
+        try:
+            address = next(line for line in process.stderr if "http://" in line).split()[-1]
+            origin = address.rpartition("/")[0].rpartition("/")[0]
+            with connect(f"ws{address[4:]}socket", origin=origin, compression=None) as page:
+                page.send('{"set": {"stride": 0.8}}')
+                driven = 0.0
+                while driven < 1.5:
+                    told = page.recv(timeout=10)
+                    if isinstance(told, bytes):
+                        driven = float(np.frombuffer(told, "<f4", 1, 4)[0])
+                        page.send(json.dumps({"shown": int.from_bytes(told[:4], "little")}))
+                process.send_signal(number)
+                process.wait(30)
+        finally:
+            process.kill()
+    left = tmp_path / ("d.jsonl" if number == signal.SIGKILL else "d.npz")
+    assert [path.name for path in tmp_path.iterdir()] == [left.name]
+    assert process.returncode == (-9 if number == signal.SIGKILL else 0)
+    again = replayed(left if number == signal.SIGKILL else Recording.load(left))
+    assert again.time[-1] > driven - 1.0
+    assert again.metadata["driven"]["commands"][0][1]["set"] == {"stride": 0.8}
+
+
 @pytest.mark.browser
 @pytest.mark.parametrize("module", [chromium, firefox], ids=["chromium", "firefox"])
 def test_the_robot_follows_keys_gamepad_and_hand(drive, module):
@@ -334,7 +607,7 @@ def test_the_robot_follows_keys_gamepad_and_hand(drive, module):
         # Over a gait cycle, in which the torso sways by 10 degrees to either side.
         tab.evaluate("""(window.yaw = () => {
             const clip = viewer.clips[0], yaw = clip.plots.find((plot) => plot.key === "attitude").lines[2].values;
-            const last = yaw.subarray(clip.rowAt(clip.end - 1.25));
+            const last = yaw.subarray(clip.rowAt(clip.end - 1.25)).filter((each) => !Number.isNaN(each));
             return last.reduce((sum, each) => sum + each, 0) / last.length;
         }, 1)""")
         tab.evaluate(
@@ -368,6 +641,15 @@ def test_the_robot_follows_keys_gamepad_and_hand(drive, module):
             assert np.linalg.norm(drive.driving.pushes[0].force) > 0.2
         tab.key(" ")
         tab.wait("viewer.drive.state.paused")
+        # What comes long after the last row is joined to it by no line.
+        joined = """((later) => {
+            const {clip} = viewer.drive, before = clip.time.length, row = new Float32Array(clip.width);
+            row[0] = clip.end + later;
+            clip.append(row);
+            return [clip.time.length - before, clip.lines.every(({values}) => Number.isNaN(values.at(-2)))];
+        })"""
+        assert tab.evaluate(f"{joined}(0.09)") == [1, False]
+        assert tab.evaluate(f"{joined}(0.2)") == [2, True]
         assert tab.complaints() == []
         loaded = tab.requests() if module is chromium else []
         assert [each for each in loaded if not each.startswith(drive.address)] == []

@@ -85,11 +85,10 @@ def test_a_failed_save_keeps_the_old_file(tmp_path: Path, monkeypatch: pytest.Mo
     path = some_recording().save(tmp_path / "walk.npz")
     before = path.read_bytes()
 
-    def no_space(path: Path, _: bytes) -> None:
-        path.touch()
+    def no_space(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(Path, "write_bytes", no_space)
+    monkeypatch.setattr("os.replace", no_space)
     with pytest.raises(RecordingError, match="No space left"):
         some_recording(metadata={"other": 1}).save(path)
     assert path.read_bytes() == before

@@ -190,7 +190,7 @@ REFUSED: dict[Callable[[Any], Any], list[tuple[Any, str]]] = {
         ([{}], "switch changes nothing"),
         ([{"values": {"freq": 1.0}}], "schedule.1 is refused: parameter is 'freq': did you mean 'frequency'?"),
         ([{"values": {"mass.front": 0.2}}], "schedule.1 is refused: parameter is 'mass.front'"),
-        ([{"values": {"frequency": 9.0}}], "schedule.1 is refused: frequency is 9: allowed is (0, 5] Hz"),
+        ([{"values": {"frequency": 9.0}}], "schedule.1 is refused: frequency is 9: allowed is [0.001, 5] Hz"),
         ([{"gait": "lat", "blend": 0.1}], "schedule.blend.1 is 0.1: allowed is more than 0.32 cycles"),
         ([{"gait": "lat"}, {"at": 2.1, "gait": "trt"}], "schedule.at.2 is 2.1: allowed is at least 3.49"),
         ([{"gait": "lat"}] * 9, "schedule has 9 switches: allowed are 8"),

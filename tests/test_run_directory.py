@@ -106,7 +106,8 @@ def test_only_files_of_our_own_naming_are_swept_up(tmp_path):
 
 def test_a_file_appears_whole_and_its_name_is_synced(tmp_path, monkeypatch):
     synced = []
-    monkeypatch.setattr(files, "sync_folder", synced.append)
+    for module in ("nermo_mjx.files", "nermo_mjx.runs.files"):
+        monkeypatch.setattr(f"{module}.sync_folder", synced.append)
     files.replace_file(tmp_path / "a", b"one")
     files.create_file(tmp_path / "a", b"two")
     files.create_file(tmp_path / "b", b"three")

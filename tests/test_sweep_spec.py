@@ -46,7 +46,12 @@ WRONG = {
     "set out of range": ("duty: 0.55", "duty: 1.5", 7, ["'duty' is 1.5: allowed is [0.01, 1)"]),
     "vary is a number": (FREQUENCY, "0.5", 9, ["'frequency' is the number 0.5", "linspace", "under 'set'"]),
     "vary out of range": ("[0.0, 0.2, 0.4]", "[0.0, 0.9]", 10, ["'spine.amplitude' is 0.9: allowed is [0, 0.6] rad"]),
-    "linspace out of range": (FREQUENCY, "{linspace: [0.0, 1.2, 9]}", 9, ["'frequency' is 0: allowed is (0, 5] Hz"]),
+    "linspace out of range": (
+        FREQUENCY,
+        "{linspace: [0.0, 1.2, 9]}",
+        9,
+        ["'frequency' is 0: allowed is [0.001, 5] Hz"],
+    ),
     "NaN": ("[0.4, 1.2, 9]", "[.nan, 1.2, 9]", 9, ["'frequency' is nan"]),
     "text in a list": ("[0.0, 0.2, 0.4]", "[0.0, much]", 10, ["'spine.amplitude' is the text 'much'"]),
     "empty list": ("{values: [0.0, 0.2, 0.4]}", "[]", 10, ["empty list, so the grid is empty"]),

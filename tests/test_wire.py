@@ -22,7 +22,8 @@ from conftest import shared_simulator
 from nermo_mjx import Run, Setup
 from nermo_mjx.hardware import Channels, read_channels
 from nermo_mjx.hardware.live import PATIENCE, ROS_TYPE, TOPIC, NotSentError, SendError, linked
-from nermo_mjx.live.driving import replayed
+from nermo_mjx.live.driving import Journal, replayed
+from nermo_mjx.live.server import Drive
 from nermo_mjx.live.wire import (
     APPROACH,
     SENSORS_TOPIC,
@@ -110,6 +111,10 @@ def test_a_wired_servo_is_read_as_it_is_commanded() -> None:
         (AUTHORS | {"contact_sensors": [None] * 4}, "not finite"),
         (AUTHORS | {"contact_sensors": [1e300] * 4}, "not finite"),
         (AUTHORS | {"imu_sensor": [0.0] * 16}, "not finite"),
+        (AUTHORS | {"contact_sensors": [True, False, True, True]}, "garbage"),
+        (AUTHORS | {"contact_sensors": [0.1, True, 0.1, 0.1]}, "garbage"),
+        (AUTHORS | {"servo_pos_leg": ["0.1"] * 8}, "garbage"),
+        (AUTHORS | {"contact_sensors": [0.1, -5.0, 0.1, 0.1]}, "out of range"),
         (AUTHORS | {"header": {"stamp": 3}}, "garbage"),
         (AUTHORS | {"header": {"stamp": {"sec": 10**400, "nanosec": 0}}}, "garbage"),
     ],
@@ -243,6 +248,67 @@ def test_without_messages_it_holds_then_goes_on_and_at_last_ends(driving) -> Non
     both.silent = True
     both.walk(PATIENCE + 0.5)
     assert driving.driven.ended == "no message of the robot for 5 s"
+
+
+@pytest.mark.parametrize("watched", [True, False])
+@pytest.mark.parametrize("silent", [True, False])
+def test_after_a_pause_the_robot_is_approached_from_where_it_is(driving, watched: bool, silent: bool) -> None:
+    """Its power was off meanwhile, or somebody has moved it; whether or not the loop has looked after it."""
+    both = Together(driving)
+    both.walk(2.0)
+    assert driving.driven.walked > 1.0
+    rest = np.array(Measured(both.body.robot, CHANNELS).sensordata)
+    for k in range(300):
+        both.clock.now += driving.dt
+        if not silent or k > 200:
+            both.measured.receive(sensor_message(both.body.robot, CHANNELS, rest, both.clock()))
+        if watched:
+            driving.watch()
+    sent = len(both.commands)
+    driving.step()
+    assert len(both.commands) == sent + 1
+    assert np.abs(driving.pose - both.measured.pose).max() <= APPROACH * driving.dt + 1e-6
+
+
+def test_a_robot_that_is_silent_during_a_pause_ends_the_drive(driving) -> None:
+    both = Together(driving)
+    both.walk(0.5)
+    both.clock.now += PATIENCE + 0.1
+    with pytest.raises(SendError, match="no message of the robot for 5 s"):
+        driving.watch()
+
+
+def test_a_page_that_is_closed_ends_the_drive_of_a_robot(driving, monkeypatch) -> None:
+    """As `drive --help` says; one that only pauses does not, and one that comes back in time goes on."""
+    driving.reset()
+    both = Together(driving)
+    both.walk(0.5)
+    drive = Drive(driving)
+    monkeypatch.setattr(driving, "operator", lambda: drive.away)
+    drive._began = drive.paused = True
+    assert drive.away == 0.0
+    driving.watch()
+    drive._gone = [time.perf_counter() - PATIENCE - 0.1]
+    monkeypatch.setattr(time, "sleep", lambda _: None)
+    with pytest.raises(SendError, match="no message for 5 s"):
+        drive.run(1.0)
+
+
+def test_the_journal_of_a_robots_drive_has_its_samples(driving, tmp_path) -> None:
+    """What it measured, no command makes again."""
+    driving.reset()
+    both = Together(driving)
+    journal = Journal(tmp_path / "d.jsonl", driving)
+    for _ in range(60):
+        both.tell()
+        driving.tick()
+        both.body.tick(both.clock())
+        both.clock.now += driving.dt
+    journal.end(keep=True)
+    made, again = driving.recording(), replayed(tmp_path / "d.jsonl")
+    for name in ("time", "qpos", "qvel", "ctrl"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(made, name))
+    np.testing.assert_array_equal(again.sensors["position"], made.sensors["position"])
 
 
 def test_an_operator_who_is_away_is_as_silent_as_a_robot(driving) -> None:

@@ -24,7 +24,6 @@ from nermo_mjx.trust import only_reading
 
 if TYPE_CHECKING:
     from nermo_mjx.control.schedule import Switch
-    from nermo_mjx.recording import Recording
     from nermo_mjx.rollout import Run, Setup
 
 
@@ -486,20 +485,14 @@ def _replay_drive(path: Path, sweep: Path | None, controller: str | None, saved:
     from nermo_mjx.robot import ParameterError
     from nermo_mjx.sweep import Sweep
 
-    def write_sweep(recording: Recording) -> None:
-        if sweep is not None:
-            content = Sweep.from_dict(as_sweep(recording, controller)).to_yaml(sweep.parent)
-            write_whole(sweep, "the sweep file", content.encode())
-
     recording = load_recording(path) if path.suffix == ".npz" else None
     try:
-        with contextlib.nullcontext() if controller else only_reading():
-            if recording is not None:
-                write_sweep(recording)
-            with Progress("replay", compiles=True):
-                again = replayed(recording or path, controller)
-            if recording is None:
-                write_sweep(again)
+        with contextlib.nullcontext() if controller else only_reading(), Progress("replay", compiles=True):
+            driven = recording or replayed(path, controller)
+            if sweep is not None:
+                text = Sweep.from_dict(as_sweep(driven, controller)).to_yaml(sweep.parent)
+                write_whole(sweep, "the sweep file", text.encode())
+            again = driven if recording is None else replayed(recording, controller)
     except (RecordingError, ParameterError) as error:
         raise WrongUse(f"{path}: {error}") from None
     save_run(again, **saved)

@@ -42,6 +42,8 @@ from nermo_mjx.trust import FileError
 #: Largest force of a push on each axis [N]; the robot weighs 2.65 N. Longest push [s].
 MOST_FORCE: Final = 10.0
 LONGEST_PUSH: Final = 5.0
+#: Changes under way at once: each takes its time in every tick.
+MOST_BLENDS: Final = 100
 
 
 @dataclasses.dataclass(frozen=True)
@@ -171,6 +173,8 @@ class Driving:
                 legs' workspace, or a limb that would go backward; nothing has changed then.
         """
         values, rate = switch.absolute(), self.cycle_rate
+        if len(self._blends) >= MOST_BLENDS:
+            raise ParameterError(f"command: {MOST_BLENDS} changes are under way, and no more are allowed at once.")
         for name, value in values.items():
             self.parameters[choice("parameter", name, self.parameters)].check(name, value)
         dict(quantities(Schedule))["blend.1"].check("blend", switch.blend)
@@ -472,10 +476,8 @@ def _setup(about: Mapping[str, Any], controller: Any) -> Setup:
     """The setup of a drive, with a controller that is given instead of the one that it names."""
     given = RecordedSetup.choices(about.get("setup") or {}) | ({} if controller is None else {"controller": controller})
     if controller is None and (named := given.get("controller")) is not None and not is_data(named):
-        raise ParameterError(
-            f"controller is {named!r}, code that a file names, which is not run: give your own copy of it, "
-            "--controller FILE.py:NAME."
-        )
+        own = "give your own copy of it, --controller FILE.py:NAME"
+        raise ParameterError(f"controller is {named!r}, code that a file names, which is not run: {own}.")
     setup = Setup(**given)
     if (code := about.get("code")) and code != _code(setup):
         raise ParameterError(f"controller is {setup.controller!r}: another one than that of the drive.")

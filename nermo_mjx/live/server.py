@@ -44,11 +44,10 @@ from nermo_mjx.view.clip import clips_of
 from nermo_mjx.view.page import Packer, document
 from nermo_mjx.view.recorded import ARC, Motion, motion_of, plots_of, recorded_model
 
-#: Longest message of a page [bytes]; how many may wait to be read, to be sent, and how many are read in a tick.
+#: Longest message of a page [bytes]; how many may wait to be read, and to be sent.
 LONGEST: Final = 4096
-WAITING: Final = 256
+WAITING: Final = 32
 TO_SEND: Final = 16
-AT_ONCE: Final = 8
 #: Connections at once, of pages and of whoever else finds the port; how long one may take to close [s].
 CONNECTIONS: Final = 16
 CLOSING: Final = 2.0
@@ -220,6 +219,7 @@ class Drive:
         self._token = secrets.token_urlsafe(16)
         self._page: Any = None
         self._outbox, self._sender = queue.Queue[Any](TO_SEND), threading.Thread()
+        self._lock = threading.Lock()
         self._connections = dict[socket.socket, bool]()  # whether it got in, in the order in which they came
         # `(page, text)` of each message, `(page, True)` of a page that came, `(page, False)` of one that went.
         self._inbox: queue.Queue[tuple[Any, str | bytes | bool]] = queue.Queue(WAITING)
@@ -254,12 +254,12 @@ class Drive:
 
     def _serve(self, handler: Any, taken: socket.socket, address: Any) -> None:
         """A connection in its own thread; of too many, one that has not got in makes room."""
-        outside = [each for each, inside in [*self._connections.items()] if not inside]
-        if len(self._connections) >= CONNECTIONS:
-            out = outside[0] if outside else taken
-            _cut(out)
-            self._connections.pop(out, None)
-        self._connections[taken] = False
+        with self._lock:
+            if len(self._connections) >= CONNECTIONS:
+                out = next((each for each, inside in [*self._connections.items()] if not inside), taken)
+                _cut(out)
+                self._connections.pop(out, None)
+            self._connections[taken] = False
         try:
             handler(taken, address)
         finally:
@@ -372,6 +372,8 @@ class Drive:
             stands = self.paused or not self._began
             for page, message in self._messages(0.05 if stands else max(due - time.perf_counter(), 0.0)):
                 self._receive(page, message)
+                if not stands and time.perf_counter() >= due:  # the rest waits, and time goes on
+                    break
             now = time.perf_counter()
             if self._journal is not None and self._journal.error is not None and not self.paused:
                 self.paused, why = True, self._journal.error.strerror
@@ -403,10 +405,10 @@ class Drive:
                 self._show()
 
     def _messages(self, patience: float) -> Iterator[tuple[Any, Any]]:
-        """Some of those that wait, or the first one that comes in time [s]."""
+        """Those that wait, or the first one that comes in time [s]."""
         with contextlib.suppress(queue.Empty):
             yield self._inbox.get(timeout=patience) if patience > 0 else self._inbox.get_nowait()
-            for _ in range(AT_ONCE - 1):
+            for _ in range(WAITING):
                 yield self._inbox.get_nowait()
 
     def _receive(self, page: Any, message: str | bytes | bool) -> None:

@@ -12,15 +12,21 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from nermo_mjx.files import MOST_ARRAYS, MOST_JSON, json_of, opened, read_bytes
+from nermo_mjx.files import (
+    MOST_ARRAYS,
+    MOST_JSON,
+    TEMPORARY,
+    json_of,
+    opened,
+    read_bytes,
+    replace_file,
+    sync_folder,
+)
 from nermo_mjx.trust import FileError
 
 if TYPE_CHECKING:
     import pyarrow as pa
     import pyarrow.parquet as pq
-
-#: Suffix of a file that is being written.
-TEMPORARY: Final = ".nermo-tmp"
 
 
 class DirectoryError(FileError, RuntimeError):
@@ -50,27 +56,6 @@ def make_writable(folder: Path) -> None:
         probe.unlink()
     except OSError as error:
         raise WrongDirectory(f"cannot write in {folder}: {error.strerror or error}.") from None
-
-
-def replace_file(path: Path, content: bytes) -> None:
-    """Replace a file by new content, atomically and durably; its folder is created if missing.
-
-    Raises:
-        OSError: it cannot be written; what was there is still there.
-    """
-    path.parent.mkdir(exist_ok=True)
-    # Two processes may write the same file, even on two machines with equal process ids.
-    temporary = path.parent / f".{path.name}.{secrets.token_hex(8)}{TEMPORARY}"
-    try:
-        with open(temporary, "wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(temporary, path)
-    except BaseException:
-        temporary.unlink(missing_ok=True)
-        raise
-    sync_folder(path.parent)
 
 
 def create_file(path: Path, content: bytes) -> None:
@@ -108,17 +93,6 @@ def append_line(path: Path, line: str) -> None:
         os.fsync(file.fileno())
     if new:
         sync_folder(path.parent)
-
-
-def sync_folder(folder: Path) -> None:
-    """Make renames in a folder durable: otherwise a power cut may undo them."""
-    # Not every system opens folders, and not every file system syncs them; there a rename is as durable as it gets.
-    with contextlib.suppress(OSError):
-        held = os.open(folder, os.O_RDONLY)
-        try:
-            os.fsync(held)
-        finally:
-            os.close(held)
 
 
 def parquet_bytes(table: pa.Table) -> bytes:

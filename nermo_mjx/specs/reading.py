@@ -73,8 +73,6 @@ def read_file(path: str | os.PathLike[str], what: str = "sweep") -> Document:
     source = os.fspath(path)
     try:
         text = read_bytes(Path(path), _MOST_BYTES).decode()
-    except FileError as error:
-        raise SpecError(str(error)) from None
     except FileNotFoundError:
         raise SpecError(f"{source}: there is no such file.") from None
     except UnicodeDecodeError as error:

@@ -22,7 +22,7 @@ from pydantic import ConfigDict, GetCoreSchemaHandler, create_model
 from pydantic_core import core_schema
 from pydantic_core.core_schema import CoreSchema
 
-from nermo_mjx.files import FileError, read_bytes
+from nermo_mjx.files import read_bytes
 from nermo_mjx.robot.quantity import ParameterError, Quantity
 from nermo_mjx.robot.scene import is_mjcf, scene_name
 from nermo_mjx.rollout import METRICS, Setup
@@ -344,10 +344,8 @@ def _read_csv(path: Path) -> RowTable:
             if any(cell.strip() for cell in row):
                 rows.append([cell.strip() for cell in row])
                 lines.append(reader.line_num)
-    except FileError as error:
-        raise SpecError(str(error)) from None
     except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise SpecError(f"{path}: cannot be read as CSV ({error}).") from None
+        raise SpecError(f"{path}: cannot be read as CSV ({getattr(error, 'strerror', error)}).") from None
     if not rows:
         raise SpecError(f"{path}: an empty file: expected a line of names, and a line for each row.")
     header = rows[0]

@@ -305,6 +305,7 @@ export class LiveClip extends Clip {
     this.contacts = slots.map((limb) => ({ limb, point: block(3), force: block(3) }));
     this.lines = this.plots.flatMap((plot) => plot.lines);
     for (const line of this.lines) line.all = block(1);
+    this.width = this.blocks.reduce((sum, [, width]) => sum + width, 0);
     this.#show(1);
     this.clear();
   }
