@@ -7,18 +7,15 @@ import types
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from search_fake import ATLAS, BEST, FRONT, SPEED, WALK, FakeSimulator
+from search_fake import ATLAS, FRONT, SPEED, FakeSimulator
 
 from nermo_mjx.cli import main
 from nermo_mjx.optimize import Search, run_search
 from nermo_mjx.optimize.methods import Scores, Space, ranked_cost, searcher
-from nermo_mjx.optimize.problems import WalkGradients
 from nermo_mjx.optimize.run import cost_of
 from nermo_mjx.recording import Recording
 from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.sweep.simulating import PROBE
-
-MEGA = ATLAS | {"method": {"cma_mega": {"emitters": 2}}, "budget": 100}
 
 
 def space_of(vary):
@@ -26,13 +23,10 @@ def space_of(vary):
 
 
 def test_coordinates_are_reflected_at_bounds_and_turn_with_angles():
-    """Every coordinate is a share of the bounds; the slope is that of the shares, by differences."""
+    """Every coordinate is a share of the bounds."""
     space = space_of({"frequency": {"uniform": [0.4, 1.0]}, "spine.phase": {"uniform": [-math.pi, math.pi]}})
     given = np.array([[1.1, 1.1], [-0.2, -0.2], [2.3, 2.3], [0.4, 0.4]])
     np.testing.assert_allclose(space.shares(given), [[0.9, 0.1], [0.2, 0.8], [0.3, 0.3], [0.4, 0.4]], atol=1e-12)
-    h = 1e-6
-    slope = (space.shares(given + h) - space.shares(given - h)) / (2 * h)
-    np.testing.assert_allclose(slope, space.slope(given), atol=1e-6)
 
 
 def test_a_phase_between_narrow_bounds_does_not_turn():
@@ -61,62 +55,6 @@ def test_points_stay_within_the_bounds_whatever_happens(spec):
             lost = answer == "falls"
             filler = np.full((n, k), np.nan if lost else 1.0), np.full((n, m), np.nan if lost else 0.05)
             optimizer.tell(Scores(*filler, np.full(n, np.nan if lost else 0.0), np.full(n, not lost)))
-
-
-def gradients(values, shares):
-    """d (-cost of transport, speed, roll) / d shares of `walk`, by hand."""
-    (f, a, p), n = (values[name] for name in WALK["vary"]), len(values["frequency"])
-    shape = 1.2 - 2.0 * (a - BEST[0]) ** 2 - 0.1 * (1 - np.cos(p - BEST[1]))
-    zero = np.zeros(n)
-    rows = [
-        [-2 * (f - 0.6), -np.ones(n), zero],
-        [0.1 * shape, -0.4 * f * (a - BEST[0]), -0.01 * f * np.sin(p - BEST[1])],
-        [np.full(n, 0.03), 0.2 * a, zero],
-    ]
-    spans = np.array([1.1, 0.4, 2 * 3.14159])
-    return np.moveaxis(np.array(rows), -1, 0) * spans
-
-
-@pytest.mark.compiles
-def test_an_atlas_along_gradients_fills_more_than_its_first_batch(tmp_path):
-    """Gradients are stored in the table; a resumed search reads them there instead of recomputing them."""
-    result = run_search(MEGA, tmp_path / "out", simulator=FakeSimulator(), gradients=gradients)
-    table = result.table
-    column = table.column("gradient.speed.frequency").to_numpy()
-    asked = np.isfinite(column)
-    assert asked.sum() == 12  # two emitters, six times: 16 points, then 2 and 14 in turn until a hundred
-    amplitude, phase = (table.column(name).to_numpy() for name in ("spine.amplitude", "spine.phase"))
-    expected = 0.11 * (1.2 - 2.0 * (amplitude - BEST[0]) ** 2 - 0.1 * (1 - np.cos(phase - BEST[1])))
-    np.testing.assert_allclose(column[asked], expected[asked], rtol=1e-9)
-    rows = [row for row in table.to_pylist() if row["batch"] == 0 and row["status"] == "ok"]
-    first = {(row["speed"] // 0.02, row["roll_std"] // (0.1 / 6)) for row in rows}
-    assert result.best["filled"] > len(first)
-    runs = table.num_rows + 12 * 4  # a gradient costs a run and three tangents
-    assert result.best["simulated_seconds"] == pytest.approx(2.0 * runs)
-    again = run_search(MEGA, tmp_path / "out", simulator=FakeSimulator(), gradients=None)
-    assert again.evaluations_run == 0
-    assert again.best == result.best
-
-
-@pytest.mark.slow
-@pytest.mark.long
-def test_gradients_are_those_of_the_walk():
-    """By MJX, against central differences of MJX's own walk over shares of the bounds."""
-    spec = {
-        "spine": "stride_extension",
-        "run": {"duration": 0.3, "warmup": 0.1},
-        "set": {"frequency": 0.8},
-        "vary": {"spine.amplitude": {"uniform": [0.0, 0.4]}, "spine.phase": {"uniform": [-1.0, 1.0]}},
-        "objective": {"maximize": "speed"},
-        "atlas": {"roll_std": [0.0, 0.2, 4]},
-        "method": "cma_mega",
-    }
-    walk = WalkGradients(Search.from_dict(spec))
-    share, h = np.array([0.5, 0.5]), 2e-3
-    slope = walk({"frequency": np.array([0.8])}, share[None])[0]
-    points = share + h * np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])
-    found = np.array([np.asarray(walk._outputs(point, {})) for point in points])
-    np.testing.assert_allclose(slope, ((found[::2] - found[1::2]) / (2 * h)).T, rtol=0.1, atol=2e-3)
 
 
 def test_what_a_search_costs_is_counted_by_hand(monkeypatch):
@@ -175,7 +113,7 @@ def test_a_metric_of_ones_own_is_aimed_at_measured_and_limited(tmp_path):
         Search.from_dict(spec)
 
 
-@pytest.mark.parametrize("spec", [SPEED, FRONT, ATLAS, MEGA], ids=["cma", "nsga2", "cma_me", "cma_mega"])
+@pytest.mark.parametrize("spec", [SPEED, FRONT, ATLAS], ids=["cma", "nsga2", "cma_me"])
 def test_a_search_reads_back_as_itself(spec):
     search = Search.from_dict(spec | {"subject_to": {"slip": {"max": 0.1}}, "randomize": {"repeats": 2}})
     assert Search.from_text(search.to_yaml()) == search

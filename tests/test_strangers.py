@@ -571,8 +571,8 @@ def test_a_picture_with_many_pixels_is_refused(tmp_path: Path) -> None:
         (Tuning.from_dict, TUNE | {"starts": 100_000}, "100,000 worlds at once take 5.0 GB"),
         (
             Tuning.from_dict,
-            TUNE | {"starts": 9, "estimator": {"smoothed": {"samples": 9000, "sigma": 0.1}}},
-            "81,000 worlds at once take 4",
+            TUNE | {"starts": 30_000},
+            "each with 3 walks: 90,000 worlds at once take 4",
         ),
         (Training.from_dict, {"worlds": 500_000, "steps": 1_000_000}, "500,000 worlds at once take 25.0 GB"),
         *(

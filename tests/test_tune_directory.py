@@ -45,7 +45,7 @@ def test_other_code_is_refused_until_it_is_accepted(tmp_path, other_code):
     """The sentence names the difference; accepted, the rows are told apart, in every later session, too."""
     tune(tmp_path, FEW)
     ((first, made_by),) = codes_of(tmp_path).items()
-    assert (made_by.engine, made_by.model) == ("mjx", load_robot().fingerprint)
+    assert (made_by.engine, made_by.model) == ("c", load_robot().fingerprint)
     other_code()
     with pytest.raises(OtherCode, match=r"nermo-mjx .*, not 9\.9\.9; .*--accept-new-code"):
         tune(tmp_path, FEW | {"iterations": 3})

@@ -27,21 +27,18 @@ optimizer:
   name: adam
   learning_rate: {cosine: {init_value: 0.1, decay_steps: 20}}
   b1: 0.8
-estimator: {mixture: {samples: 8, sigma: 0.1}}
 starts: 3
 iterations: 20
 seed: 1
-mode: forward
 """
 TUNE = GOOD[GOOD.index("tune:") : GOOD.index("objective:")]
 OBJECTIVE = GOOD[GOOD.index("objective:") : GOOD.index("optimizer:")]
-OPTIMIZER = GOOD[GOOD.index("optimizer:") : GOOD.index("estimator:")]
+OPTIMIZER = GOOD[GOOD.index("optimizer:") : GOOD.index("starts:")]
 AMPLITUDE = "{bounds: [0.0, 0.4], start: 0.05}"
 PHASE = "{bounds: [-3.1416, 3.1416], start: 0.0, periodic: true}"
 STRIDE = "stride: {bounds: [0.5, 1.0], start: 0.9}"
 SPEED = "{maximize: speed, scale: 0.1}"
 HOLD = "{hold: roll_std, at: 0.1, scale: 0.05, weight: 2}"
-MIXTURE = "{mixture: {samples: 8, sigma: 0.1}}"
 COSINE = "{cosine: {init_value: 0.1, decay_steps: 20}}"
 #: The file from its pilot to its last parameter, and the same on an arc.
 ARC = (GOOD[GOOD.index("pilot:") : GOOD.index("objective:")], "")
@@ -52,8 +49,8 @@ SMALL = {"tune": {"duty": {"bounds": [0.4, 0.7]}}, "objective": [{"maximize": "s
 WRONG = [
     ("gait: trt", "gate: trt", 2, "gate"),
     ("set:", "duty: 0.5\nset:", 6, "duty"),
-    ("mode: forward", "vary: {duty: [0.5]}", 22, "vary"),
-    ("mode: forward", "gait: trt", 22, "gait"),
+    ("seed: 1", "vary: {duty: [0.5]}", 20, "vary"),
+    ("seed: 1", "gait: trt", 20, "gait"),
     ("spine.amplitude", "spine.amplitud", 8, "spine.amplitud"),
     (TUNE, "tune: {}\n", 7, "tune"),
     (AMPLITUDE, "0.2", 8, "spine.amplitude"),
@@ -87,26 +84,16 @@ WRONG = [
     (SPEED, "{maximize: speed, at: 0.1}", 12, "objective.0.at"),
     (HOLD, "{maximize: speed}", 13, "objective.1"),
     (HOLD, "{minimize: trajectory_error}", 11, "objective"),
-    ("mode: forward", "recording: s.yaml", 22, "recording"),
-    ("mode: forward", "recording: nowhere.npz", 22, "recording"),
+    ("seed: 1", "recording: s.yaml", 20, "recording"),
+    ("seed: 1", "recording: nowhere.npz", 20, "recording"),
     ("name: adam", "name: adamm", 15, "optimizer.name"),
     (OPTIMIZER, "optimizer: [adam]\n", 14, "optimizer"),
     ("b1: 0.8", "b9: 0.8", 17, "optimizer.b9"),
     (COSINE, "{cosinus: {init_value: 1, decay_steps: 2}}", 16, "optimizer.learning_rate"),
     (", decay_steps: 20", "", 16, "optimizer.learning_rate"),
     ("b1: 0.8", "clip: -1", 17, "optimizer.clip"),
-    (MIXTURE, "exakt", 18, "estimator"),
-    (MIXTURE, "mixture", 18, "estimator"),
-    (MIXTURE, "{mixture: 8}", 18, "estimator.mixture"),
-    ("sigma: 0.1", "sigmas: 0.1", 18, "estimator.mixture.sigmas"),
-    (MIXTURE, "{exact: {samples: 2}}", 18, "estimator.exact.samples"),
-    (MIXTURE, "{smoothed: {sigma: 0.1}}", 18, "estimator.smoothed"),
-    ("samples: 8", "samples: 7", 18, "estimator.mixture.samples"),
-    ("samples: 8", "samples: 2", 18, "estimator.mixture.samples"),
-    ("sigma: 0.1", "sigma: 0.1, common: start", 18, "estimator.mixture.common"),
-    ("iterations: 20", "iterations: 2.5", 20, "iterations"),
-    ("mode: forward", "mode: revers", 22, "mode"),
-    (MIXTURE, "exact\nmethod: {cma: {population: 8}}", 14, "optimizer"),
+    ("iterations: 20", "iterations: 2.5", 19, "iterations"),
+    ("starts: 3", "method: {cma: {population: 8}}", 14, "optimizer"),
 ]
 
 
@@ -122,12 +109,8 @@ def test_a_wrong_file_is_refused_with_line_and_field(tmp_path, before, after, li
     assert message.startswith(f"{path}:{line}: field '{field}' "), message
     assert message[-1] in ".?"
     assert "\n" not in message
-    misspelt = {"gate", "spine.amplitud", "objective.0.maximise", "optimizer.name", "mode", "estimator.mixture.common"}
+    misspelt = {"gate", "spine.amplitud", "objective.0.maximise", "optimizer.name"}
     assert ("did you mean" in message) or field not in misspelt, message
-
-
-AVERAGED = {"smoothed": {"samples": 4, "sigma": 0.1, "normalized": True}}
-LINE = {"optimizer": "line_search", "estimator": AVERAGED}
 
 
 @pytest.mark.parametrize(
@@ -136,16 +119,8 @@ LINE = {"optimizer": "line_search", "estimator": AVERAGED}
         ({"method": "cmaes"}, "field 'method' is 'cmaes': expected gradient, cma or differences .* did you mean 'cma'"),
         ({"method": "cma", "optimizer": "adam"}, "'optimizer' is not read by the method cma, but by gradient and diff"),
         ({"method": "cma", "starts": 4}, r"'starts' is not read by the method cma.*give method: \{cma: \{population"),
-        ({"method": "differences", "estimator": "exact"}, "'estimator' is not read by the method differences"),
         ({"method": {"cma": {"population": 2}}}, "is 2: expected a whole number from 4"),
         ({"method": {"differences": {"scheme": "left"}}}, "is the text 'left': allowed are central, forward"),
-        ({"optimizer": {"name": "line_search", "points": 5}}, "points is 5: allowed is an even number from 2"),
-        ({"optimizer": {"name": "line_search", "momentum": 1.0}}, r"momentum is 1: allowed is \[0, 1\)"),
-        ({"optimizer": {"name": "line_search", "length": 9}}, r"length is 9: allowed is \[0.1, 4\]"),
-        ({"optimizer": {"name": "line_search", "learning_rate": 0.1}}, "is not an option of line_search"),
-        ({"optimizer": {"name": "line_search", "clip": 1.0}}, "clip'? is not read by line_search"),
-        ({"optimizer": "line_serach"}, "did you mean 'line_search'"),
-        ({"estimator": {"mixture": {"samples": 4, "sigma": 0.1, "normalized": True}}}, "normalized"),
     ],
 )
 def test_what_a_method_cannot_use_is_said(change, message):
@@ -161,15 +136,14 @@ def test_a_refused_tuning_leaves_no_directory(tmp_path):
 
 
 def test_all_sections_arrive():
-    """Choices, bounds, starts, terms, optimizer and estimator are those of the file."""
+    """Choices, bounds, starts, terms and optimizer are those of the file."""
     tuning = Tuning.from_text(GOOD)
     assert tuning.names == ("spine.amplitude", "spine.phase", "stride")
     assert tuning.setup.spine == "stride_extension"
     assert tuning.constants == {"frequency": 0.8}
     assert [(each.low, each.high) for each in tuning.tuned] == [(0, 0.4), (-math.pi, math.pi), (0.5, 1.0)]
     assert tuning.objective.metrics == ("speed", "roll_std")
-    assert (tuning.estimator.name, tuning.estimator.worlds) == ("mixture", 9)
-    assert (tuning.starts, tuning.iterations, tuning.seed, tuning.mode) == (3, 20, 1, "forward")
+    assert (tuning.starts, tuning.iterations, tuning.seed) == (3, 20, 1)
     np.testing.assert_array_equal(tuning.bounds.periodic, [False, True, False])
 
 
@@ -180,7 +154,7 @@ def test_everything_but_parameters_and_objective_has_a_default():
     )
     assert [(each.low, each.high, each.start) for each in tuning.tuned] == [(0.01, 1, 0.5), (0.4, 1.2, 0.67)]
     assert tuning.optimizer.written() == {"name": "controlled_adam"}
-    assert (tuning.estimator.name, tuning.starts, tuning.iterations, tuning.mode) == ("exact", 1, 40, "auto")
+    assert (tuning.starts, tuning.iterations) == (1, 40)
     assert (tuning.plots, tuning.video) == (True, False)
 
 
@@ -188,13 +162,12 @@ def test_everything_but_parameters_and_objective_has_a_default():
     "change",
     [
         {},
-        {"estimator": {"evolution": {"samples": 6, "sigma": 0.2, "common": "both"}}, "plots": False, "video": True},
+        {"plots": False, "video": True},
         {"pilot": {"arc": {"radius": 0.4, "direction": "right"}}, "run": {"duration": 3}, "optimizer": "sgd"},
         {"tune": {"offset.rear_left": {"periodic": True}, "contact.friction": {"bounds": (0.7, 1.5)}}},
         {"objective": [{"hold": "speed", "at": 0.05, "weight": 10}, {"minimize": "speed", "scale": 2}]},
         {"method": {"cma": {"population": 8}}},
         {"method": "differences"},
-        LINE | {"optimizer": {"name": "line_search", "points": 8}},
     ],
 )
 def test_the_resolved_file_reads_back_as_the_same_tuning(change):
@@ -213,14 +186,13 @@ def test_the_digest_tells_tunings_apart():
     others = [
         {"seed": 1},
         {"starts": 2},
-        {"mode": "reverse"},
         {"gait": "lat"},
         {"optimizer": "sgd"},
         {"set": {"frequency": 0.8}},
         {"run": {"cycles": 9}},
         {"objective": [{"maximize": "speed", "weight": 2}]},
         {"tune": {"duty": {"bounds": [0.4, 0.8]}}},
-        {"estimator": {"smoothed": {"samples": 8, "sigma": 0.1}}},
+        {"method": "differences"},
     ]
     assert digest not in [Tuning.from_dict(SMALL | other).digest() for other in others]
 

@@ -1,4 +1,4 @@
-"""Tuning the robot itself, in MJX: a tenth of a second of a walk, as the notebook's quick pass tunes it."""
+"""Tuning the robot itself: a tenth of a second of a walk, as the notebook's quick pass tunes it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from nermo_mjx.optimize.spec import Tuning
 from nermo_mjx.rollout import Run
 from nermo_mjx.runs import Watch
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.compiles
 
 #: The same program as the one in notebooks/03_gradient_tuning.ipynb, so that one of them finds it compiled.
 SPEC = {
@@ -28,7 +28,6 @@ SPEC = {
     "objective": [{"maximize": "speed", "scale": 0.1}],
     "optimizer": {"name": "adam", "learning_rate": 0.15},
     "iterations": 4,
-    "mode": "forward",
     "plots": False,
 }
 DURATION = Run(duration=0.1, warmup=0.02)
@@ -53,7 +52,7 @@ def test_a_problem_travels_without_the_file_that_it_compares_with(problem):
     """A worker on another machine has no recording, and gets its numbers."""
     poses = np.ones((10, problem.rollout.robot.model.nq))
     there = pickle.loads(pickle.dumps(WalkProblem(problem.tuning, Reference(poses, poses[0]))))
-    assert (there.names, there.mode, there.tuning) == (problem.names, problem.mode, problem.tuning)
+    assert (there.names, there.tuning) == (problem.names, problem.tuning)
     assert there.simulated_seconds == problem.simulated_seconds
     np.testing.assert_array_equal(there.reference.qpos, poses)
 

@@ -164,12 +164,14 @@ class Tuner:
 
 def _iterate(points: Any, found: Evaluation, ok: Any, seconds: float) -> Iterate:
     """What an iteration found at its points (starts, p)."""
-    points, ok = np.asarray(points, float), np.asarray(ok)
+    points, ok, gradient = np.asarray(points, float), np.asarray(ok), np.full(np.shape(points), np.nan)
+    if found.gradient is not None:
+        gradient[ok] = np.asarray(found.gradient, float)[ok]
     return Iterate(
         points=points,
         value=np.where(ok, np.asarray(found.value, float), np.nan),
         ok=ok,
-        gradient=np.full(points.shape, np.nan) if found.gradient is None else np.asarray(found.gradient, float),
+        gradient=gradient,
         metrics={name: np.asarray(column, float) for name, column in found.metrics.items()},
         simulated_seconds=seconds,
     )

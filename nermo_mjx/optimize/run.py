@@ -488,7 +488,7 @@ class MethodCost:
 
     Attributes:
         method: its name.
-        evaluations: points; of the method `gradient` with their derivatives.
+        evaluations: walks; in MJX with their derivatives.
         simulated_seconds: of all walks, gradients at their cost in forward runs [s].
         wall_seconds: at this machine's speed, without compiling [s]; None if unknown, as for MJX on a GPU.
     """
@@ -523,7 +523,7 @@ def _cost(tuning: Tuning, seconds: float, here: float) -> MethodCost:
     points = rounds * (method.population if isinstance(method, Generations) else tuning.starts)
     walks = points * method.gradient_cost(len(tuning.names))
     if tuning.engine == "c":
-        return MethodCost(method.name, points, walks * seconds, walks * seconds / here)
+        return MethodCost(method.name, round(walks), walks * seconds, walks * seconds / here)
     slower = MJX_SLOWER * max(1.0, MJX_WORLDS / tuning.starts)
     wall = walks * slower * seconds / here if jax.default_backend() == "cpu" else None
     return MethodCost(method.name, points, walks * seconds, wall)

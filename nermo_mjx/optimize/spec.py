@@ -510,8 +510,9 @@ def _read_tuning(doc: Document, *, recorded: bool = True) -> Tuning:
     )
     if isinstance(method, Generations):
         tuning = dataclasses.replace(tuning, starts=method.population)
-    if wrong := too_many(tuning.starts):
-        doc.fail(("starts",), f"is {tuning.starts:,}: {wrong}")
+    walks = method.gradient_cost(len(tuning.names)) if tuning.engine == "c" else 1
+    if wrong := too_many(round(tuning.starts * walks)):
+        doc.fail(("starts",), f"is {tuning.starts:,}, each with {walks:g} walks: {wrong}")
     check_sources(doc, tuning, {"tune": list(tuning.names)})
     low = {each.name: each.low for each in tuning.tuned}.get("frequency")
     if low is not None and "frequency" in tuning.setup.timing and tuning.run.duration is None:

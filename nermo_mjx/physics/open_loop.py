@@ -1,0 +1,421 @@
+"""Trajectories of any MuJoCo model on MuJoCo C, differentiable: states from a start and controls, in open loop.
+
+The derivative of a step is that of the solution of MuJoCo's discrete inverse dynamics (implicit function theorem). With
+a = (v' - v) / h and the inverse dynamics' force f(q, v, a, act, u), which is zero along a motion,
+
+    dv' = dv - h (df/da)^-1 (df/dq dq + df/dv dv + df/dact dact + df/du du).
+
+`mjd_inverseFD` gives the first three derivatives by differences (`mjENBL_INVDISCRETE`, so that it knows the implicit
+terms of the integrator); those to activations and controls are differences of the same function. Where the inverse
+dynamics does not return the step (Runge-Kutta, the noslip solver), the derivatives are differences of steps.
+"""
+
+from __future__ import annotations
+
+import copy
+import threading
+import warnings
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, Final, NamedTuple, NoReturn
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+from jaxtyping import Float
+from mujoco import rollout
+
+from nermo_mjx.robot.quantity import ParameterError
+from nermo_mjx.runtime import thread_count
+from nermo_mjx.shapes import Array
+
+#: Half-widths of the differences, the first at which both sides agree: wide ones have little rounding, and narrow ones
+#: seldom cross the border of a contact.
+WIDTHS: Final = (1e-6, 1e-7, 1e-8)
+#: The same of differences of steps, which are exact to the solver's tolerance.
+STEP_WIDTH: Final = 1e-6
+#: The same of activations and controls, in which forces are smooth.
+ACTUATION_WIDTH: Final = 1e-6
+#: The forward and the backward difference of a smooth function are nearer than this, as a share of the larger. Then
+#: their mean is exact to its square.
+KINK: Final = 3e-3
+#: Largest force that the inverse dynamics may leave over, as a share of the forces in it.
+RESIDUAL: Final = 1e-6
+#: Tolerance and most iterations of the constraint solver: at MuJoCo's default of 1e-8 states are no smooth function.
+TOLERANCE: Final = 1e-12
+ITERATIONS: Final = 200
+#: Joints with a quaternion.
+FREE, BALL = int(mujoco.mjtJoint.mjJNT_FREE), int(mujoco.mjtJoint.mjJNT_BALL)
+#: Activations whose next value follows from themselves and the control.
+_SIMPLE: Final = ("NONE", "INTEGRATOR", "FILTER", "FILTEREXACT", "MUSCLE")
+_FULL: Final = mujoco.mjtState.mjSTATE_FULLPHYSICS
+
+
+class States(NamedTuple):
+    """States of a trajectory of T steps, the start first.
+
+    Attributes:
+        qpos, qvel, act: (T + 1, nq), (T + 1, nv), (T + 1, na).
+    """
+
+    qpos: Float[Array, "states nq"]
+    qvel: Float[Array, "states nv"]
+    act: Float[Array, "states na"]
+
+
+class Linearized(NamedTuple):
+    """Derivatives of the T steps of a trajectory, in MuJoCo's tangent space x = (dq, dv, dact), of size 2 nv + na.
+
+    Attributes:
+        states: (T + 1, ...) each.
+        a: d x' / d x (T, 2 nv + na, 2 nv + na).
+        b: d x' / d u (T, 2 nv + na, nu).
+        kinks: whether contacts, limits or the like change within the width of the differences (T,).
+    """
+
+    states: States
+    a: np.ndarray
+    b: np.ndarray
+    kinks: np.ndarray
+
+
+class Trajectory:
+    """A model's motion as a function of start and controls, for `jax.grad`, `jax.jvp`, `jax.vmap` and `jax.jit`.
+
+    >>> xml = "<mujoco><worldbody><body><joint name='a' axis='0 1 0'/><geom size='.1' pos='0 0 -1'/></body></worldbody>"
+    >>> xml += "<actuator><motor joint='a' gear='10'/></actuator></mujoco>"
+    >>> from nermo_mjx.physics import trajectory
+    >>> swing = trajectory(mujoco.MjModel.from_xml_string(xml))
+    >>> height = lambda torque: swing(jnp.zeros(1), jnp.zeros(1), jnp.full((100, 1), torque)).qpos[-1, 0]
+    >>> bool(jax.grad(height)(0.5) > 0)
+    True
+
+    It is simulated in float64 whatever JAX's precision, at a solver tolerance of 1e-12; nothing of it is compiled. A
+    batch runs on all cores. A derivative costs some 30 trajectories, for any number of parameters. Where the set of
+    active contacts changes within the narrowest width, 1e-8, a warning names the steps: the derivative there
+    is the mean of its two sides. What the start does not contain (mocap bodies, applied forces) is as in `MjData`.
+    """
+
+    def __init__(self, model: mujoco.MjModel, threads: int | None = None) -> None:
+        """
+        Args:
+            model: compiled; a copy is made.
+            threads: processors that share a batch, by default all.
+
+        Raises:
+            ParameterError: the model has states beside positions, velocities and activations.
+        """
+        if model.npluginstate or getattr(model, "nhistory", 0):
+            raise ParameterError("The model has states of plugins or delays, which a trajectory does not contain.")
+        self.model = copy.copy(model)
+        self.model.opt.tolerance = min(model.opt.tolerance, TOLERANCE)
+        self.model.opt.iterations = max(model.opt.iterations, ITERATIONS)
+        self._inverse = copy.copy(self.model)
+        self._inverse.opt.enableflags |= int(mujoco.mjtEnableBit.mjENBL_INVDISCRETE)
+        dynamics = {mujoco.mjtDyn(int(kind)).name.removeprefix("mjDYN_") for kind in model.actuator_dyntype}
+        invertible = model.opt.integrator != mujoco.mjtIntegrator.mjINT_RK4 and not model.opt.noslip_iterations
+        self._by_inverse = bool(invertible and dynamics <= set(_SIMPLE))
+        self.threads, self._local = thread_count(threads), threading.local()
+        self._simulated = self._differentiable()
+
+    def __call__(self, qpos: Any, qvel: Any, ctrl: Any, act: Any = None) -> States:
+        """States of T steps.
+
+        Args:
+            qpos, qvel: of the start (nq,), (nv,).
+            ctrl: of each step (T, nu).
+            act: activations of the start (na,), by default 0.
+
+        Raises:
+            ParameterError: an argument of another shape.
+        """
+        act = jnp.zeros(self.model.na) if act is None else act
+        sizes = {"qpos": self.model.nq, "qvel": self.model.nv, "act": self.model.na}
+        for (name, size), given in zip(sizes.items(), (qpos, qvel, act), strict=True):
+            if jnp.shape(given) != (size,):
+                raise ParameterError(
+                    f"{name} has shape {jnp.shape(given)}: expected ({size},); use jax.vmap for a batch."
+                )
+        if jnp.ndim(ctrl) != 2 or jnp.shape(ctrl)[1] != self.model.nu:
+            raise ParameterError(f"ctrl has shape {jnp.shape(ctrl)}: expected (steps, {self.model.nu}).")
+        return self._simulated(*(jnp.asarray(each, float) for each in (qpos, qvel, act, ctrl)))
+
+    def linearized(self, qpos: Any, qvel: Any, ctrl: Any, act: Any = None) -> Linearized:
+        """The same trajectory with the derivatives of its steps, in NumPy and float64; the arguments are the same."""
+        act = np.zeros(self.model.na) if act is None else act
+        start = np.concatenate([np.asarray(each, float) for each in (qpos, qvel, act)])[None]
+        controls = np.asarray(ctrl, float)[None]
+        states = self._states(start, controls)
+        a, b, kinks = self._steps(states, controls)
+        return Linearized(States(*(each[0] for each in self._parts(states))), a[0], b[0], kinks[0])
+
+    def _differentiable(self) -> Callable[..., States]:
+        m = self.model
+        nx = 2 * m.nv + m.na
+
+        def callback(function: Callable[..., Any], shapes: Any, *given: Array) -> Any:
+            @jax.custom_jvp
+            def called(*given: Array) -> Any:
+                return jax.pure_callback(function, shapes, *given, vmap_method="broadcast_all")
+
+            @called.defjvp
+            def refused(at: Any, tangents: Any) -> NoReturn:
+                raise ParameterError(
+                    "A trajectory on MuJoCo C has first derivatives only: for second ones take nermo_mjx.physics.step."
+                )
+
+            return called(*given)
+
+        def shapes(steps: int) -> tuple[States, tuple[Any, ...]]:
+            real = jnp.zeros(()).dtype
+            parts: Any = [jax.ShapeDtypeStruct((steps + 1, size), real) for size in (m.nq, m.nv, m.na)]
+            sizes = ((steps, nx, nx), (steps, nx, m.nu), (steps + 1, m.nq, m.nv))
+            return States(*parts), tuple(jax.ShapeDtypeStruct(size, real) for size in sizes)
+
+        def batched(*given: Any) -> tuple[tuple[int, ...], np.ndarray, np.ndarray]:
+            qpos, qvel, act, ctrl = (np.asarray(each, float) for each in given)
+            start = np.concatenate([qpos, qvel, act], axis=-1)
+            rows = start.reshape(-1, start.shape[-1])
+            return start.shape[:-1], rows, ctrl.reshape(len(rows), *ctrl.shape[-2:])
+
+        def like(tree: Any, lead: tuple[int, ...], expected: Any) -> Any:
+            return jax.tree.map(lambda each, one: each.reshape(*lead, *one.shape).astype(one.dtype), tree, expected)
+
+        def values(*given: Any) -> States:
+            lead, start, controls = batched(*given)
+            return like(self._parts(self._states(start, controls)), lead, shapes(controls.shape[1])[0])
+
+        def slopes(*given: Any) -> tuple[States, tuple[Any, ...]]:
+            lead, start, controls = batched(*given)
+            states = self._states(start, controls)
+            a, b, kinks = self._steps(states, controls)
+            if kinks.any():
+                steps = np.flatnonzero(kinks.any(axis=0))
+                named = ", ".join(map(str, steps[:10])) + (", ..." if len(steps) > 10 else "")
+                warnings.warn(
+                    f"The set of active contacts or limits changes within {WIDTHS[-1]:g} at {len(steps)} steps "
+                    f"({named}): the derivative there is the mean of its two sides.",
+                    stacklevel=2,
+                )
+            parts = self._parts(states)
+            found = (parts, (a, b, self._turns(parts.qpos)))
+            return like(found, lead, shapes(controls.shape[1]))
+
+        @jax.custom_jvp
+        def simulated(*given: Array) -> States:
+            return callback(values, shapes(given[-1].shape[0])[0], *given)
+
+        @simulated.defjvp
+        def rule(given: tuple[Array, ...], tangents: tuple[Array, ...]) -> tuple[States, States]:
+            states, (a, b, turns) = callback(slopes, shapes(given[-1].shape[0]), *given)
+            dqpos, dqvel, dact, dctrl = tangents
+            # Of a quaternion only what turns it counts: its rows have the square 1/4.
+            scale = jnp.where((turns[0] ** 2).sum(axis=0) < 0.5, 4.0, 1.0)
+            first = jnp.concatenate([scale * (turns[0].T @ dqpos), dqvel, dact])
+
+            def step(x: Array, of: tuple[Array, Array, Array]) -> tuple[Array, Array]:
+                after = of[0] @ x + of[1] @ of[2]
+                return after, after
+
+            with jax.default_matmul_precision("highest"):
+                _, others = jax.lax.scan(step, first, (a, b, dctrl))
+                x = jnp.concatenate([first[None], others])
+                dq, dv, da = x[:, : m.nv], x[:, m.nv : 2 * m.nv], x[:, 2 * m.nv :]
+                return states, States(jnp.einsum("tqv,tv->tq", turns, dq), dv, da)
+
+        return simulated
+
+    def _parts(self, states: Any) -> States:
+        """Positions, velocities and activations of states (..., nq + nv + na)."""
+        nq, nv = self.model.nq, self.model.nv
+        return States(states[..., :nq], states[..., nq : nq + nv], states[..., nq + nv :])
+
+    def _states(self, start: np.ndarray, controls: np.ndarray) -> np.ndarray:
+        """States (n, T + 1, nq + nv + na) of n trajectories."""
+        worlds, steps, _ = controls.shape
+        data = [mujoco.MjData(self.model) for _ in range(max(1, min(self.threads, worlds)))]
+        first = np.concatenate([np.zeros((worlds, 1)), start], axis=1)
+        for row in first:  # MuJoCo's own normalization, so that all states are of one kind
+            mujoco.mj_normalizeQuat(self.model, row[1 : 1 + self.model.nq])
+        if not steps:
+            return first[:, None, 1:]
+        found, _ = rollout.rollout(self.model, data, first, controls if self.model.nu else None, nstep=steps)
+        return np.concatenate([first[:, None], found], axis=1)[:, :, 1:]
+
+    def _steps(self, states: np.ndarray, controls: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Derivatives of the steps between states: a (n, T, x, x), b (n, T, x, u), and kinks (n, T)."""
+        (worlds, steps, nu), nx = controls.shape, 2 * self.model.nv + self.model.na
+        a, b = np.zeros((worlds, steps, nx, nx)), np.zeros((worlds, steps, nx, nu))
+        kinks = np.zeros((worlds, steps), bool)
+
+        def some(places: Sequence[tuple[int, int]]) -> None:
+            forward, inverse = mujoco.MjData(self.model), mujoco.MjData(self._inverse)
+            for n, t in places:
+                if self._by_inverse:
+                    found = self._implicit(inverse, states[n, t], controls[n, t], states[n, t + 1])
+                    if found is not None:
+                        a[n, t], b[n, t], kinks[n, t] = found
+                        continue
+                a[n, t], b[n, t], kinks[n, t] = self._explicit(forward, states[n, t], controls[n, t])
+
+        places = [(n, t) for n in range(worlds) for t in range(steps)]
+        shares = [places[i :: self.threads] for i in range(self.threads)]
+        if self.threads == 1 or len(places) < 2 * self.threads:
+            some(places)
+        else:
+            with ThreadPoolExecutor(self.threads) as pool:
+                list(pool.map(some, shares))
+        return a, b, kinks
+
+    def _explicit(
+        self, data: mujoco.MjData, state: np.ndarray, control: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, bool]:
+        """Derivatives of a step by differences of steps, and whether their two sides differ."""
+        m = self.model
+        nx = 2 * m.nv + m.na
+
+        def after(column: int, width: float) -> np.ndarray:
+            self._set(m, data, state, control)
+            way = np.eye(1, nx + m.nu, column)[0]
+            mujoco.mj_integratePos(m, data.qpos, np.ascontiguousarray(way[: m.nv]), width)
+            data.qvel[:] += width * way[m.nv : 2 * m.nv]
+            data.act[:] += width * way[2 * m.nv : nx]
+            data.ctrl[:] += width * way[nx:]
+            mujoco.mj_step(m, data)
+            return np.concatenate([data.qpos, data.qvel, data.act])
+
+        def rise(low: np.ndarray, high: np.ndarray) -> np.ndarray:
+            turned = np.zeros(m.nv)
+            mujoco.mj_differentiatePos(m, turned, 1.0, low[: m.nq], high[: m.nq])
+            return np.concatenate([turned, (high - low)[m.nq :]])
+
+        middle = after(0, 0.0)
+        upper = np.stack([rise(middle, after(i, STEP_WIDTH)) / STEP_WIDTH for i in range(nx + m.nu)], axis=1)
+        lower = np.stack([rise(after(i, -STEP_WIDTH), middle) / STEP_WIDTH for i in range(nx + m.nu)], axis=1)
+        whole = 0.5 * (upper + lower)
+        return whole[:, :nx], whole[:, nx:], _apart(upper, lower)
+
+    def _set(self, model: mujoco.MjModel, data: mujoco.MjData, state: np.ndarray, control: np.ndarray) -> None:
+        """The data in a state, as a rollout has it, with no warm start from another one."""
+        mujoco.mj_resetData(model, data)
+        mujoco.mj_setState(model, data, np.concatenate([[0.0], state]), _FULL)
+        data.ctrl[:] = control
+
+    def _implicit(
+        self, data: mujoco.MjData, state: np.ndarray, control: np.ndarray, after: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, bool] | None:
+        """Derivatives of a step by the implicit function theorem; None if the inverse dynamics does not return it."""
+        m = self._inverse
+        nv, na, h = m.nv, m.na, float(m.opt.timestep)
+        self._set(m, data, state, control)
+        v, v_next = (self._parts(each).qvel for each in (state, after))
+        data.qacc[:] = (v_next - v) / h
+        mujoco.mj_inverse(m, data)
+        acceleration = data.qacc.copy()
+        most = max(np.abs(each).max(initial=0.0) for each in (data.qfrc_inverse, data.qfrc_constraint, data.qfrc_bias))
+        mujoco.mj_fwdActuation(m, data)
+        if np.abs(data.qfrc_inverse - data.qfrc_actuator).max(initial=0.0) > RESIDUAL * most:
+            return None
+        sides: list[list[np.ndarray]] = []
+        for width in WIDTHS:
+            sides = [[np.zeros((nv, nv)) for _ in range(3)] for _ in "+-"]
+            for side, by in zip((width, -width), sides, strict=True):
+                mujoco.mjd_inverseFD(m, data, side, True, *by, None, None, None, None)
+            kink = any(_apart(up, down) for up, down in zip(*sides, strict=True))
+            if not kink:
+                break
+        force_q, force_v, force_a = (0.5 * (up + down).T for up, down in zip(*sides, strict=True))
+        data.qacc[:] = acceleration
+
+        def force() -> tuple[np.ndarray, np.ndarray]:
+            """The inverse dynamics' force, which is zero along the motion, and the activations after the step."""
+            mujoco.mj_inverseSkip(m, data, mujoco.mjtStage.mjSTAGE_VEL, True)
+            mujoco.mj_fwdActuation(m, data)
+            return data.qfrc_inverse - data.qfrc_actuator, self._next_activation(data)
+
+        columns = []
+        # At the end of its range a control is differentiated from within.
+        limits = np.where(m.actuator_ctrllimited[:, None] > 0, m.actuator_ctrlrange, [-np.inf, np.inf])
+        for values, (low, high) in ((data.act, np.full((na, 2), [-np.inf, np.inf]).T), (data.ctrl, limits.T)):
+            force_by, next_by = np.zeros((nv, len(values))), np.zeros((na, len(values)))
+            for i in range(len(values)):
+                at, width = values[i], ACTUATION_WIDTH * max(1.0, abs(values[i]))
+                above = at if low[i] < at <= high[i] < at + width else at + width
+                below = at if at - width < low[i] <= at < high[i] else at - width
+                values[i] = above
+                upper = force()
+                values[i] = below
+                lower = force()
+                values[i] = at
+                force_by[:, i] = (upper[0] - lower[0]) / (above - below)
+                next_by[:, i] = (upper[1] - lower[1]) / (above - below)
+            columns.append((force_by, next_by))
+        (force_act, act_act), (force_u, act_u) = columns
+        try:
+            v_by = -h * np.linalg.solve(force_a, np.concatenate([force_q, force_v, force_act, force_u], axis=1))
+        except np.linalg.LinAlgError:
+            return None
+        v_by[:, nv : 2 * nv] += np.eye(nv)
+        nx = 2 * nv + na
+        q_q, q_v = self._integrated(v_next, h)
+        q_by = q_v @ v_by
+        q_by[:, :nv] += q_q
+        act_by = np.concatenate([np.zeros((na, 2 * nv)), act_act, act_u], axis=1)
+        whole = np.concatenate([q_by, v_by, act_by])
+        return whole[:, :nx], whole[:, nx:], kink
+
+    def _integrated(self, velocity: Any, h: float) -> tuple[np.ndarray, np.ndarray]:
+        """Derivatives (nv, nv) of the positions after a step by those before and by the new velocities."""
+        m = self.model
+        by_position, by_velocity = np.eye(m.nv), h * np.eye(m.nv)
+        for kind, dof in zip(m.jnt_type.tolist(), m.jnt_dofadr.tolist(), strict=True):
+            if kind in (FREE, BALL):
+                first = dof + (3 if kind == FREE else 0)
+                turn = slice(first, first + 3)
+                by_turn, by_rate, unused = np.zeros(9), np.zeros(9), np.zeros(3)
+                mujoco.mjd_quatIntegrate(np.array(velocity[turn]), h, by_turn, by_rate, unused)
+                by_position[turn, turn] = by_turn.reshape(3, 3)
+                by_velocity[turn, turn] = h * by_rate.reshape(3, 3)  # MuJoCo's lacks the time step
+        return by_position, by_velocity
+
+    def _next_activation(self, data: mujoco.MjData) -> np.ndarray:
+        """Activations after the step (na,): `mj_nextActivation`, which Python does not have."""
+        m, after = self.model, np.array(data.act)
+        for i in range(m.nu):
+            first, count = m.actuator_actadr[i], m.actuator_actnum[i]
+            for j in range(first, first + count) if first >= 0 else ():
+                h = float(m.opt.timestep)
+                if m.actuator_dyntype[i] == mujoco.mjtDyn.mjDYN_FILTEREXACT:
+                    tau = max(mujoco.mjMINVAL, m.actuator_dynprm[i, 0])
+                    h = tau * (1.0 - np.exp(-h / tau))
+                after[j] += data.act_dot[j] * h
+                if m.actuator_actlimited[i]:
+                    after[j] = np.clip(after[j], *m.actuator_actrange[i])
+        return after
+
+    def _turns(self, qpos: Any) -> np.ndarray:
+        """d qpos / d tangent (..., nq, nv): half of a quaternion's product by the left, for its rows."""
+        m = self.model
+        found = np.zeros((*qpos.shape[:-1], m.nq, m.nv))
+        for kind, place, dof in zip(m.jnt_type.tolist(), m.jnt_qposadr.tolist(), m.jnt_dofadr.tolist(), strict=True):
+            plain = {FREE: 3, BALL: 0}.get(kind, 1)
+            for i in range(plain):
+                found[..., place + i, dof + i] = 1.0
+            if kind in (FREE, BALL):
+                w, x, y, z = np.moveaxis(qpos[..., place + plain : place + plain + 4], -1, 0)
+                product = np.stack([-x, -y, -z, w, -z, y, z, w, -x, -y, x, w], axis=-1)
+                rows, dofs = slice(place + plain, place + plain + 4), slice(dof + plain, dof + plain + 3)
+                found[..., rows, dofs] = 0.5 * product.reshape(*product.shape[:-1], 4, 3)
+        return found
+
+
+def _apart(forward: np.ndarray, backward: np.ndarray) -> bool:
+    """Whether the differences to both sides are not those of one smooth function."""
+    most = max(np.abs(forward).max(initial=0.0), np.abs(backward).max(initial=0.0))
+    return bool(np.abs(forward - backward).max(initial=0.0) > KINK * most)
+
+
+def trajectory(model: mujoco.MjModel, threads: int | None = None) -> Trajectory:
+    """A differentiable trajectory of any model; see `Trajectory`."""
+    return Trajectory(model, threads)
