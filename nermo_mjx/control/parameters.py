@@ -293,8 +293,8 @@ AS_PUBLISHED: Final = {
 #: limited to 62.000 mm in front, 60.000 behind and 74.050 in the spine, where path and l_t0 are 61.275, 60.275 and
 #: 74.003. These limits have MuJoCo's default softness: in the neutral stance tendons behind yield by 0.903 mm under
 #: 10.1 N, and those in front, whose reference pose makes them stiffer, by 0.036 mm under 8.2 N; in the spine the taut
-#: one yields by 0.107 mm under 16.9 N, at 0.4 rad of the servo. His rear legs are mounted 10 degrees up on a hip that is
-#: pitched by 14.9 degrees down, with axes 0.45 mm further forward and 0.55 mm lower than in Table A.5.
+#: one yields by 0.107 mm under 16.9 N, at 0.4 rad of the servo. His rear legs are mounted 10 degrees up on a hip that
+#: is pitched by 14.9 degrees down, with axes 0.45 mm further forward and 0.55 mm lower than in Table A.5.
 AS_PUBLISHED_BODY: Final = {
     "servo.kp": 60.0,
     "servo.kv": 0.05,
