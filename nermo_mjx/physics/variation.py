@@ -34,6 +34,7 @@ from nermo_mjx.shapes import Array
 FIELDS: Final[dict[str, tuple[str, ...]]] = {
     "servo": ("actuator_gainprm", "actuator_biasprm", "actuator_forcerange"),
     "servo.back_emf": ("dof_damping",),
+    "servo.knee_range": ("actuator_ctrlrange",),
     "servo.dead_band": PLAY_FIELDS,
     "servo.backlash": PLAY_FIELDS,
     "contact": ("pair_friction", "pair_solref", "pair_solimp"),
