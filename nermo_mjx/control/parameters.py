@@ -288,8 +288,8 @@ AS_PUBLISHED: Final = {
 #: torque limits of legs (0.4 N m) and spine (0.157), damping, the masses in front and behind as compiled, and MuJoCo's
 #: default friction of the tail. His servos have gains of 200 and 300 N m/rad without damping, which only their torque
 #: limits keep stable, and turn as far as he commands, behind up to 117 degrees. Here they have 60 with 0.05 N m s/rad,
-#: with which his own model is 3 % faster (docs/published_set_up.md). Contact of the soles is his, with an impedance that
-#: starts at zero (`Contact`).
+#: with which his own model is 3 % faster (docs/published_set_up.md). Contact of the soles is his, with an impedance
+#: that starts at zero (`Contact`).
 #: His feet are not where his kinematics has them (erratum 25), and his controller does not know. His tendons are
 #: limited to 62.000 mm in front, 60.000 behind and 74.050 in the spine, where path and l_t0 are 61.275, 60.275 and
 #: 74.003. These limits have MuJoCo's default softness: in the neutral stance tendons behind yield by 0.903 mm under
