@@ -19,10 +19,11 @@ from nermo_mjx.physics.c_engine import CEngine
 from nermo_mjx.physics.mjx_engine import MjxEngine
 from nermo_mjx.physics.servo_play import PLAY_FIELDS
 from nermo_mjx.physics.variation import DERIVED_FIELDS, compile_model
-from nermo_mjx.robot import ModelParameters, Robot, assemble, load_robot
-from nermo_mjx.robot.masses import is_front
+from nermo_mjx.robot import LIMBS, ModelParameters, Robot, assemble, load_robot
+from nermo_mjx.robot.masses import is_front, reduced_model
 from nermo_mjx.robot.model_parameters import gravity_vector
 from nermo_mjx.robot.quantity import quantities, replace_quantities
+from nermo_mjx.rollout import Setup, Simulator
 
 pytestmark = pytest.mark.compiles
 
@@ -307,3 +308,86 @@ def test_a_slope_turns_gravity_in_mjx_and_has_a_derivative():
     np.testing.assert_allclose(value, dt * gravity_vector(*at), rtol=1e-5)
     differences = [(gravity_vector(*(at + d)) - gravity_vector(*(at - d))) * dt / 2e-6 for d in 1e-6 * np.eye(3)]
     np.testing.assert_allclose(slopes, np.array(differences).T, rtol=1e-4, atol=1e-7)
+
+
+#: How a robot is built that is not as drawn, in every way that moves its feet.
+BUILT = {
+    "build.front_slack": 0.0007,
+    "build.rear_slack": -0.0003,
+    "build.leg_slack": 0.0002,
+    "build.rear_softness": 90.0,
+    "build.spine_softness": 40.0,
+    "build.front_tilt": 0.05,
+    "build.rear_tilt": -0.0855,
+}
+
+
+@pytest.mark.parametrize("tail", ["rigid", "articulated"])
+@pytest.mark.parametrize("routing", ["type2", "type3"])
+def test_a_built_robot_is_the_same_in_a_batch_and_assembled(routing, tail):
+    """Tendons, their softness and the turned mounts, left and right; beside another geometry, too."""
+    robot = load_robot(routing=routing, tail=tail)
+    values = {name: np.array(value) for name, value in (BUILT | {"geometry.hip.z": -0.011}).items()}
+    assembled = varied_model(robot, values)
+    fields = varied(robot, values, 1)
+    assert {"body_pos", "body_quat", "site_pos", "tendon_range", "tendon_solref_lim"} <= fields.keys()
+    for name in ("body_pos", "body_quat", "site_pos", "tendon_range", "tendon_solref_lim"):
+        np.testing.assert_allclose(fields[name][0], getattr(assembled, name), atol=1e-9, err_msg=name)
+    parameters = replace_quantities(ModelParameters(), {name: np.array(value) for name, value in BUILT.items()})
+    assert_same_model(compile_model(robot, BUILT), assemble(robot.config, parameters).compile())
+    unchanged = varied(robot, {"build.rear_tilt": np.array(0.0)}, 1)
+    for name, field in unchanged.items():
+        np.testing.assert_allclose(field[0], getattr(robot.physical, name), atol=1e-15, err_msg=name)
+
+
+def test_turned_mounts_carry_the_feet_and_slack_lowers_them():
+    """A rear leg turned by -0.0855 rad has its foot 3.9 mm further forward; the start stands on all feet as built."""
+    simulator = Simulator(Setup(), engine="c")
+    still = {"commanded_speed": 0.0, "stance.swing_amplitude": 0.0, "stance.stance_amplitude": 0.0}
+
+    def feet(**build: float) -> np.ndarray:
+        values = still | {f"build.{name}": value for name, value in build.items()}
+        model = compile_model(simulator.robot, {f"build.{name}": value for name, value in build.items()})
+        data = mujoco.MjData(model)
+        data.qpos[:] = simulator.prepare(values).qpos[0]
+        mujoco.mj_kinematics(model, data)
+        soles = [data.geom(f"{limb}_sole").xpos[2] - 0.002 for limb in LIMBS]
+        assert min(soles) == pytest.approx(-1e-5, abs=2e-6)
+        return np.array([data.site(f"{limb}_foot").xpos - data.body("torso").xpos for limb in LIMBS])
+
+    drawn, turned, slack = feet(), feet(rear_tilt=-0.0855), feet(rear_slack=0.001)
+    np.testing.assert_allclose(turned[:2, 1:], drawn[:2, 1:], atol=1e-6)
+    down = 0.0499  # from the rear legs' axis to their feet
+    np.testing.assert_allclose(turned[2:, 1] - drawn[2:, 1], -down * np.sin(0.0855), atol=4e-4)
+    assert (slack[2:, 2] < drawn[2:, 2] - 5e-4).all()
+    np.testing.assert_allclose(slack[:2, 1:], drawn[:2, 1:], atol=1e-6)
+
+
+def test_derivatives_by_the_build_are_those_of_compiled_models():
+    """Of the places of legs, tendons and what MuJoCo derives from them, by tilt and softness."""
+    robot, names = load_robot(), ("build.rear_tilt", "build.rear_softness", "build.front_slack")
+    first, widths = np.array([-0.08, 90.0, 0.0007]), np.array([1e-5, 1e-2, 1e-6])
+    variation = Variation(robot)
+
+    def fields(values: jax.Array) -> dict[str, jax.Array]:
+        own = dict(zip(names, values, strict=True))
+        return variation.differentiable(replace_quantities(ModelParameters(), own), own)
+
+    with jax.enable_x64(True):
+        slopes = jax.jit(jax.jacfwd(fields))(first)
+    for i in range(len(names)):
+        low, high = (
+            varied_model(robot, dict(zip(names, first + sign * widths[i] * np.eye(3)[i], strict=True)))
+            for sign in (-1.0, 1.0)
+        )
+        for name in ("body_pos", "body_quat", "site_pos", "tendon_range", "tendon_solref_lim", "tendon_invweight0"):
+            difference = (getattr(high, name) - getattr(low, name)) / (2.0 * widths[i])
+            scale = max(np.abs(difference).max(), 1e-9)
+            np.testing.assert_allclose(slopes[name][..., i], difference, atol=1e-4 * scale, err_msg=name)
+
+
+def varied_model(robot: Robot, values: Mapping[str, float]) -> mujoco.MjModel:
+    """The model that engines step, assembled with these values."""
+    known = [robot.physical.site(i).name for i in range(robot.physical.nsite)]
+    parameters = replace_quantities(ModelParameters(), {name: np.array(value) for name, value in values.items()})
+    return reduced_model(assemble(robot.config, parameters), known)

@@ -13,7 +13,7 @@ import numpy as np
 
 from nermo_mjx.control.head_and_tail import Head, Tail
 from nermo_mjx.robot.geometry import Geometry
-from nermo_mjx.robot.parameters import FRONT_LEG, GAIT_CODES, GAIT_PATTERNS, LIMBS, REAR_LEG
+from nermo_mjx.robot.parameters import FRONT_LEG, GAIT_CODES, GAIT_PATTERNS, LIMBS, REAR_LEG, ProfileChoice
 from nermo_mjx.robot.quantity import choice, flat, group, parameter_tree, quantity
 
 # ---
@@ -287,20 +287,22 @@ AS_PUBLISHED: Final = {
 #: His body, from his model of the same days (in MuJoCo 3.17), whose physics no later commit of that year changes:
 #: torque limits of legs (0.4 N m) and spine (0.157), damping, the masses in front and behind as compiled, and MuJoCo's
 #: default friction of the tail. His servos have gains of 200 and 300 N m/rad without damping, which only their torque
-#: limits keep stable. Here they have 60 with 0.05 N m s/rad, with which his own model is 3 % faster
-#: (docs/published_set_up.md). Contact of the soles is his, with an impedance that starts at zero (`Contact`).
-#: His feet are not where his kinematics has them (erratum 25), and his controller does not know. His tendons are limited
-#: to 62.000 mm in front, 60.000 behind and 74.050 in the spine, where path and l_t0 are 61.275, 60.275 and 74.003.
-#: These limits have MuJoCo's default softness: in the neutral stance tendons behind yield by 0.903 mm under 10.1 N, and
-#: those in front, whose reference pose makes them stiffer, by 0.036 mm under 8.2 N; in the spine the taut one yields by
-#: 0.107 mm under 16.9 N, at 0.4 rad of the servo. His rear legs are mounted 10 degrees up on a hip that is pitched by
-#: 14.9 degrees down, with axes 0.45 mm further forward and 0.55 mm lower than in Table A.5.
+#: limits keep stable, and turn as far as he commands, behind up to 117 degrees. Here they have 60 with 0.05 N m s/rad,
+#: with which his own model is 3 % faster (docs/published_set_up.md). Contact of the soles is his, with an impedance
+#: that starts at zero (`Contact`).
+#: His feet are not where his kinematics has them (erratum 25), and his controller does not know. His tendons are
+#: limited to 62.000 mm in front, 60.000 behind and 74.050 in the spine, where path and l_t0 are 61.275, 60.275 and
+#: 74.003. These limits have MuJoCo's default softness: in the neutral stance tendons behind yield by 0.903 mm under
+#: 10.1 N, and those in front, whose reference pose makes them stiffer, by 0.036 mm under 8.2 N; in the spine the taut
+#: one yields by 0.107 mm under 16.9 N, at 0.4 rad of the servo. His rear legs are mounted 10 degrees up on a hip that
+#: is pitched by 14.9 degrees down, with axes 0.45 mm further forward and 0.55 mm lower than in Table A.5.
 AS_PUBLISHED_BODY: Final = {
     "servo.kp": 60.0,
     "servo.kv": 0.05,
     "servo.torque_limit": 0.4,
     "servo.spine_torque": 0.3925,
     "servo.speed": 100.0,
+    "servo.knee_range": 0.55,
     "damping.knee": 0.005,
     "damping.ankle": 0.005,
     "damping.spine": 0.01,
@@ -325,10 +327,6 @@ AS_PUBLISHED_BODY: Final = {
 STEERING: dict[str, tuple[float, float]] = {"leg": (1.0, 0.0), "spine": (0.0, 1.0), "mix": (1.0, 1.0)}
 
 
-class ProfileChoice(str):
-    """A choice that was not given: it is that of the profile and changes with the profile."""
-
-
 def steering_of(profile: str) -> ProfileChoice:
     """The turning strategy of a profile, unless one is given: the author's code turns by the spine.
 
@@ -338,10 +336,10 @@ def steering_of(profile: str) -> ProfileChoice:
     return ProfileChoice("spine" if profile == "as_published" else "leg")
 
 
-def robot_of(profile: str) -> dict[str, ProfileChoice]:
+def robot_choices(profile: str) -> dict[str, ProfileChoice]:
     """Choices of a `RobotConfig` in a profile, unless they are given.
 
-    >>> robot_of("as_published")
+    >>> robot_choices("as_published")
     {'tail': 'articulated', 'feet': 'capsules'}
     """
     choices = ("articulated", "capsules") if profile == "as_published" else ("rigid", "spheres")

@@ -420,7 +420,7 @@ def run(settings: Settings) -> Outcome:
     )
     check_quantities(model_parameters)
     check_quantities(spine, "spine.")
-    robot = load_robot(scene="balance_stand")
+    robot = load_robot(scene="balance_stand", **settings.robot)
     loop = BalanceLoop(robot)
     engine = make_engine(settings.engine, robot, loop)
 

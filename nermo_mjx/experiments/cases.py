@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 import yaml
 
-from nermo_mjx.control.parameters import AS_BUILT, PUBLISHED_CLOCK_RATIO, body_values, published_values
+from nermo_mjx.control.parameters import AS_BUILT, PUBLISHED_CLOCK_RATIO, body_values, published_values, robot_choices
 from nermo_mjx.control.protocol import ActsUpon, controller_digest, load_controller
 from nermo_mjx.files import MOST_ARRAYS, read_bytes
 from nermo_mjx.recording import Recording, recording_of
@@ -215,8 +215,13 @@ class Settings:
             ParameterError: the controller cannot act upon such a one.
         """
         if self.controller is None:
-            return Setup(scene=scene, **choices)
-        return Setup(scene=scene, controller=self.controller.acts.upon(**choices))
+            return Setup(scene=scene, **self.robot, **choices)
+        return Setup(scene=scene, **self.robot, controller=self.controller.acts.upon(**choices))
+
+    @property
+    def robot(self) -> dict[str, Any]:
+        """Choices of the robot that the first profile makes; see `in_each_robot`."""
+        return {name: str(chosen) for name, chosen in robot_choices(self.profiles[0]).items()}
 
     def but(self, **other: Any) -> Settings:
         """The same, except for what is named."""
@@ -236,6 +241,25 @@ def check_whole(name: str, value: Any, least: int) -> None:
     """
     if not isinstance(value, int | np.integer) or isinstance(value, bool) or value < least:
         raise ParameterError(f"{name} is {value!r}: allowed is a whole number of at least {least}.")
+
+
+def in_each_robot(run: Callable[[Settings], Outcome], settings: Settings) -> Outcome:
+    """An experiment in all profiles; those that have different robots are simulated one after the other."""
+    alike: dict[str, list[str]] = {}
+    for profile in settings.profiles:
+        alike.setdefault(str(robot_choices(profile)), []).append(profile)
+    parts: list[Outcome] = []
+    for profiles in alike.values():
+
+        def tell(done: float, before: int = len(parts)) -> None:
+            settings.progress((before + done) / len(alike)) if settings.progress else None
+
+        parts.append(run(settings.but(profiles=profiles, progress=tell)))
+    columns = {name: np.concatenate([part.columns[name] for part in parts]) for name in parts[0].columns}
+    order = np.argsort([PROFILES.index(profile) for profile in columns["profile"]], kind="stable")
+    columns = {name: column[order] if len(parts) > 1 else column for name, column in columns.items()}
+    recordings = {name: made for part in reversed(parts) for name, made in part.recordings.items()}
+    return Outcome.of(parts[0].experiment, columns, recordings)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -328,7 +352,7 @@ def recordings_of(
         metrics = {key: float(column[world]) for key, column in result.metrics.items()}
         metadata = {
             "case": name,
-            "setup": {"scene": simulator.setup.scene, "spine": simulator.setup.spine},
+            "setup": {name: getattr(simulator.setup, name) for name in ("scene", "tail", "feet", "spine")},
             "labels": {key: column[world].item() for key, column in batch.labels.items()},
             "parameters": {key: float(column[world]) for key, column in batch.values.items()},
             "metrics": metrics | {"status": str(result.status[world])},

@@ -24,7 +24,7 @@ from matplotlib.figure import Figure
 from pydantic import BaseModel, Field, FiniteFloat
 from scipy.stats import qmc
 
-from nermo_mjx.control.parameters import AS_PUBLISHED_BODY, body_values
+from nermo_mjx.control.parameters import AS_PUBLISHED_BODY, body_values, robot_choices
 from nermo_mjx.experiments import ensemble
 from nermo_mjx.experiments.cases import AMPLITUDE, Case, Settings, texts, worlds
 from nermo_mjx.experiments.report import number, published_text
@@ -130,14 +130,21 @@ class Walking:
     """Simulates batches of candidates on an engine; a `nermo_mjx.runs.workers.Computer`."""
 
     engine: str
+    profile: str = "exact"
+
+    @property
+    def setup(self) -> Setup:
+        """That of a walk, with the robot of the profile."""
+        own: Any = {name: str(chosen) for name, chosen in robot_choices(self.profile).items()}
+        return dataclasses.replace(WALKS, **own)
 
     def warm(self) -> None:
         """Make the simulator; it compiles with the first batch."""
-        self._simulator = Simulator(WALKS, engine=self.engine)
+        self._simulator = Simulator(self.setup, engine=self.engine)
 
     def stamp(self) -> CodeStamp:
         """Stamp of the code, the model and the engine that simulate here."""
-        return stamp(WALKS.load().fingerprint, self.engine)
+        return stamp(self.setup.load().fingerprint, self.engine)
 
     def __call__(
         self, values: Mapping[str, np.ndarray], progress: Callable[[float], None] | None = None
@@ -328,7 +335,8 @@ def identify(
         WorkersLost: no worker is left.
     """
     population, bodies, seed, free = wanted.population, wanted.bodies, wanted.seed, ensemble.FREE_IN[wanted.profile]
-    walking, workers, robot = Walking(resolve_engine(engine)), workers or LocalWorkers(), WALKS.defaults()
+    walking = Walking(resolve_engine(engine), wanted.profile)
+    workers, robot = workers or LocalWorkers(), WALKS.defaults()
     defaults = robot | body_values(wanted.profile)
     cases = worlds(CASES, defaults, Settings((wanted.profile,), repeats=1, seed=seed)).values
     batches = -(-(wanted.samples + 1) // population) + wanted.generations
@@ -457,7 +465,7 @@ def run_identification(
             return _publish(written, content, watch)
         if engine == "auto":
             engine = engine_of(folder) or engine
-        code, defaults = Walking(resolve_engine(engine)).stamp(), WALKS.defaults()
+        code, defaults = Walking(resolve_engine(engine), search.profile).stamp(), WALKS.defaults()
         held.take_code(code, holds_rows=(folder / FILE).exists(), accept=accept_new_code)
         about = session(settings=settings, engine=code.engine)
         held.note_session(about)

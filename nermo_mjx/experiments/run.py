@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import collections
 import dataclasses
+import functools
 import hashlib
 import json
 import math
@@ -63,6 +64,7 @@ def _catalogue() -> Iterator[Experiment]:
         ("spine-stand", stands.run_spine, stands.STAND_SETTABLE, False),
     ):
         about = cases.texts("catalogue")[name]
+        run = run if run.__module__ == stands.__name__ else functools.partial(cases.in_each_robot, run)
         yield Experiment(name, run, settable, walks=walking, **about | {"shot": Shot(**about.get("shot", {}))})
 
 

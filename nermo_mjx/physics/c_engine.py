@@ -281,14 +281,13 @@ class _Servos:
     def __init__(self, model: mujoco.MjModel, play: np.ndarray) -> None:
         self.play = np.array(play)
         self._qpos, self._dofs = servo_addresses(model)
-        self._range, self._timestep = model.actuator_ctrlrange.T.copy(), float(model.opt.timestep)
+        self._timestep = float(model.opt.timestep)
         self.motor = np.zeros((len(play), model.nu))
 
     def controls(self, target: np.ndarray, qpos: np.ndarray, qvel: np.ndarray) -> np.ndarray:
         """Controls for the next step (n, n_servos); moves the motors."""
-        play, aim = Play.unpacked(self.play), np.clip(target, *self._range)
         control, self.motor = played(
-            play, self.motor, aim, qpos[:, self._qpos], qvel[:, self._dofs], self._timestep, np
+            Play.unpacked(self.play), self.motor, target, qpos[:, self._qpos], qvel[:, self._dofs], self._timestep, np
         )
         return control
 

@@ -237,10 +237,8 @@ class MjxEngine:
 
     def _played(self, play: Play, ctrl: Array, state: MjxState) -> tuple[Array, Array]:
         """Controls of a step, and where the motors are after it, for servos with play."""
-        low, high = self.robot.physical.actuator_ctrlrange.T
         angle, velocity = state.qpos[self._servo_qpos], state.qvel[self._servo_dofs]
-        target, timestep = jnp.clip(ctrl, low, high), float(self.robot.config.timestep)
-        return played(play, state.motor, target, angle, velocity, timestep)
+        return played(play, state.motor, ctrl, angle, velocity, float(self.robot.config.timestep))
 
     def read_entries(self, program: ClosedJaxpr) -> Bool[np.ndarray, " nsensordata"]:
         """Entries of the sensors' readings that the loop reads."""

@@ -34,6 +34,7 @@ from nermo_mjx.shapes import Array
 FIELDS: Final[dict[str, tuple[str, ...]]] = {
     "servo": ("actuator_gainprm", "actuator_biasprm", "actuator_forcerange"),
     "servo.back_emf": ("dof_damping",),
+    "servo.knee_range": ("actuator_ctrlrange",),
     "servo.dead_band": PLAY_FIELDS,
     "servo.backlash": PLAY_FIELDS,
     "contact": ("pair_friction", "pair_solref", "pair_solimp"),
@@ -157,7 +158,7 @@ class Variation:
             damping = damping.at[ids].set(hinges * getattr(p.damping, name))
         damping = damping.at[self._servo_dofs].add(p.servo.brake)
         for side, ids in self._knees.items():
-            stiffness = stiffness.at[ids].multiply(1.0 + side * p.build.asymmetry)
+            stiffness = stiffness.at[ids].multiply(1.0 + side * p.build.asymmetry, unique_indices=True)
 
         mass = jnp.asarray(model.body_mass, float)
         front, rear = model.body_mass[self._front].sum(), model.body_mass[1:][~self._front[1:]].sum()
@@ -169,7 +170,8 @@ class Variation:
         held = jnp.asarray(model.tendon_solref_lim, float)
         for pair, ids in self._tendons.items():
             reach = reach.at[ids, 1].add(p.build.slack(pair))
-            held = held.at[ids, 0].multiply(jnp.sqrt(getattr(p.build, f"{pair}_softness")))
+            softer = jnp.sqrt(getattr(p.build, f"{pair}_softness"))
+            held = held.at[ids, 0].multiply(softer, unique_indices=True)
         return placed | {
             "actuator_gainprm": gain,
             "actuator_biasprm": bias,

@@ -29,7 +29,7 @@ from nermo_mjx.robot.equipment import (
 from nermo_mjx.robot.geometry import Geometry, standing
 from nermo_mjx.robot.masses import mass_values
 from nermo_mjx.robot.model_parameters import ModelParameters, gravity_vector
-from nermo_mjx.robot.parameters import LEGS, LIMBS, PRESETS, ROUTINGS, PhysicsPreset, PresetTimestep
+from nermo_mjx.robot.parameters import LEGS, LIMBS, PRESETS, ROUTINGS, PhysicsPreset, PresetTimestep, ProfileChoice
 from nermo_mjx.robot.parts import load_part, mirror, stance_height
 from nermo_mjx.robot.quantity import ParameterError, replace_quantities, static, with_attributes
 from nermo_mjx.robot.scene import Scene, load_scene, resolve_scene, scene_geoms, scene_name
@@ -54,7 +54,10 @@ class RobotConfig:
         "flat", "a scene of mjcf/scenes, or a custom one as the path of an MJCF file or as MJCF itself, which is stored"
     )
     tail: str = static(
-        "rigid", "rigid is a third faster, articulated has 19 joints; same mass and centre of mass", TAILS
+        ProfileChoice("rigid"),
+        "rigid is a third faster, articulated has 19 joints; same mass and centre of mass; in as_published by default "
+        "articulated",
+        TAILS,
     )
     routing: str = static(
         "type3",
@@ -69,7 +72,9 @@ class RobotConfig:
         "physics step [s]: the control period 0.01 s divided by a whole number; takes precedence over that of physics",
     )
     feet: str = static(
-        "spheres", "form of the soles; capsules: 7 mm wide, and front ankles touch, too, as in the author's model", FEET
+        ProfileChoice("spheres"),
+        "form of the soles; capsules: 7 mm wide, and front ankles touch, too; in as_published by default capsules",
+        FEET,
     )
     hinges: int = static(1, f"of each compliant joint of legs and spine, from 1 to {MOST_HINGES}; see `flexure`")
 

@@ -45,6 +45,7 @@ class Servo:
         1.0, unit="1", low=0.01, high=1.0, doc="torque limit of the lateral spine's servo, over that of the others"
     )
     speed: Any = quantity(15.0, unit="rad/s", low=0.1, high=1000.0, doc="fastest change of the angle it aims at")
+    knee_range: Any = quantity(0.0, unit="rad", low=0.0, high=0.6, doc="by how much those of knees turn further")
     supply_voltage: Any = quantity(
         NOMINAL_VOLTAGE, unit="V", low=3.0, high=9.0, doc="stall torque and speed are in proportion to it"
     )

@@ -309,6 +309,10 @@ class PhysicsPreset:
     trunk_contacts: bool
 
 
+class ProfileChoice(str):
+    """A choice that was not given: it is that of the profile and changes with the profile."""
+
+
 class PresetTimestep(float):
     """A time step [s] that was not given: it is that of the preset and changes with the preset."""
 

@@ -104,7 +104,7 @@ class ClosedLoop:
         own = self.control_at(params, 0.0)
         control = canonical(self.controller.init(own, sensors, params.start.phase))
         servo = self.controller.initial_servo(own, params.start.phase).vector(self.robot.servos)
-        servo = self._within_range(servo)
+        servo = self._within_range(params, servo)
         first, now = jnp.zeros((), jnp.int32), jnp.zeros(())
         return LoopState(
             first,
@@ -124,7 +124,7 @@ class ClosedLoop:
         control, servo = controller.update(own, state.control, self.last_reading(measured, sensordata))
         reach = params.servo.top_speed * controller.dt
         asked = servo.vector(self.robot.servos)
-        target = self._within_range(asked)
+        target = self._within_range(params, asked)
         ctrl = state.ctrl + jnp.clip(target - state.ctrl, -reach, reach)
         tick = state.tick + 1
         clamped = jnp.any(jnp.abs(asked - target) > ROUNDING).astype(ctrl.dtype)
@@ -136,8 +136,10 @@ class ClosedLoop:
         rate = self.controller.cycle_rate(params.control) if params.schedule is not None else None
         return scheduled(params.control, params.schedule, time, rate)
 
-    def _within_range(self, angles: Float[Array, " n_servos"]) -> Float[Array, " n_servos"]:
-        return jnp.clip(angles, *jnp.asarray(self.robot.model.actuator_ctrlrange.T, angles.dtype))
+    def _within_range(self, params: LoopParameters, angles: Float[Array, " n_servos"]) -> Float[Array, " n_servos"]:
+        low, high = jnp.asarray(self.robot.model.actuator_ctrlrange.T, angles.dtype)
+        more = params.servo.knee_range * np.array([name.endswith("_knee") for name in self.robot.servos])
+        return jnp.clip(angles, low - more, high + more)
 
     def measure(
         self, params: LoopParameters, state: LoopState, sensordata: Float[Array, "steps n"]

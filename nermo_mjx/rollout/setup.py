@@ -17,10 +17,9 @@ from nermo_mjx.control.parameters import (
     PROFILES,
     STEERING,
     ControlParameters,
-    ProfileChoice,
     body_values,
     published_values,
-    robot_of,
+    robot_choices,
     steering_of,
     with_geometry,
 )
@@ -40,11 +39,11 @@ from nermo_mjx.control.spine_modes import SAGITTAL_MODES, SPINES, SpineModes, mo
 from nermo_mjx.control.stepping import FREE
 from nermo_mjx.control.trajectory import FORMS
 from nermo_mjx.robot import GAIT_CODES, GAIT_NAMES, GAITS, ParameterError, Robot, RobotConfig, load_robot
-from nermo_mjx.robot.assembly import FEET, TAILS
 from nermo_mjx.robot.equipment import check_servo, highest_kp, highest_kv
 from nermo_mjx.robot.geometry import Geometry, check_geometry, names_geometry
 from nermo_mjx.robot.masses import mass_values
 from nermo_mjx.robot.model_parameters import ModelParameters, gravity_values
+from nermo_mjx.robot.parameters import ProfileChoice
 from nermo_mjx.robot.quantity import (
     Quantity,
     check_quantities,
@@ -223,18 +222,6 @@ class Setup(RobotConfig):
     steering: str = static(
         steering_of("exact"), "what turns the robot; in the profile as_published by default spine", STEERING
     )
-    tail: str = static(
-        robot_of("exact")["tail"],
-        "rigid is a third faster, articulated has 19 joints; same mass and centre of mass; in the profile as_published "
-        "by default articulated",
-        TAILS,
-    )
-    feet: str = static(
-        robot_of("exact")["feet"],
-        "form of the soles; capsules: 7 mm wide, and front ankles touch, too, as in the author's model; in the profile "
-        "as_published by default capsules",
-        FEET,
-    )
     profile: str = static(
         "exact",
         "as_published is the published simulation with its body, as_built has the body of the built robot",
@@ -259,7 +246,7 @@ class Setup(RobotConfig):
     schedule: tuple[Switch, ...] = static((), "what changes while the robot walks, see `control.schedule`")
 
     def __post_init__(self) -> None:
-        for name, chosen in robot_of(self.profile).items():
+        for name, chosen in robot_choices(self.profile).items():
             if isinstance(getattr(self, name), ProfileChoice):
                 object.__setattr__(self, name, chosen)
         super().__post_init__()
@@ -521,7 +508,7 @@ def all_metrics(setup: Setup | None = None) -> dict[str, Metric]:
 
 def without_presettings(setup: Setup) -> Setup:
     """The setup with the first choices of `PRESETTINGS`: setups for which it is equal run the same programs."""
-    kept: Any = {name: str(getattr(setup, name)) for name in robot_of(setup.profile)}
+    kept: Any = {name: str(getattr(setup, name)) for name in robot_choices(setup.profile)}
     return dataclasses.replace(setup, **kept, **{name: getattr(Setup, name) for name in PRESETTINGS})
 
 

@@ -16,12 +16,13 @@ import numpy as np
 from pydantic import BeforeValidator, Field, create_model
 
 from nermo_mjx.control.head_and_tail import COUNTER_ROLL, COUNTER_YAW, GAZE, HEADS, SWING, TAIL_MOTIONS
-from nermo_mjx.control.parameters import STEERING, ProfileChoice, robot_of
+from nermo_mjx.control.parameters import STEERING, robot_choices
 from nermo_mjx.control.schedule import Switch
 from nermo_mjx.control.spine_modes import SPINES
 from nermo_mjx.control.stepping import FREE
 from nermo_mjx.robot import GAIT_NAMES, GAITS
 from nermo_mjx.robot.equipment import MOST_HINGES
+from nermo_mjx.robot.parameters import ProfileChoice
 from nermo_mjx.robot.quantity import ParameterError, Quantity, did_you_mean
 from nermo_mjx.robot.scene import resolve_scene, scenes
 from nermo_mjx.robot.terrains import scenes_reading, terrain_values
@@ -300,7 +301,7 @@ class WalkSpec:
         """
         own, given = self.setup.controller is not None, self.setup.fields()
         data: dict[str, Any] = {name: given[name] for name in SETUP_FIELDS if name in given and name != "controller"}
-        for name in ("steering", *robot_of(self.setup.profile)):
+        for name in ("steering", *robot_choices(self.setup.profile)):
             if isinstance(getattr(self.setup, name), ProfileChoice):
                 data.pop(name, None)  # it follows the profile, which may vary
         data |= {"controller": written_controller(self.setup, folder)} if own else {}
