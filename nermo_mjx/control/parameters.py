@@ -300,6 +300,12 @@ AS_PUBLISHED_BODY: Final = {
     "mass.front": 0.2122,
     "mass.rear": 0.1257,
     "contact.tail_friction": 1.0,
+    "contact.time_constant": 0.008,
+    "contact.damping_ratio": 2.0,
+    "contact.impedance": 0.95,
+    "contact.width": 0.0005,
+    "geometry.foot.radius": 0.002,
+    "build.tendon_impedance": 0.95,
 }
 #: Weights (leg, spine) of the three published turning strategies.
 STEERING: dict[str, tuple[float, float]] = {"leg": (1.0, 0.0), "spine": (0.0, 1.0), "mix": (1.0, 1.0)}

@@ -40,6 +40,7 @@ FIELDS: Final[dict[str, tuple[str, ...]]] = {
     "damping": ("dof_damping",),
     "build.leg_slack": ("tendon_range",),
     "build.spine_slack": ("tendon_range",),
+    "build.tendon_impedance": ("tendon_solimp_lim",),
     "build.asymmetry": ("jnt_stiffness",),
     "mass": ("body_mass", "body_inertia"),
     "ground": ("opt.gravity",),
@@ -161,6 +162,7 @@ class Variation:
         reach = placed.pop("tendon_range", jnp.asarray(model.tendon_range, float))
         for ids, slack in self.slacks(p):
             reach = reach.at[ids, 1].add(slack)
+        taut = jnp.asarray(model.tendon_solimp_lim, float).at[:, 0].set(p.build.tendon_impedance)
         return placed | {
             "actuator_gainprm": gain,
             "actuator_biasprm": bias,
@@ -171,6 +173,7 @@ class Variation:
             "jnt_stiffness": stiffness,
             "dof_damping": damping,
             "tendon_range": reach,
+            "tendon_solimp_lim": taut,
             "body_mass": mass * scale,
             "body_inertia": inertia * scale[:, None],
             "opt.gravity": gravity_vector(p.ground.gravity, p.ground.slope, p.ground.direction, jnp),
