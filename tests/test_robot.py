@@ -232,7 +232,7 @@ def test_the_force_on_the_tail_is_sensed():
         model, data = robot.model, mujoco.MjData(robot.model)
         data.qpos[3:7] = np.cos(-0.05), np.sin(-0.05), 0.0, 0.0
         mujoco.mj_kinematics(model, data)
-        data.qpos[2] += 0.0033 - data.geom("tail_tip").xpos[2]  # 0.4 mm deep
+        data.qpos[2] += 0.0025 - data.geom("tail_tip").xpos[2]  # 1.2 mm deep
         mujoco.mj_forward(model, data)
         force, total = np.zeros(6), 0.0
         for i, contact in enumerate(data.contact):

@@ -322,6 +322,8 @@ AS_PUBLISHED_BODY: Final = {
     "build.rear_tilt": math.radians(-4.9),
     "geometry.hip.y": 0.00825,
     "geometry.hip.z": -0.01045,
+    "geometry.foot.radius": 0.002,
+    "build.tendon_impedance": 0.95,
 }
 #: Weights (leg, spine) of the three published turning strategies.
 STEERING: dict[str, tuple[float, float]] = {"leg": (1.0, 0.0), "spine": (0.0, 1.0), "mix": (1.0, 1.0)}

@@ -43,6 +43,7 @@ FIELDS: Final[dict[str, tuple[str, ...]]] = {
     **{f"build.{part}_slack": ("tendon_range",) for part in ("leg", "front", "rear", "spine")},
     "build.front_tilt": ("body_pos", "body_quat", "site_pos"),
     "build.rear_tilt": ("body_pos", "body_quat", "site_pos"),
+    "build.tendon_impedance": ("tendon_solimp_lim",),
     "build.asymmetry": ("jnt_stiffness",),
     **{f"build.{part}_softness": ("tendon_solref_lim",) for part in ("front", "rear", "spine")},
     "mass": ("body_mass", "body_inertia"),
@@ -172,6 +173,7 @@ class Variation:
             reach = reach.at[ids, 1].add(p.build.slack(pair))
             softer = jnp.sqrt(getattr(p.build, f"{pair}_softness"))
             held = held.at[ids, 0].multiply(softer, unique_indices=True)
+        taut = jnp.asarray(model.tendon_solimp_lim, float).at[:, 0].set(p.build.tendon_impedance)
         return placed | {
             "actuator_gainprm": gain,
             "actuator_biasprm": bias,
@@ -184,6 +186,7 @@ class Variation:
             "tendon_range": reach,
             "tendon_solref_lim": held,
             **(self._tilted(p.build, placed) if set(lengths) & set(TILTS) else {}),
+            "tendon_solimp_lim": taut,
             "body_mass": mass * scale,
             "body_inertia": inertia * scale[:, None],
             "opt.gravity": gravity_vector(p.ground.gravity, p.ground.slope, p.ground.direction, jnp),

@@ -87,21 +87,22 @@ class Contact:
 
     With a damping ratio or an impedance of 0.3 the soles of a standing robot bounce in the steps of `fast`.
 
-    Friction of the sole, time constant and damping ratio are those of the author's model (basic_scene.xml). His
-    impedance is 0.9 without any depth and 0.95 at 1 mm. One that starts at 0 needs half that width: with 1 mm the
-    soles sink by 0.8 mm under the standing robot, with 0.5 mm by 0.43 (his: 0.25). With a still steeper one the
-    objective becomes a staircase. The tail is printed plastic: 0.4, as for the robot against a box; the author's has
-    MuJoCo's 1.0. Friction with a box is that of plastic and printed parts on wood.
+    Friction of the sole is that of the author's model (basic_scene.xml). His soles are nearly rigid: an impedance of
+    0.9 at the first touch, of which the speed becomes a staircase in every parameter. Here a foot crosses the onset in
+    tens of steps instead of two, so that slopes of the speed are those that a tuner sees. The soft ball yields by 1.9
+    mm under the standing robot, which then stands as high as on balls of 2 mm that yield by 0.5 mm (docs/model.md,
+    Contact). The tail is printed plastic: 0.4, as for the robot against a box; the author's has MuJoCo's 1.0. Friction
+    with a box is that of plastic and printed parts on wood.
     """
 
     friction: Any = quantity(1.4, unit="1", low=0.05, high=5.0, doc="sliding friction of the sole")
     tail_friction: Any = quantity(0.4, unit="1", low=0.0, high=5.0, doc="sliding friction of the tail on the ground")
     trunk_friction: Any = quantity(1.0, unit="1", low=0.0, high=5.0, doc="the same of chest, pelvis, head")
     obstacle_friction: Any = quantity(0.4, unit="1", low=0.0, high=5.0, doc="friction of all parts on obstacles")
-    time_constant: Any = quantity(0.008, unit="s", low=0.004, high=0.1, doc="solref time constant; >= 2 time steps")
-    damping_ratio: Any = quantity(2.0, unit="1", low=0.5, high=10.0, doc="solref damping ratio")
+    time_constant: Any = quantity(0.004, unit="s", low=0.004, high=0.1, doc="solref time constant; >= 2 time steps")
+    damping_ratio: Any = quantity(1.5, unit="1", low=0.5, high=10.0, doc="solref damping ratio")
     impedance: Any = quantity(0.95, unit="1", low=0.5, high=0.9999, doc="solimp at full depth")
-    width: Any = quantity(0.0005, unit="m", low=1e-5, high=0.02, doc="depth at which the full impedance is reached")
+    width: Any = quantity(0.004, unit="m", low=1e-5, high=0.02, doc="depth at which the full impedance is reached")
 
 
 @parameter_tree
@@ -157,6 +158,9 @@ class Build:
     front_softness: Any = quantity(1.0, unit="1", low=1.0, high=1000.0, doc="how soft the front legs' tendons are")
     rear_softness: Any = quantity(1.0, unit="1", low=1.0, high=1000.0, doc="how soft the rear legs' tendons are")
     spine_softness: Any = quantity(1.0, unit="1", low=1.0, high=1000.0, doc="how soft the spine's tendons are")
+    tendon_impedance: Any = quantity(
+        0.0, unit="1", low=0.0, high=0.98, doc="impedance with which tendons go taut; 0: without a jump"
+    )
     asymmetry: Any = quantity(
         0.0, unit="1", low=-0.5, high=0.5, doc="share by which the left knees' springs are stiffer, the right softer"
     )
