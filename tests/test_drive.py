@@ -157,7 +157,10 @@ def page(drive):
     """A socket that drives, as a page would open it."""
     with socket(drive) as opened:
         said(opened, wanted=lambda told: not told["paused"] and told["speed"] == 1.0, pause=False, speed=1.0)
-        said(opened, reset=True)
+        opened.send('{"reset": true}')
+        while isinstance(told := opened.recv(timeout=30), bytes) or "restart" not in told:
+            if isinstance(told, bytes):
+                opened.send(json.dumps({"shown": int.from_bytes(told[:4], "little")}))
         yield opened
 
 
@@ -522,6 +525,7 @@ def test_where_the_recording_cannot_be_written_the_journal_stays(recorded, tmp_p
 
     monkeypatch.setattr(Recording, "save", failing)
     said(page, reset=True)
+    wait((tmp_path / "d-2.jsonl").exists)
     wait(lambda: made.driving.ticks > 20)
     made.over = True
     thread.join(30)
