@@ -374,3 +374,18 @@ def test_a_value_out_of_its_range_is_answered_with_the_range() -> None:
                 with pytest.raises(ParameterError, match=f"^{re.escape(sentence)}$"):
                     about.check(name, [about.default, value])
         about.check(name, about.default)
+
+
+@pytest.mark.parametrize(
+    ("name", "near"),
+    [
+        ("spine.ampl", "spine.amplitude"),
+        ("foot_radius", "geometry.foot.radius"),
+        ("knee.damping", "damping.knee"),
+        ("amplitude", "spine.amplitude"),
+    ],
+)
+def test_an_unknown_parameter_has_the_nearest_beside_it(name: str, near: str) -> None:
+    """By its last parts, in any order, also of the lengths, which a world has only if one is named."""
+    with pytest.raises(ParameterError, match=f"^{re.escape(name)} is not a parameter; did you mean '{near}'"):
+        Setup(spine="stride_extension").world({name: 0.1})

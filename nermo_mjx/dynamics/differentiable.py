@@ -44,8 +44,8 @@ class Verdict(NamedTuple):
 
     Attributes:
         rounds: of the solver.
-        residual: size of the last step of Newton's method, as a share of the acceleration or, if that is larger, of
-            forces over inertias; each joint counts with its inertia. The error that is left is about its square.
+        residual: size of the last step of Newton's method, as a share of accelerations or, where that is larger, of
+            forces over inertias: each joint weighed by its inertia, or the largest alone. What is left is its square.
         converged: whether the solver was done, and the residual is less than the root of the number's precision.
     """
 
@@ -99,7 +99,7 @@ def step(model: mjx.Model, data: mjx.Data) -> mjx.Data:
     Derivatives flow from the new state to the old one (`qpos`, `qvel`, `act`), to `ctrl`, applied forces and mocap
     poses, and to the real fields of the model that MJX's step reads, except the impedances of rows that are not
     contacts and the exponents of those that are. None flows through the warm start, since the solution does not depend
-    on it. The model's `solver`, `iterations` and `tolerance` are ignored: the problem is always solved to convergence.
+    on it. The model's `solver`, `iterations` and `tolerance` are ignored; `step_with_verdict` says how it converged.
 
     Args:
         model: MJX model of `impl="jax"`, with any solver, integrator, cone and constraint that `mjx.put_model` takes.
@@ -225,8 +225,10 @@ def solve(model: mjx.Model, data: mjx.Data) -> Solved:
     qacc = _solution(layout, last.qacc, last.residual, problem)
     force = constraint.forces(layout, problem, constraint.residual(problem, qacc, last.residual))
     own = jnp.diag(fixed.inertia)
-    size = jnp.maximum(own @ last.qacc**2, (1.0 / own) @ fixed.smooth**2)
-    share = jnp.sqrt(own @ last.step**2 / jnp.where(size > 0.0, size, 1.0))
+    size = jnp.maximum(jnp.abs(last.qacc), jnp.abs(fixed.smooth) / own)
+    # Weighed by the inertia, and by the largest entry, which is that of a light body.
+    parts = jnp.stack([own @ last.step**2 / (own @ size**2), (jnp.abs(last.step).max() / size.max()) ** 2])
+    share = jnp.where(size.max() > 0.0, jnp.sqrt(parts.max()), 0.0)
     settled = share < jnp.finfo(share.dtype).eps ** 0.5
     solved: Solved = data.tree_replace(
         {

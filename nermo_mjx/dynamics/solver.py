@@ -22,8 +22,8 @@ from nermo_mjx.dynamics import constraint
 from nermo_mjx.dynamics.rows import Layout, Problem
 from nermo_mjx.shapes import Array, Count, Dofs, Scalar, Truth
 
-#: Maximum number of rounds. Walks, falls and impacts need 3.5 on average and 10 at most; at the ends of the contacts'
-#: ranges 1 to 3 states in 1,000 need more than 20.
+#: Maximum number of rounds. Walks, falls and impacts need 3.5 on average and 10 at most; light links in stiff contacts
+#: up to 40 in float64.
 ROUNDS: Final = 100
 #: Rounds on an accelerator, where a loop with a stopping criterion would wait for the host in each round.
 FIXED: Final = 10
