@@ -438,7 +438,7 @@ def test_an_objective_that_is_nan_is_told_after_the_first_batch(tmp_path: Path, 
             return result
 
     simulator = Straight()
-    with pytest.raises(JobFailed, match=r"turning_radius is NaN in all .* walks of the first batch .*NaN if straight"):
+    with pytest.raises(JobFailed, match=r"turning_radius has no number in all .* the first batch .*NaN if straight"):
         run_search(search_fake.WALK | aim | {"budget": 120, "batch": 12}, tmp_path, simulator=simulator)
     assert sum(simulator.batches) <= 24, "its first batch is twice as large"
 

@@ -457,8 +457,8 @@ class SearchLoop:
             if not np.isfinite(metrics[name][well]).any():
                 about = self._search.sweep.metrics[name].doc
                 raise JobFailed(
-                    f"{name} is NaN in all {well.sum()} walks of the first batch ({about}): ask for another metric, or "
-                    "change the walk."
+                    f"{name} has no number in all {well.sum()} walks of the first batch ({about}): ask for another "
+                    "metric, or change the walk."
                 )
         self._measured = self._measured or bool(well.any())
         scores = scores_of(aim, self._search.repeats, metrics, well)
