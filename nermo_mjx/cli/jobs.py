@@ -221,7 +221,7 @@ def _print_sweep(result: SweepResult) -> None:
             ]
             (mean, high), shown = in_unit(name, unit(name), best["mean"], best["high"])
             half = f" ± {high - mean:.2g}" if math.isfinite(high) else ""
-            lost = f"{best['lost']:.0%}".replace("%", " %") + (f" ({told(best['why'])})" if best["why"] else "")
+            lost = f"{best['lost']:.0%}".replace("%", " %") + told(best["why"])
             rows.append([name, best["side"], f"{mean:.4g}{half}", shown, lost, ", ".join(at)])
     if rows:
         print_table("Best variants", "metric, best is, mean ± 95 % interval>, , runs lost, at", rows)

@@ -308,101 +308,82 @@ def differences(
 ) -> Iterator[dict[str, Any]]:
     """The rows of the table about each combination of the groups' values, and each metric."""
     labels, chosen = pairing.groups(groups)
-    sides, parts = pairing.sides, len(labels)
-    index = [side.runs.index.to_numpy()[place] for side, (place, _) in zip(sides, chosen, strict=True)]
-    seeds = [side.runs["seed"].to_numpy()[place] for side, (place, _) in zip(sides, chosen, strict=True)]
-    variants = len(pairing.values)
-    units = [
-        each * variants + side.runs["variant"].to_numpy()[place]
-        for side, (place, each) in zip(sides, chosen, strict=True)
-    ]
-    known, code = np.unique(np.concatenate(units), return_inverse=True)
-    partners, owner = Partners(np.split(code, [len(units[0])]), seeds), known // variants
-    well = [side.results.well[own] for side, own in zip(sides, index, strict=True)]
-    all_runs = [np.bincount(each, minlength=parts) for _, each in chosen]
-    failed = [np.bincount(each[~good], minlength=parts) for (_, each), good in zip(chosen, well, strict=True)]
-    schema, found = sides[0].results.schema, dict[tuple[int, str], dict[str, Any]]()
-    at_once = max(1, HELD // max(sum(map(len, index)), 1))
+    parts, sides = len(labels), pairing.sides
+    group = [each for _, each in chosen]
+    runs = [side.runs.iloc[place] for side, (place, _) in zip(sides, chosen, strict=True)]
+    units = [each * len(pairing.values) + own["variant"].to_numpy() for each, own in zip(group, runs, strict=True)]
+    partners = Partners(units, [own["seed"].to_numpy() for own in runs])
+    well = [side.results.well[own.index] for side, own in zip(sides, runs, strict=True)]
+    schema, found = sides[0].results.schema, dict[str, dict[str, np.ndarray]]()
+    at_once = max(1, HELD // max(sum(map(len, runs)), 1))
     for start in range(0, len(metrics), at_once):
+        progress(start / len(metrics))
         names = metrics[start : start + at_once]
         columns = [
-            {name: column[own] for name, column in side.results.columns(names)}
-            for side, own in zip(sides, index, strict=True)
+            {name: column[own.index] for name, column in side.results.columns(names)}
+            for side, own in zip(sides, runs, strict=True)
         ]
         alike: dict[bytes, tuple[list[np.ndarray], list[str]]] = {}  # metrics of which the same runs have a number
         for name in names:
             masks = [counts(name, column[name], good) for column, good in zip(columns, well, strict=True)]
             alike.setdefault(b"".join(each.tobytes() for each in masks), (masks, []))[1].append(name)
-        for done, (masks, few) in enumerate(alike.values()):
-            progress((start + done / len(alike) * len(names)) / len(metrics))
+        for masks, few in alike.values():
             numbers = [np.stack([column[name] for name in few], axis=1) for column in columns]
-            lost = [
-                1 - np.bincount(each[mask], minlength=parts) / all_of
-                for (_, each), mask, all_of in zip(chosen, masks, all_runs, strict=True)
-            ]
-            measured, counted = _differences(partners.match(numbers, masks), owner, parts)
-            for place, label in enumerate(labels):
-                whole = [int(each[place]) for each in (*counted, *failed)]
-                tail = [*whole, *(float(each[place]) for each in lost)]
-                for i, name in enumerate(few):
-                    base, other, difference, low, high, p, beyond = (float(each[place, i]) for each in measured)
-                    least = 2.0 ** (1 - min(whole[4:6]))  # by the exact test of signs, of what is yes or no
-                    if name in OF_ALL_RUNS and p < least:
-                        p = least
-                        low, high = (math.nan, math.nan) if low == high else (low, high)
-                    scale = abs(base) if beyond else math.nan
-                    relative = (difference / scale, low / scale, high / scale)
-                    found[place, name] = {
-                        "group": place if groups else -1,
-                        **label,
-                        "metric": name,
-                        "metric_unit": meta(schema.field(name))["unit"],
-                        "better": better(schema.field(name)),
-                        **dict(zip(_NUMBERS, (base, other, difference, low, high, *relative, p), strict=True)),
-                        **dict(zip(_COUNTS, tail, strict=True)),
-                    }
-    yield from (found[place, name] for place in range(parts) for name in metrics)
+            matched = partners.match(numbers, masks)
+
+            def of_parts(chosen: Sequence[np.ndarray]) -> list[np.ndarray]:
+                """How many of each side's runs (n,) are in each part."""
+                return [np.bincount(own[here], minlength=parts) for own, here in zip(group, chosen, strict=True)]
+
+            used = of_parts([side.runs for side in matched])
+            good = of_parts(masks)
+            numbers_of, several, paired = _measured(matched, len(pairing.values), parts)
+            whole = several, paired, sum(good) - sum(used), *used, *of_parts([~each for each in well])
+            lost = [1 - own / np.bincount(each) for own, each in zip(good, group, strict=True)]
+            for i, name in enumerate(few):
+                own = {key: values[:, i].copy() for key, values in numbers_of.items()}
+                if name in OF_ALL_RUNS:  # yes or no: no surer than the exact test of signs
+                    least = 2.0 ** (1 - np.minimum(*used))
+                    own["low"], own["high"] = (np.where(own["p"] < least, np.nan, own[key]) for key in ("low", "high"))
+                    own["p"] = np.fmax(own["p"], least)
+                found[name] = own | dict(zip(_COUNTS, (*whole, *lost), strict=True))
+    for place, label in enumerate(labels):
+        for name in metrics:
+            field, row = schema.field(name), {key: values[place].item() for key, values in found[name].items()}
+            about = {"metric": name, "metric_unit": meta(field)["unit"], "better": better(field)}
+            yield {"group": place if groups else -1, **label, **about, **row}
 
 
-def _differences(found: Matched, owner: np.ndarray, parts: int) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """Numbers of each part and metric, and counts of each part.
-
-    Args:
-        found: the values of both sides.
-        owner: the part of each unit, (units,).
-
-    Returns:
-        (parts, m) each: means of base and other, difference, its interval's ends, p, and 1 where the base's mean is
-        beyond its noise; (parts,) each: as `_COUNTS` begins.
-    """
-    (first, of_first), (second, of_second) = found.sides
-    metrics, units = first.shape[1], len(found.unit)
-    measured = [np.full((parts, metrics), np.nan) for _ in range(7)]
-    several, pairs = np.zeros(parts, int), np.zeros(parts, int)
-    if units:
-        there, group = np.unique(owner[found.unit], return_inverse=True)
-        several[there], pairs[there] = np.bincount(group), np.bincount(group, found.paired)
-        one, two = found.paired[of_first], found.paired[of_second]
-        values = np.concatenate([second[two] - first[one], -first[~one], second[~two]])
-        cells = np.concatenate([of_first[one], units + of_first[~one], 2 * units + of_second[~two]])
-        cell, place = np.unique(cells, return_inverse=True)
-        interval = two_stage(values, place, cell % units, group)
-        means = [
-            sums(sums(own, at, units) / np.bincount(at)[:, None], group, len(there)) / np.bincount(group)[:, None]
-            for own, at in found.sides
-        ]
-        # Where the base's mean is nothing but noise, no share of it says anything.
-        each, many = group[of_first], np.bincount(group[of_first])[:, None]
-        apart = first - (sums(first, each, len(there)) / many)[each]
-        beyond = np.abs(means[0]) > 2 * np.sqrt(sums(apart**2, each, len(there))) / many
-        for into, part in zip(measured, (*means, *interval, beyond), strict=True):
-            into[there] = part
-
-    def of_parts(each: np.ndarray) -> np.ndarray:
-        return np.bincount(owner, each, parts)
-
-    left_out = (of_parts(each.sum(axis=0)) for each in (found.partners, found.single))
-    return measured, [several, pairs, *left_out, *map(of_parts, found.runs)]
+def _measured(
+    matched: Sequence[Matched], variants: int, parts: int
+) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray]:
+    """The `_NUMBERS` of each part and metric, (parts, m), and how many variants there are, and are paired, (parts,)."""
+    (first, second), found = matched, {name: np.full((parts, matched[0].values.shape[1]), np.nan) for name in _NUMBERS}
+    units, unit = np.unique(first.unit, return_inverse=True)
+    owner = units // variants
+    several = np.bincount(owner, minlength=parts)
+    paired = np.bincount(np.unique(first.unit[first.paired]) // variants, minlength=parts)
+    if not len(units):
+        return found, several, paired
+    of_second, (there, group) = np.searchsorted(units, second.unit), np.unique(owner, return_inverse=True)
+    one, two = ~first.paired, ~second.paired
+    values = np.concatenate([(second.values[~two] - first.values[~one]), -first.values[one], second.values[two]])
+    cells = np.concatenate([unit[~one], len(units) + unit[one], 2 * len(units) + of_second[two]])
+    cell, place = np.unique(cells, return_inverse=True)
+    interval = two_stage(values, place, cell % len(units), group)
+    means = [
+        sums(sums(own.values, at, len(units)) / np.bincount(at)[:, None], group, len(there)) / several[there, None]
+        for own, at in ((first, unit), (second, of_second))
+    ]
+    # Where the base's mean is nothing but noise, no share of it says anything.
+    many = np.bincount(group[unit])[:, None]
+    apart = first.values - (sums(first.values, group[unit], len(there)) / many)[group[unit]]
+    noise = 2 * np.sqrt(sums(apart**2, group[unit], len(there))) / many
+    scale = np.where(np.abs(means[0]) > noise, np.abs(means[0]), np.nan)
+    relative = (each / scale for each in interval[:3])
+    for into, part in zip(found.values(), (*means, *interval[:3], *relative, interval.p), strict=True):
+        into[there] = part
+    return found, several, paired
 
 
 def _first_apart(base: Arm, other: Arm) -> str:
@@ -439,8 +420,7 @@ _NUMBERS: Final = {
 _COUNTS: Final = {
     "variants": "common variants with a number on both sides",
     "paired": "those of them whose runs are pairs, by their seeds",
-    "partners": "runs left out because their partner on the other side is lost",
-    "single": "runs left out because no run on the other side has their seed",
+    "left_out": "runs of both that would count, but whose partner of the same seed is lost, or not there",
     "runs_base": "runs of the base that count",
     "runs_other": "runs of the other that count",
     "failed_base": "runs of the base that did not end well",
@@ -457,7 +437,7 @@ class Comparison:
     Attributes:
         table: one row per metric, group and other side: `other`, what it is compared with; the columns of the groups
             (null in the rows over all variants); `metric` and `metric_unit`; base_mean, other_mean, difference, low,
-            high, relative, relative_low, relative_high, p, beyond_noise, better, variants, paired, partners, single,
+            high, relative, relative_low, relative_high, p, beyond_noise, better, variants, paired, left_out,
             runs_base, runs_other, failed_base, failed_other, lost_base, lost_other. Each field's metadata has its
             description.
         base: what is compared with.
@@ -590,8 +570,8 @@ def compare(
             done += 1
             lines += own
             if not names:
-                lost += _lost(pairing, [line for line in own if line["metric"] in drawn])
-                unpaired += _left_out(pairing, next(line for line in own if line["metric"] == drawn[0]))
+                lost += filter(None, (_lost(pairing, line) for line in own if line["metric"] in drawn))
+                unpaired += _unpaired(pairing, next(line for line in own if line["metric"] == drawn[0]))
     if not any(math.isfinite(line["low"]) for line in lines):
         notes.append("No interval: each side has one run of one variant, which tells no noise; give repeats.")
     return Comparison(
@@ -606,40 +586,32 @@ def compare(
     )
 
 
-def _lost(pairing: Pairing, lines: Sequence[Mapping[str, Any]]) -> Iterator[str]:
-    """Where the sides lost different shares of their runs, a sentence for the metrics whose losses are the same."""
-    found = dict[tuple[tuple[str, int, int, str], ...], list[str]]()
-    for line in lines:
-        if line["lost_base"] != line["lost_other"]:
-            each = []
-            for side, word in zip(pairing.sides, ("base", "other"), strict=True):
-                results, index, runs = side.results, side.runs.index, len(side.runs)
-                why = losses(results.column("status")[index], results.well[index])
-                without = round(line[f"lost_{word}"] * runs) - line[f"failed_{word}"]
-                why |= {NO_NUMBER: without} if without > 0 else {}
-                each.append((side.name, sum(why.values()), runs, f" ({told(why)})" if why else ""))
-            found.setdefault(tuple(each), []).append(line["metric"])
-    for both, names in found.items():
-        p = stats.fisher_exact([[many, runs - many] for _, many, runs, _ in both]).pvalue
-        shares = " and ".join(f"{many:,} of {runs:,} runs of {name}{why}" for name, many, runs, why in both)
-        yield (
-            f"Of {', '.join(map(spoken, names))}, {shares} are lost (p {p:.2g} by Fisher's exact test): what is "
-            "left on the two sides may not be the same robots."
-        )
+def _lost(pairing: Pairing, line: Mapping[str, Any]) -> str:
+    """A sentence about a metric of which the sides lost different shares of their runs; empty for others."""
+    if line["lost_base"] == line["lost_other"]:
+        return ""
+    each, table = list[str](), list[tuple[int, int]]()
+    for side, word in zip(pairing.sides, ("base", "other"), strict=True):
+        index, runs = side.runs.index, len(side.runs)
+        why = losses(side.results.column("status")[index], side.results.well[index])
+        lost = round(line[f"lost_{word}"] * runs)
+        why |= {NO_NUMBER: lost - line[f"failed_{word}"]} if lost > line[f"failed_{word}"] else {}
+        each.append(f"{lost:,} of {runs:,} runs of {side.name}{told(why)}")
+        table.append((lost, runs - lost))
+    p = stats.fisher_exact(table).pvalue
+    return (
+        f"Of the {spoken(line['metric'])}, {' and '.join(each)} are lost (p {p:.2g} by Fisher's exact test): what is left "
+        "on the two sides may not be the same robots."
+    )
 
 
-def _left_out(pairing: Pairing, line: Mapping[str, Any]) -> Iterator[str]:
+def _unpaired(pairing: Pairing, line: Mapping[str, Any]) -> Iterator[str]:
     """What is not paired, of the metric of a row over all variants."""
-    first, second = (side.name for side in pairing.sides)
-    if partners := line["partners"]:
-        yield f"{partners:,} runs of {first} or {second} are left out, whose partner of the same seed is lost."
-    if single := line["single"]:
-        yield f"{single:,} runs of {first} or {second} are left out: on the other side no run has their seed."
+    names = " and ".join(side.name for side in pairing.sides)
+    if left_out := line["left_out"]:
+        yield f"{left_out:,} runs of {names} are left out: their partner of the same seed is lost, or not there."
     if apart := line["variants"] - line["paired"]:
-        yield (
-            f"Not paired: {apart:,} of {line['variants']:,} variants of {first} and {second} have no seed in "
-            "common, so that what their runs share does not cancel."
-        )
+        yield f"Not paired: {apart:,} of {line['variants']:,} variants of {names} have no seed in common."
 
 
 def _lines(

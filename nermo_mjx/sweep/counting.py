@@ -32,19 +32,13 @@ def counts(name: str, values: np.ndarray, well: np.ndarray) -> np.ndarray:
 
 
 def losses(status: np.ndarray, good: np.ndarray) -> dict[str, int]:
-    """Why runs do not count, and how many: their status (n,), or `NO_NUMBER` for those that ended well."""
-    found = Counter(NO_NUMBER if each == "ok" else each for each in status[~good].tolist())
-    return dict(sorted(found.items()))
+    """Why runs (n,) do not count, and how many: their status, or `NO_NUMBER` where they ended well."""
+    return dict(sorted(Counter(NO_NUMBER if each == "ok" else each for each in status[~good].tolist()).items()))
 
 
 def told(lost: Mapping[str, int]) -> str:
-    """Losses in words.
-
-    >>> told({"diverged": 1, "fell": 3, NO_NUMBER: 2})
-    '1 diverged, 3 fell, 2 have no number'
-    """
-    words = {NO_NUMBER: ("has no number", "have no number"), "unsolved": ("was not solved", "were not solved")}
-    return ", ".join(f"{many:,} {words.get(why, (why, why))[many != 1]}" for why, many in lost.items())
+    """Losses in brackets, empty without any: (3 fell, 1 no number)."""
+    return f" ({', '.join(f'{many:,} {why}' for why, many in lost.items())})" if lost else ""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -117,35 +111,30 @@ def sums(values: np.ndarray, place: np.ndarray, places: int) -> np.ndarray:
 
 
 class Matched(NamedTuple):
-    """Values of two sides over common units, k of them; a unit is paired or not.
+    """One side's values over the units that both sides have.
 
     Attributes:
-        unit: units with a value on both sides, (k,).
-        paired: whether their runs are pairs, (k,).
-        sides: of each side (values (n, m), the place of each in `unit` (n,)), and of the paired ones the partners in
-            the same order; runs with the same unit and seed count once, by their mean.
-        partners: good runs that are left out because the partner is lost, of each side (units,).
-        single: good runs that are left out because they have no partner, of each side (units,).
-        runs: runs that are in the values, of each side (units,).
+        values: (k, m); runs of one unit and seed count once, by their mean.
+        unit: of each, (k,).
+        paired: whether it has a partner, (k,); those of the two sides are in the same order.
+        runs: which of the side's runs are in it, (n,).
     """
 
+    values: np.ndarray
     unit: np.ndarray
     paired: np.ndarray
-    sides: tuple[tuple[np.ndarray, np.ndarray], ...]
-    partners: np.ndarray
-    single: np.ndarray
     runs: np.ndarray
 
 
 class Partners:
     """The runs of two sides, matched by unit (a variant, or one in a group) and seed.
 
-    In a unit where any seed is common, the runs with a common seed are pairs, and the others are left out. In a unit
-    without one, each side has its own runs.
+    In a unit with a common seed, runs with the same seed are pairs, and the others are left out; in a unit without one,
+    each side has its own runs.
 
     >>> found = Partners([np.zeros(2, int), np.zeros(2, int)], [np.array([7, 8]), np.array([8, 7])])
-    >>> first, second = found.match([np.array([[1.0], [2.0]]), np.array([[5.0], [4.0]])], [np.ones(2, bool)] * 2).sides
-    >>> (second[0] - first[0]).ravel().tolist()
+    >>> first, second = found.match([np.array([[1.0], [2.0]]), np.array([[5.0], [4.0]])], [np.ones(2, bool)] * 2)
+    >>> (second.values - first.values).ravel().tolist()
     [3.0, 3.0]
 
     Args:
@@ -154,40 +143,24 @@ class Partners:
     """
 
     def __init__(self, units: Sequence[np.ndarray], seeds: Sequence[np.ndarray]) -> None:
-        split, unit = len(units[0]), np.concatenate(units).astype(np.int64)
         seed = np.unique(np.concatenate(seeds), return_inverse=True)[1]
-        known, key = np.unique(unit * (int(seed.max(initial=0)) + 1) + seed, return_inverse=True)
-        self.units = int(unit.max(initial=-1)) + 1
-        self._keys = (key[:split], key[split:])
-        self._unit = np.zeros(len(known), np.int64)
-        self._unit[key] = unit
-        there = [np.bincount(own, minlength=len(known)) > 0 for own in self._keys]
-        self._common = there[0] & there[1]
-        #: Whether a unit has pairs, (units,).
-        self.paired = np.bincount(self._unit[self._common], minlength=self.units) > 0
+        known, key = np.unique(np.concatenate(units) * (len(seed) + 1) + seed, return_inverse=True)
+        self._keys, self._unit = np.split(key, [len(units[0])]), known // (len(seed) + 1)
+        self._paired = np.isin(self._unit, self._unit[np.intersect1d(*self._keys)])
 
-    def match(self, values: Sequence[np.ndarray], good: Sequence[np.ndarray]) -> Matched:
-        """The values (n, m) of both sides' runs, of which some count, (n,)."""
+    def match(self, values: Sequence[np.ndarray], good: Sequence[np.ndarray]) -> list[Matched]:
+        """Both sides' values (n, m), of the runs that count, (n,)."""
         size = len(self._unit)
         many = [np.bincount(own[here], minlength=size) for own, here in zip(self._keys, good, strict=True)]
-        both, paired = (many[0] > 0) & (many[1] > 0), self.paired[self._unit]
-        used = [np.where(paired, both, each > 0) for each in many]
-        there = [np.bincount(self._unit[each], minlength=self.units) > 0 for each in used]
-        unit = np.flatnonzero(there[0] & there[1])
-        at = np.full(self.units, -1)
-        at[unit] = np.arange(len(unit))
-        sides = []
-        for own, here, each, count, keep in zip(self._keys, good, values, many, used, strict=True):
-            keep &= at[self._unit] >= 0
-            total = sums(each[here], own[here], size)[keep] / count[keep, None]
-            sides.append((total, at[self._unit[keep]]))
-
-        def left_out(chosen: np.ndarray) -> np.ndarray:
-            return np.array([np.bincount(self._unit[chosen], each[chosen], self.units) for each in many]).astype(int)
-
-        partners, single = left_out(paired & self._common & ~both), left_out(paired & ~self._common)
-        runs = [np.bincount(self._unit[keep], each[keep], self.units) for each, keep in zip(many, used, strict=True)]
-        return Matched(unit, self.paired[unit], tuple(sides), partners, single, np.array(runs).astype(int))
+        both = (many[0] > 0) & (many[1] > 0)
+        used = [both | (~self._paired & (each > 0)) for each in many]
+        there = np.isin(self._unit, np.intersect1d(*(self._unit[each] for each in used)))
+        found = []
+        for own, here, each, count, use in zip(self._keys, good, values, many, used, strict=True):
+            use &= there
+            means = sums(each[here], own[here], size)[use] / count[use, None]
+            found.append(Matched(means, self._unit[use], self._paired[use], here & use[own]))
+        return found
 
 
 # ---
@@ -231,34 +204,28 @@ def two_stage(values: np.ndarray, cell: np.ndarray, variant: np.ndarray, group: 
     """
     cells, variants = len(variant), int(variant.max()) + 1
     at = np.zeros(variants, int) if group is None else group
-    groups = int(at.max()) + 1
+    groups, owner = int(at.max()) + 1, at[variant]
     count, several = np.bincount(cell, minlength=cells)[:, None], np.bincount(at, minlength=groups)[:, None]
+    freedom, one = np.maximum(count - 1, 1), several == 1
     mean = sums(values, cell, cells) / count
     rounding = 1e-12 * np.abs(values).max(axis=0)
-    apart = _without(values - mean[cell], rounding)
-    noise = sums(apart**2, cell, cells) / (count * np.maximum(count - 1, 1))  # squared standard error of a cell's mean
+    noise = sums(_without(values - mean[cell], rounding) ** 2, cell, cells) / (count * freedom)
     each = _without(sums(mean, variant, variants), rounding)
     estimate = sums(each, at, groups) / several
-    spread = _without(each - estimate[at], rounding)
-    across = sums(spread**2, at, groups) / (several * np.maximum(several - 1, 1))
-    owner = at[variant]
-
-    def freedom(squares: np.ndarray) -> np.ndarray:
-        """Welch's degrees of freedom of the sum of cells' squared errors (c, m)."""
-        below = sums(squares**2 / np.maximum(count - 1, 1), owner, groups)
-        whole = sums(squares, owner, groups) ** 2
-        return np.divide(whole, below, out=np.full_like(whole, np.inf), where=below > 0)
-
-    ones, one = sums((count == 1) * 1.0, owner, groups), several == 1
-    welch = np.where(one, np.minimum(freedom(noise), freedom(1.0 / count)), np.inf)
-    runs = sums(noise, owner, groups) / several**2, welch
-    half, p = np.zeros_like(estimate), np.zeros_like(estimate)
-    for known, variance, degrees in ((~one, across, np.maximum(several - 1.0, 1.0)), (~one | (ones == 0), *runs)):
-        error = np.sqrt(variance)
-        far = np.divide(np.abs(estimate), error, out=np.full_like(error, np.inf), where=error > 0)
-        half = np.where(known, np.maximum(half, stats.t.ppf((1 + LEVEL) / 2, degrees) * error), half)
-        p = np.where(known, np.maximum(p, 2 * stats.t.sf(far, degrees)), p)
-    half, p = (np.where(one & (ones > 0), np.nan, each) for each in (half, np.where(estimate == 0, 1.0, p)))
+    across = sums(_without(each - estimate[at], rounding) ** 2, at, groups) / (several * np.maximum(several - 1, 1))
+    within = sums(noise, owner, groups)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        welch, most = (
+            sums(squares, owner, groups) ** 2 / sums(squares**2 / freedom, owner, groups)
+            for squares in (noise, 1.0 / count)
+        )
+        degrees = np.where(one, np.fmin(welch, most), several - 1.0)
+        error, least = np.sqrt(np.where(one, within, across)), np.sqrt(within) / several
+        half = np.maximum(stats.t.ppf((1 + LEVEL) / 2, degrees) * error, stats.norm.ppf((1 + LEVEL) / 2) * least)
+        far = np.abs(estimate) / error, np.abs(estimate) / least
+        p = 2 * np.where(estimate == 0, 0.5, np.maximum(stats.t.sf(far[0], degrees), stats.norm.sf(far[1])))
+    unknown = one & (sums((count == 1) * 1.0, owner, groups) > 0)
+    half, p = np.where(unknown, np.nan, half), np.where(unknown, np.nan, p)
     found = (estimate, estimate - half, estimate + half, p)
     return Interval(*((part[0] for part in found) if group is None else found))
 
