@@ -30,12 +30,10 @@ from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.sweep.counting import (
     NO_NUMBER,
     OF_ALL_RUNS,
-    Matched,
-    Partners,
     counts,
     losses,
+    matched,
     same_values,
-    sums,
     told,
     two_stage,
 )
@@ -221,35 +219,35 @@ class Pairing:
     alone: Mapping[str, int]
     notes: tuple[str, ...]
 
-    def groups(self, names: Sequence[str]) -> tuple[list[dict[str, Value]], list[tuple[np.ndarray, np.ndarray]]]:
-        """The combinations of values of some keys, and of each side the places of their runs, and which one each is in.
+    def groups(self, names: Sequence[str]) -> tuple[pd.DataFrame, list[pd.DataFrame]]:
+        """The combinations of values of some keys, a line each, and both sides' runs with the column `group`.
 
-        Of no keys, all runs are one combination. A run may be in several, where the other side has a key alone.
+        Of no keys, all runs are one group. A run may be in several, where the other side has a key alone.
         """
+        import pandas as pd
+
         for name in names:
             check_name(name, [*self.values, *self.alone], "for")
-        shared, alone = ([name for name in names if (name in self.alone) == one] for one in (False, True))
-        label = _numbered(self.values[shared])
-        of_runs = [label[side.runs["variant"]] for side in self.sides]
-        members = [np.split(np.argsort(own, kind="stable"), np.cumsum(np.bincount(own))[:-1]) for own in of_runs]
-        labels, parts = list[dict[str, Value]](), list[Sequence[np.ndarray]]()
-        for own in zip(*members, strict=True):
-            first = self.sides[0].runs["variant"].iloc[own[0][0]]
-            known = {name: self.values[name].iloc[[first]].item() for name in shared}
-            columns = [self.sides[self.alone[name]].runs[name] for name in alone]
-            each = (column.iloc[own[self.alone[name]]] for name, column in zip(alone, columns, strict=True))
-            for values in itertools.product(*(sorted(_values(column)) for column in each)):
-                part = list(own)
-                for name, column, value in zip(alone, columns, values, strict=True):
-                    at = self.alone[name]
-                    part[at] = part[at][column.iloc[part[at]].to_numpy() == value]
-                if all(len(side) for side in part):
-                    known |= dict(zip(alone, values, strict=True))
-                    labels.append({name: known[name] for name in names})
-                    parts.append(part)
-        group = [np.repeat(np.arange(len(parts)), [len(part[i]) for part in parts]) for i in (0, 1)]
-        place = [np.concatenate([part[i] for part in parts]) if parts else np.empty(0, int) for i in (0, 1)]
-        return labels, list(zip(place, group, strict=True))
+        shared = ["all", *(name for name in names if name not in self.alone)]
+        keys = self.values.assign(all=0)[shared]
+        runs = []
+        for side in self.sides:
+            values = {name: keys[name].to_numpy()[side.runs["variant"]] for name in shared}
+            runs.append(side.runs.assign(place=side.runs.index, **values))
+        for at in (0, 1):
+            if alone := [name for name in names if self.alone.get(name) == at]:
+                known = runs[at][~_absent(runs[at][alone]).any(axis=1)][[*shared, *alone]].drop_duplicates()
+                runs[1 - at] = runs[1 - at].drop(columns=alone, errors="ignore").merge(known, on=shared)
+        both = pd.concat([each[["all", *names]] for each in runs], ignore_index=True)
+        code = _numbered(both)
+        parts = np.split(code, [len(runs[0])])
+        common = np.intersect1d(*parts)
+        labels = both.assign(code=code).drop_duplicates("code").set_index("code").loc[common, list(names)]
+        numbered = zip((each.set_index("place") for each in runs), parts, strict=True)
+        return labels, [
+            each[np.isin(part, common)].assign(group=np.searchsorted(common, part[np.isin(part, common)]))
+            for each, part in numbered
+        ]
 
 
 def pair(base: Arm, other: Arm) -> Pairing:
@@ -284,7 +282,7 @@ def pair(base: Arm, other: Arm) -> Pairing:
         if not there.all():
             left = len(np.unique(own[~there]))
             notes.append(f"{left:,} variants are in {arm.name} alone, and left out ({int((~there).sum()):,} runs).")
-        seed = arm.results.column("seed")[arm.runs.index] if known else i
+        seed = arm.results.column("seed")[arm.runs.index] if known else 2 * arm.runs.index + i
         runs = arm.runs.assign(variant=np.searchsorted(common, own), seed=seed)
         paired.append(dataclasses.replace(arm, runs=runs).where(there))
     first = np.unique(code, return_index=True)[1][np.isin(np.unique(code), common)]
@@ -307,83 +305,82 @@ def differences(
     pairing: Pairing, groups: Sequence[str], metrics: Sequence[str], progress: Callable[[float], None]
 ) -> Iterator[dict[str, Any]]:
     """The rows of the table about each combination of the groups' values, and each metric."""
-    labels, chosen = pairing.groups(groups)
-    parts, sides = len(labels), pairing.sides
-    group = [each for _, each in chosen]
-    runs = [side.runs.iloc[place] for side, (place, _) in zip(sides, chosen, strict=True)]
-    units = [each * len(pairing.values) + own["variant"].to_numpy() for each, own in zip(group, runs, strict=True)]
-    partners = Partners(units, [own["seed"].to_numpy() for own in runs])
+    import pandas as pd
+
+    labels, runs = pairing.groups(groups)
+    variants, sides = len(pairing.values), pairing.sides
+    parts, group = len(labels), [own["group"].to_numpy() for own in runs]
+    index = [pd.MultiIndex.from_arrays([own["group"] * variants + own["variant"], own["seed"]]) for own in runs]
     well = [side.results.well[own.index] for side, own in zip(sides, runs, strict=True)]
     schema, found = sides[0].results.schema, dict[str, dict[str, np.ndarray]]()
+
+    def of_parts(chosen: Sequence[np.ndarray]) -> list[np.ndarray]:
+        """How many of each side's runs (n,) are in each part."""
+        return [np.bincount(own[here], minlength=parts) for own, here in zip(group, chosen, strict=True)]
+
     at_once = max(1, HELD // max(sum(map(len, runs)), 1))
     for start in range(0, len(metrics), at_once):
         progress(start / len(metrics))
-        names = metrics[start : start + at_once]
-        columns = [
-            {name: column[own.index] for name, column in side.results.columns(names)}
+        frames = [
+            pd.DataFrame({name: column[own.index] for name, column in side.results.columns(metrics[start:][:at_once])})
             for side, own in zip(sides, runs, strict=True)
         ]
         alike: dict[bytes, tuple[list[np.ndarray], list[str]]] = {}  # metrics of which the same runs have a number
-        for name in names:
-            masks = [counts(name, column[name], good) for column, good in zip(columns, well, strict=True)]
+        for name in frames[0]:
+            masks = [counts(name, frame[name].to_numpy(), good) for frame, good in zip(frames, well, strict=True)]
             alike.setdefault(b"".join(each.tobytes() for each in masks), (masks, []))[1].append(name)
         for masks, few in alike.values():
-            numbers = [np.stack([column[name] for name in few], axis=1) for column in columns]
-            matched = partners.match(numbers, masks)
-
-            def of_parts(chosen: Sequence[np.ndarray]) -> list[np.ndarray]:
-                """How many of each side's runs (n,) are in each part."""
-                return [np.bincount(own[here], minlength=parts) for own, here in zip(group, chosen, strict=True)]
-
-            used = of_parts([side.runs for side in matched])
+            values, paired = matched(
+                [frame[few].set_index(own) for frame, own in zip(frames, index, strict=True)], masks
+            )
+            numbers_of, several = _measured(values, paired, variants, parts)
+            pairs = np.bincount(values[0].index.unique(0).intersection(paired) // variants, minlength=parts)
+            used = of_parts([own.isin(each.index) & mask for own, each, mask in zip(index, values, masks, strict=True)])
             good = of_parts(masks)
-            numbers_of, several, paired = _measured(matched, len(pairing.values), parts)
-            whole = several, paired, sum(good) - sum(used), *used, *of_parts([~each for each in well])
+            whole = several, pairs, sum(good) - sum(used), *used, *of_parts([~each for each in well])
             lost = [1 - own / np.bincount(each) for own, each in zip(good, group, strict=True)]
             for i, name in enumerate(few):
-                own = {key: values[:, i].copy() for key, values in numbers_of.items()}
+                line = {key: numbers[:, i] for key, numbers in numbers_of.items()}
                 if name in OF_ALL_RUNS:  # yes or no: no surer than the exact test of signs
                     least = 2.0 ** (1 - np.minimum(*used))
-                    own["low"], own["high"] = (np.where(own["p"] < least, np.nan, own[key]) for key in ("low", "high"))
-                    own["p"] = np.fmax(own["p"], least)
-                found[name] = own | dict(zip(_COUNTS, (*whole, *lost), strict=True))
-    for place, label in enumerate(labels):
+                    alike_all = (line["p"] < least) & (line["low"] == line["high"])
+                    line |= {key: np.where(alike_all, np.nan, line[key]) for key in ("low", "high")}
+                    line["p"] = np.maximum(line["p"], least)
+                found[name] = line | dict(zip(_COUNTS, (*whole, *lost), strict=True))
+    for place in range(parts):
+        label = {key: column.iloc[[place]].item() for key, column in labels.items()}
         for name in metrics:
-            field, row = schema.field(name), {key: values[place].item() for key, values in found[name].items()}
+            field, row = schema.field(name), {key: numbers[place].item() for key, numbers in found[name].items()}
             about = {"metric": name, "metric_unit": meta(field)["unit"], "better": better(field)}
             yield {"group": place if groups else -1, **label, **about, **row}
 
 
 def _measured(
-    matched: Sequence[Matched], variants: int, parts: int
-) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray]:
-    """The `_NUMBERS` of each part and metric, (parts, m), and how many variants there are, and are paired, (parts,)."""
-    (first, second), found = matched, {name: np.full((parts, matched[0].values.shape[1]), np.nan) for name in _NUMBERS}
-    units, unit = np.unique(first.unit, return_inverse=True)
-    owner = units // variants
-    several = np.bincount(owner, minlength=parts)
-    paired = np.bincount(np.unique(first.unit[first.paired]) // variants, minlength=parts)
+    sides: Sequence[pd.DataFrame], paired: pd.Index, variants: int, parts: int
+) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """The `_NUMBERS` of each part and metric, (parts, m), and how many variants each part has, (parts,)."""
+    found = {name: np.full((parts, sides[0].shape[1]), np.nan) for name in _NUMBERS}
+    units = sides[0].index.unique(0)
+    several = np.bincount(units // variants, minlength=parts)
     if not len(units):
-        return found, several, paired
-    of_second, (there, group) = np.searchsorted(units, second.unit), np.unique(owner, return_inverse=True)
-    one, two = ~first.paired, ~second.paired
-    values = np.concatenate([(second.values[~two] - first.values[~one]), -first.values[one], second.values[two]])
-    cells = np.concatenate([unit[~one], len(units) + unit[one], 2 * len(units) + of_second[two]])
-    cell, place = np.unique(cells, return_inverse=True)
+        return found, several
+    there, group = np.unique(units // variants, return_inverse=True)
+    unit = [units.get_indexer(own.index.get_level_values(0)) for own in sides]
+    pairs = [own.index.isin(paired, level=0) for own in sides]
+    first, second = (own.to_numpy() for own in sides)
+    values = np.concatenate([second[pairs[1]] - first[pairs[0]], -first[~pairs[0]], second[~pairs[1]]])
+    cells = [unit[0][pairs[0]], len(units) + unit[0][~pairs[0]], 2 * len(units) + unit[1][~pairs[1]]]
+    cell, place = np.unique(np.concatenate(cells), return_inverse=True)
     interval = two_stage(values, place, cell % len(units), group)
-    means = [
-        sums(sums(own.values, at, len(units)) / np.bincount(at)[:, None], group, len(there)) / several[there, None]
-        for own, at in ((first, unit), (second, of_second))
-    ]
+    means = [own.groupby(level=0).mean().groupby(group).mean().to_numpy() for own in sides]
     # Where the base's mean is nothing but noise, no share of it says anything.
-    many = np.bincount(group[unit])[:, None]
-    apart = first.values - (sums(first.values, group[unit], len(there)) / many)[group[unit]]
-    noise = 2 * np.sqrt(sums(apart**2, group[unit], len(there))) / many
+    of_base = sides[0].groupby(group[unit[0]])
+    noise = 2 * (of_base.std(ddof=0) / np.sqrt(of_base.count())).to_numpy()
     scale = np.where(np.abs(means[0]) > noise, np.abs(means[0]), np.nan)
     relative = (each / scale for each in interval[:3])
     for into, part in zip(found.values(), (*means, *interval[:3], *relative, interval.p), strict=True):
         into[there] = part
-    return found, several, paired
+    return found, several
 
 
 def _first_apart(base: Arm, other: Arm) -> str:
@@ -600,8 +597,8 @@ def _lost(pairing: Pairing, line: Mapping[str, Any]) -> str:
         table.append((lost, runs - lost))
     p = stats.fisher_exact(table).pvalue
     return (
-        f"Of the {spoken(line['metric'])}, {' and '.join(each)} are lost (p {p:.2g} by Fisher's exact test): what is left "
-        "on the two sides may not be the same robots."
+        f"Of the {spoken(line['metric'])}, {' and '.join(each)} are lost (p {p:.2g} by Fisher's exact test): what is "
+        "left on the two sides may not be the same robots."
     )
 
 

@@ -9,12 +9,15 @@ from __future__ import annotations
 import dataclasses
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from typing import Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 from scipy import sparse, stats
 
 from nermo_mjx.plotting.shown import LEVEL, cost, half_width
+
+if TYPE_CHECKING:
+    import pandas as pd  # imported where it is used: it takes half a second
 
 #: Metrics that say what became of a run; all runs have them.
 OF_ALL_RUNS: Final = ("fell", "diverged")
@@ -110,57 +113,32 @@ def sums(values: np.ndarray, place: np.ndarray, places: int) -> np.ndarray:
 # Partners: which runs of two sides are pairs.
 
 
-class Matched(NamedTuple):
-    """One side's values over the units that both sides have.
-
-    Attributes:
-        values: (k, m); runs of one unit and seed count once, by their mean.
-        unit: of each, (k,).
-        paired: whether it has a partner, (k,); those of the two sides are in the same order.
-        runs: which of the side's runs are in it, (n,).
-    """
-
-    values: np.ndarray
-    unit: np.ndarray
-    paired: np.ndarray
-    runs: np.ndarray
-
-
-class Partners:
-    """The runs of two sides, matched by unit (a variant, or one in a group) and seed.
+def matched(sides: Sequence[pd.DataFrame], good: Sequence[np.ndarray]) -> tuple[list[pd.DataFrame], pd.Index]:
+    """The values of two sides over the units (variants, or those in a group) that both have.
 
     In a unit with a common seed, runs with the same seed are pairs, and the others are left out; in a unit without one,
-    each side has its own runs.
+    each side has its own runs. Runs of one unit and seed count once, by their mean.
 
-    >>> found = Partners([np.zeros(2, int), np.zeros(2, int)], [np.array([7, 8]), np.array([8, 7])])
-    >>> first, second = found.match([np.array([[1.0], [2.0]]), np.array([[5.0], [4.0]])], [np.ones(2, bool)] * 2)
-    >>> (second.values - first.values).ravel().tolist()
-    [3.0, 3.0]
+    >>> import pandas as pd
+    >>> keys = [pd.MultiIndex.from_arrays([[0, 0], seeds]) for seeds in ([7, 8], [8, 9])]
+    >>> sides = [pd.DataFrame({"speed": [1.0, 2.0]}, index) for index in keys]
+    >>> (first, second), paired = matched(sides, [np.array([True, True])] * 2)
+    >>> first.index.tolist(), second.speed.tolist(), paired.tolist()
+    ([(np.int64(0), np.int64(8))], [1.0], [0])
 
     Args:
-        units: of each side's runs, (n,) int from 0.
-        seeds: of each side's runs, (n,).
+        sides: a line a run, indexed by unit and seed.
+        good: which runs count, (n,) of each side.
+
+    Returns:
+        Both sides, sorted, indexed by unit and seed; and the units whose runs are pairs, or would be.
     """
-
-    def __init__(self, units: Sequence[np.ndarray], seeds: Sequence[np.ndarray]) -> None:
-        seed = np.unique(np.concatenate(seeds), return_inverse=True)[1]
-        known, key = np.unique(np.concatenate(units) * (len(seed) + 1) + seed, return_inverse=True)
-        self._keys, self._unit = np.split(key, [len(units[0])]), known // (len(seed) + 1)
-        self._paired = np.isin(self._unit, self._unit[np.intersect1d(*self._keys)])
-
-    def match(self, values: Sequence[np.ndarray], good: Sequence[np.ndarray]) -> list[Matched]:
-        """Both sides' values (n, m), of the runs that count, (n,)."""
-        size = len(self._unit)
-        many = [np.bincount(own[here], minlength=size) for own, here in zip(self._keys, good, strict=True)]
-        both = (many[0] > 0) & (many[1] > 0)
-        used = [both | (~self._paired & (each > 0)) for each in many]
-        there = np.isin(self._unit, np.intersect1d(*(self._unit[each] for each in used)))
-        found = []
-        for own, here, each, count, use in zip(self._keys, good, values, many, used, strict=True):
-            use &= there
-            means = sums(each[here], own[here], size)[use] / count[use, None]
-            found.append(Matched(means, self._unit[use], self._paired[use], here & use[own]))
-        return found
+    paired = sides[0].index.intersection(sides[1].index).unique(0)
+    means = [side[own].groupby(level=[0, 1]).mean() for side, own in zip(sides, good, strict=True)]
+    both = means[0].index.intersection(means[1].index)
+    kept = [mean[mean.index.isin(both) | ~mean.index.isin(paired, level=0)] for mean in means]
+    there = kept[0].index.unique(0).intersection(kept[1].index.unique(0))
+    return [each[each.index.isin(there, level=0)] for each in kept], paired
 
 
 # ---
