@@ -241,7 +241,7 @@ class Pairing:
         both = pd.concat([each[["all", *names]] for each in runs], ignore_index=True)
         code = _numbered(both)
         parts = np.split(code, [len(runs[0])])
-        common = np.intersect1d(*parts)
+        common = np.intersect1d(parts[0], parts[1])
         labels = both.assign(code=code).drop_duplicates("code").set_index("code").loc[common, list(names)]
         numbered = zip((each.set_index("place") for each in runs), parts, strict=True)
         return labels, [
@@ -337,7 +337,8 @@ def differences(
             pairs = np.bincount(values[0].index.unique(0).intersection(paired) // variants, minlength=parts)
             used = of_parts([own.isin(each.index) & mask for own, each, mask in zip(index, values, masks, strict=True)])
             good = of_parts(masks)
-            whole = several, pairs, sum(good) - sum(used), *used, *of_parts([~each for each in well])
+            left_out = good[0] + good[1] - used[0] - used[1]
+            whole = several, pairs, left_out, *used, *of_parts([~each for each in well])
             lost = [1 - own / np.bincount(each) for own, each in zip(good, group, strict=True)]
             for i, name in enumerate(few):
                 line = {key: numbers[:, i] for key, numbers in numbers_of.items()}

@@ -60,16 +60,6 @@ class Tally:
     mean: np.ndarray
     std: np.ndarray
 
-    @classmethod
-    def of(cls, values: np.ndarray, place: np.ndarray, good: np.ndarray, variants: int) -> Tally:
-        """Of values (n,), the variant of each run, from 0, (n,), and which runs count, (n,)."""
-        here, own = place[good], np.asarray(values[good], float)
-        count = np.bincount(here, minlength=variants)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            mean = np.bincount(here, own, variants) / count
-            square = np.bincount(here, (own - mean[here]) ** 2, variants) / np.where(count > 1, count - 1.0, np.nan)
-        return cls(np.bincount(place, minlength=variants), count, mean, np.sqrt(square))
-
     @property
     def lost(self) -> np.ndarray:
         """The share of each variant's runs that is lost, (v,)."""
@@ -88,6 +78,40 @@ class Tally:
         """
         order = np.lexsort((cost(side, self.mean), self.lost))
         return order[np.isfinite(self.mean[order])]
+
+
+@dataclasses.dataclass(frozen=True)
+class Variants:
+    """The variants of a table.
+
+    Attributes:
+        all: the number of variants, those without a run so far included.
+        number: index of each that has runs, (variants,).
+        first: its first run, (variants,).
+        place: where the variant of each run stands here, (runs,).
+        values: the varied parameters, name -> (variants,).
+    """
+
+    all: int
+    number: np.ndarray
+    first: np.ndarray
+    place: np.ndarray
+    values: dict[str, np.ndarray] = dataclasses.field(default_factory=dict)
+
+    @classmethod
+    def of(cls, variant: np.ndarray) -> Variants:
+        """Of the variant of each run, (rows,)."""
+        number, first, place = np.unique(variant, return_index=True, return_inverse=True)
+        return cls(int(variant.max()) + 1, number, first, place)
+
+    def tally(self, values: np.ndarray, good: np.ndarray) -> Tally:
+        """A metric over the repeats, of its values (runs,) and which runs count, (runs,)."""
+        here, own, size = self.place[good], np.asarray(values[good], float), len(self.number)
+        count = np.bincount(here, minlength=size)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            mean = np.bincount(here, own, size) / count
+            square = np.bincount(here, (own - mean[here]) ** 2, size) / np.where(count > 1, count - 1.0, np.nan)
+        return Tally(np.bincount(self.place, minlength=size), count, mean, np.sqrt(square))
 
 
 def same_values(values: np.ndarray) -> np.ndarray:

@@ -38,13 +38,12 @@ from nermo_mjx.plotting.shown import ShownValues, cost, shown, spoken, titled
 from nermo_mjx.robot.quantity import ParameterError, did_you_mean
 from nermo_mjx.runs.files import DirectoryError
 from nermo_mjx.runs.rows import part_files
-from nermo_mjx.sweep.counting import counts
+from nermo_mjx.sweep.counting import Variants, counts
 from nermo_mjx.sweep.spec import sides_in
 from nermo_mjx.sweep.table import (
     LEADING,
     Results,
     SweepRecord,
-    Variants,
     columns_of,
     meta,
     rank_correlation,

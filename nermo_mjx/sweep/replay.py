@@ -22,11 +22,11 @@ from nermo_mjx.runs.directory import RunDirectory
 from nermo_mjx.runs.files import DirectoryError, plain
 from nermo_mjx.runs.rows import opened, part_files
 from nermo_mjx.specs.reading import SpecError
-from nermo_mjx.sweep.counting import counts
+from nermo_mjx.sweep.counting import Variants, counts
 from nermo_mjx.sweep.spec import Keep, Rows, Sample, Sweep, sides_in
 from nermo_mjx.sweep.store import known
 from nermo_mjx.sweep.structures import Structure
-from nermo_mjx.sweep.table import RECORDINGS, Results, Variants
+from nermo_mjx.sweep.table import RECORDINGS, Results
 
 
 @dataclasses.dataclass(frozen=True)

@@ -584,7 +584,8 @@ def merged(places: Sequence[Path]) -> Sweep:
     rows: dict[str, dict[str, Any]] = {}
     for place, sweep in zip(places, sweeps, strict=True):
         for row in _rows(place, sweep, labelled, varied):
-            rows.setdefault(json.dumps(row), row)
+            same = {name: f"{value:.12g}" if isinstance(value, float) else value for name, value in row.items()}
+            rows.setdefault(json.dumps(same), row)
     repeats = max(sweep.repeats for sweep in sweeps)
     data = {
         name: value for name, value in sweeps[0].resolved().items() if name not in ("vary", "sample", "rows", *labelled)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Any, ClassVar, Final, Self
 
 import numpy as np
@@ -21,6 +22,16 @@ _LARGEST_AXIS: Final = 1_000_000
 _TRIED: Final = 5
 _Steps = Annotated[list[float], Numbers("[from, to, count]", 2, 3)]
 _Bounds = Annotated[list[float], Numbers("[low, high]", 2, 2)]
+
+
+def settled(value: float) -> float:
+    """A number without what arithmetic left in its last digits, so that equal variants are one.
+
+    >>> settled(7 * 0.1), settled(1 / 3)
+    (0.7, 0.3333333333333333)
+    """
+    short = float(f"{value:.12g}")
+    return short if abs(value - short) <= 4 * math.ulp(value) else value
 
 
 class _Values(OneOf):
@@ -51,7 +62,9 @@ class Axis(_Values):
     short: ClassVar = ({"type": "array", "items": {"type": "number"}, "minItems": 1},)
     linspace: _Steps = optional("evenly spaced, both ends included")
     logspace: _Steps = optional("evenly in the logarithm; the ends are values, not exponents")
-    values: Annotated[list[float], Numbers("[a, b, ...]", 1)] = optional("these")
+    values: Annotated[list[float], Numbers("[a, b, ...]", 1), AfterValidator(lambda given: [*map(settled, given)])] = (
+        optional("these")
+    )
     uniform: _Bounds = optional("between the bounds, with a sampler")
     loguniform: _Bounds = optional("evenly in the logarithm, with a sampler")
 

@@ -21,9 +21,9 @@ from nermo_mjx.plotting.shown import spoken
 from nermo_mjx.plotting.style import BAND, GRID, INK, LINE, MUTED, OKABE_ITO
 from nermo_mjx.robot.quantity import ParameterError, did_you_mean
 from nermo_mjx.sweep.comparing import Source, opened
-from nermo_mjx.sweep.counting import counts
+from nermo_mjx.sweep.counting import Variants, counts
 from nermo_mjx.sweep.sampling import saltelli_size, unit_problem
-from nermo_mjx.sweep.table import LEADING, Columns, Results, Variants, columns_of, labelled, report_table
+from nermo_mjx.sweep.table import LEADING, Columns, Results, columns_of, labelled, report_table
 
 #: Resamples of SALib's bootstrap, the same ones in each call; SALib takes a seed of 0 for none.
 _BOOTSTRAP: Final[dict[str, Any]] = {"num_resamples": 1000, "seed": 1}

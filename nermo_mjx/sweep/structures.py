@@ -33,7 +33,7 @@ from nermo_mjx.specs.fields import Fields, JsonSchema, Refused, optional, read
 from nermo_mjx.specs.reading import Document, FieldPath, SpecError, describe, read_text
 from nermo_mjx.specs.values import Checked, by_parameter, refuse_parameter
 from nermo_mjx.specs.walk import Pilot, SetupFields, WalkFields, WalkSpec, read_walk, unread
-from nermo_mjx.sweep.sampling import Axis
+from nermo_mjx.sweep.sampling import Axis, settled
 
 #: Combinations in one sweep: each is a simulator, and is checked before anything runs.
 MOST_STRUCTURES: Final = 1_000
@@ -505,7 +505,7 @@ def _numbers(table: RowTable, name: str, about: Quantity) -> np.ndarray:
         try:
             if isinstance(value, (bool, bytes)):
                 raise ValueError
-            column[row] = float(value)
+            column[row] = settled(float(value))
         except (TypeError, ValueError, OverflowError):
             comma = " with a point" if re.fullmatch(r"\s*-?\d*,\d+\s*", str(value)) else ""
             table.fail(row, name, f"is {describe(value)}: expected a number{comma}.")

@@ -40,7 +40,7 @@ from nermo_mjx.runs.files import (
 from nermo_mjx.runs.rows import Columns as Columns
 from nermo_mjx.runs.rows import opened, part_files
 from nermo_mjx.runs.status import Status, metadata_of, status_of
-from nermo_mjx.sweep.counting import OF_ALL_RUNS, Tally, counts, losses
+from nermo_mjx.sweep.counting import OF_ALL_RUNS, Tally, Variants, counts, losses
 from nermo_mjx.sweep.spec import OBJECTIVES, SIDES, Rows, Sweep, sides_in
 from nermo_mjx.sweep.structures import about_structure
 from nermo_mjx.trust import one_line
@@ -410,35 +410,6 @@ def spine_ratio(results: Results) -> dict[str, np.ndarray]:
     values = {name: column[variants.first][known] for name, column in columns}
     ratio, base = _spine_ratio(values, mean[known])
     return {**values, "ratio": ratio, "base": base}
-
-
-@dataclasses.dataclass(frozen=True)
-class Variants:
-    """The variants of a table.
-
-    Attributes:
-        all: the number of variants, those without a run so far included.
-        number: index of each that has runs, (variants,).
-        first: its first run, (variants,).
-        place: where the variant of each run stands here, (runs,).
-        values: the varied parameters, name -> (variants,).
-    """
-
-    all: int
-    number: np.ndarray
-    first: np.ndarray
-    place: np.ndarray
-    values: dict[str, np.ndarray] = dataclasses.field(default_factory=dict)
-
-    @classmethod
-    def of(cls, variant: np.ndarray) -> Variants:
-        """Of the variant of each run, (rows,)."""
-        number, first, place = np.unique(variant, return_index=True, return_inverse=True)
-        return cls(int(variant.max()) + 1, number, first, place)
-
-    def tally(self, values: np.ndarray, good: np.ndarray) -> Tally:
-        """A metric over the repeats, of its values (runs,) and which runs count, (runs,)."""
-        return Tally.of(values, self.place, good, len(self.number))
 
 
 def _best(
