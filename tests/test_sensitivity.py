@@ -7,11 +7,12 @@ import types
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from command import call, json_of
 
-from nermo_mjx import ParameterError, run_sweep, sensitivity
+from nermo_mjx import ParameterError, read_table, run_sweep, sensitivity
 from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.sweep import Sweep, sample
 from nermo_mjx.sweep.sampling import saltelli_points
@@ -113,6 +114,45 @@ def test_points_that_fell_are_left_out_and_counted(tmp_path: Path) -> None:
     notes = " ".join(sensitivity(tmp_path).notes)
     assert "runs fell or were lost" in notes
     assert "of 256 points are left out" in notes
+
+
+def test_runs_without_a_number_are_not_said_to_have_fallen(out: Path) -> None:
+    """NaN in a metric of runs that ended well, beside others that fell."""
+    table = read_table(out)
+    speed, status = table.column("speed").to_numpy().copy(), np.array(table.column("status").to_pylist(), object)
+    speed[:20] = np.nan
+
+    def notes(**columns: object) -> str:
+        changed = table
+        for name, values in columns.items():
+            place = changed.schema.get_field_index(name)
+            changed = changed.set_column(place, changed.schema.field(name), pa.array(values))
+        return sensitivity(changed).notes[0]
+
+    assert notes(speed=speed) == "20 of 8,192 runs have no number, 20 variants with all of theirs."
+    status[5:30] = "diverged"
+    both = "25 of 8,192 runs fell or were lost and 5 of 8,192 runs have no number, 30 variants with all of theirs."
+    assert notes(speed=speed, status=status.tolist()) == both
+
+
+def test_a_share_below_0_is_told_to_be_noise(tmp_path: Path) -> None:
+    """RBD-FAST of a linear function that one parameter has no effect on."""
+
+    class Linear(Ishigami):
+        def run(self, values, run, **how):
+            result = super().run(values, run, **how)
+            result.metrics["speed"] = values["frequency"] + 2 * values["stride"]
+            return result
+
+    said = []
+    for seed in range(4):
+        spec = SPEC | {"sample": {"sobol": 128}, "seed": seed}
+        run_sweep(spec, tmp_path / str(seed), simulator=Linear())
+        found = sensitivity(tmp_path / str(seed))
+        below = any(line["index"] < 0 for line in found.table.to_pylist())
+        assert any("below 0 is the estimate's noise" in note for note in found.notes) == below
+        said.append(below)
+    assert any(said)
 
 
 def test_the_design_begins_as_a_smaller_one_and_changes_one_parameter_at_a_time() -> None:

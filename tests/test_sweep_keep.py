@@ -207,6 +207,18 @@ def test_the_best_of_each_variant_and_the_first_that_fell_are_kept() -> None:
     assert kept_rows(table, Keep()) == {}
 
 
+def test_the_best_are_variants_not_their_luckiest_runs() -> None:
+    """By their means, each as its typical run; one with lost runs, or without a number in one, after all others."""
+    table = results(
+        speed=[0.1, 0.1, 0.9, 0.5, 0.6, 0.7, 2.0, 2.0, 2.0, 3.0, 3.0, np.nan, 0.2, 0.2, 0.2],
+        variant=[0, 0, 0, 1, 1, 1, 2, 2, 2, 3, 3, 3, 4, 4, 4],
+        status=["ok"] * 8 + ["fell"] + ["ok"] * 6,
+    )
+    assert kept_rows(table, Keep(best=1)) == {4: "number 1 by speed"}
+    kept = sorted(kept_rows(table, Keep(best=9)).items(), key=lambda item: item[1])
+    assert [row for row, _ in kept] == [4, 0, 12, 9, 6]
+
+
 KEPT: dict[str, Any] = {
     "run": {"duration": 0.4, "warmup": 0.1},
     "plots": False,

@@ -14,6 +14,7 @@ import mujoco
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from command import call
 from sweep_fake import AMPLITUDES, FREQUENCIES, SPEC, FakeSimulator, speed
 
 from nermo_mjx.robot import identified
@@ -186,6 +187,47 @@ def test_fallen_robots_win_nothing(tmp_path):
     assert result.summary["status"]["fell"] == np.sum(result.table.column("speed").to_numpy() > 0.1) > 0
     assert result.summary["best"]["speed"]["mean"] <= 0.1
     assert result.summary["metrics"]["speed"]["max"] <= 0.1
+
+
+class Falling(FakeSimulator):
+    """Faster than 0.9 Hz is fast, and loses all repeats but the first: they fall, diverge, or have no number."""
+
+    def __init__(self, how):
+        super().__init__()
+        self.how = how
+
+    def run(self, values, run, **given):
+        result = super().run(values, run, **given)
+        lost = (values["frequency"] > 0.9) & (values["start.x"] != 0)
+        if self.how == "no number":
+            result.metrics["speed"] = np.where(lost, np.nan, result.metrics["speed"])
+        else:
+            result.metrics[self.how] = lost.astype(float)
+            result.status = np.where(lost, self.how, "ok")
+        return result
+
+
+@pytest.mark.parametrize("how", ["fell", "diverged", "no number"])
+def test_a_variant_with_lost_runs_is_not_best_before_one_without(tmp_path, how):
+    """Beside each mean stands the share that is lost and why, and the spread of one run is unknown, not 0."""
+    spec = {"vary": {"frequency": [0.5, 0.7, 1.0]}, "randomize": {"repeats": 4}, "plots": False}
+    run_sweep(spec, tmp_path / "three", simulator=Falling(how))
+    summary = json.loads((tmp_path / "three" / "summary.json").read_text())
+    best = summary["best"]["speed"]
+    assert (best["parameters"], best["runs"], best["lost"], best["why"]) == ({"frequency": 0.7}, 4, 0.0, {})
+    assert best["low"] < best["mean"] < best["high"]
+    half = 3.182 * best["std"] / 2  # Student's t with 3 degrees of freedom
+    assert best["high"] - best["mean"] == pytest.approx(half, rel=1e-3)
+    assert [line["lost"] for line in summary["marginal_means"]["frequency"]] == [0.0, 0.0, 0.75]
+    assert summary["metrics"]["speed"]["lost"] == 0.25
+    run_sweep(spec | {"vary": {"frequency": [1.0]}}, tmp_path / "one", simulator=Falling(how))
+    alone = json.loads((tmp_path / "one" / "summary.json").read_text())["best"]["speed"]
+    assert (alone["std"], alone["low"], alone["runs"], alone["lost"]) == (None, None, 1, 0.75)
+    assert alone["why"] == {how: 3}
+    shown = call("sweep", tmp_path / "one" / "sweep.yaml", "--out", tmp_path / "one").stdout
+    assert re.search(rf"mean ± 95 % interval.*\n.*\n *speed +max +100 +mm/s +75 % \(3 {how}\)", shown)
+    shown = call("sweep", tmp_path / "three" / "sweep.yaml", "--out", tmp_path / "three").stdout
+    assert re.search(r"speed +max +\d+\.?\d* ± \d.* mm/s +0 % ", shown)
 
 
 def test_a_sweep_in_which_all_fall_still_ends(tmp_path):

@@ -15,6 +15,7 @@ import mujoco
 import numpy as np
 
 from nermo_mjx.physics import ENGINES
+from nermo_mjx.plotting.shown import cost
 from nermo_mjx.recording import Recording, RecordingError, recording_of
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.rollout import History, Setup, Simulator
@@ -279,19 +280,20 @@ def recording_file(out: Path, row: int) -> Path:
 def kept_rows(results: Results, keep: Keep) -> dict[int, str]:
     """The rows of a complete table that are kept, and why.
 
-    The best variants come first, by their means, each as its run that is nearest to it; one with lost runs comes after
-    those with fewer. Then those with another outcome, the first ones in the table.
+    The best variants come first, chosen by their means, each as the run that is nearest to it, of two the better one; one with
+    lost runs comes after those with fewer. Then those with another outcome, the first ones in the table.
     """
     kept: dict[int, str] = {}
     if keep.best:
-        values, variants = results.column(keep.metric), Variants.of(results.column("variant"))
-        good = counts(keep.metric, values, results.well)
+        side, values = sides_in(results.schema)[keep.metric], results.column(keep.metric)
+        variants, good = Variants.of(results.column("variant")), counts(keep.metric, values, results.well)
         tally = variants.tally(values, good)
         far = np.where(good, np.abs(values - tally.mean[variants.place]), np.inf)
-        for i, at in enumerate(tally.ranked(sides_in(results.schema)[keep.metric])[: keep.best].tolist(), 1):
+        for i, at in enumerate(tally.ranked(side)[: keep.best].tolist(), 1):
             own = np.flatnonzero(variants.place == at)
-            why = f"number {i} by {keep.metric}" + (", its run nearest to the mean" if len(own) > 1 else "")
-            kept[int(own[np.argmin(far[own])])] = why
+            near = own[far[own] <= far[own].min() * (1 + 1e-9)]
+            kept[int(near[np.argmin(cost(side, values[near]))])] = f"number {i} by {keep.metric}"
+        kept = dict(sorted(kept.items()))
     status = results.column("status")
     for word in _STATUSES:
         for row in np.flatnonzero(status == word)[: getattr(keep, word)]:

@@ -148,8 +148,6 @@ def runs_of(path: Path, kept: Collection[int] = (), most: int = MOST_ROWS) -> Ru
     leading = usual if atlas is None else str(atlas["objective"]["metric"])
     number = column("row")
     price = _column(leading, fields[leading], sides, column(leading)).cost()
-    if "status" in fields:
-        price = np.where(column("status") == "ok", price, np.inf)
     places = np.arange(len(number))
     if len(number) > most:
         best = np.argsort(price, kind="stable")[: min(_BEST_KEPT, most // 2)]
