@@ -171,6 +171,169 @@ def test_runs_that_fell_are_counted_and_compared_but_not_averaged() -> None:
     assert found.status == {"none": {"ok": 72}, "stride_extension": {"fell": 3, "ok": 69}}
 
 
+def changed(data: pa.Table, **columns: object) -> pa.Table:
+    """A table with other values in some columns."""
+    for name, values in columns.items():
+        place = data.schema.get_field_index(name)
+        data = data.set_column(place, data.schema.field(name), pa.array(values, data.schema.field(name).type))
+    return data
+
+
+def one_less(data: pa.Table, side: str, how: str, places: int = 1) -> pa.Table:
+    """A table of which some runs of a side, the first of a variant, have no speed: they fell, diverged, or lack it."""
+    own = np.flatnonzero(np.array(data.column("spine").to_pylist()) == side)[:places]
+    speed, status = data.column("speed").to_numpy().copy(), np.array(data.column("status").to_pylist(), object)
+    status[own], speed[own] = ("ok", np.nan) if how == "no number" else (how, 9.0)
+    return changed(data, speed=speed, status=status.tolist())
+
+
+@pytest.mark.parametrize("how", ["fell", "diverged", "no number"])
+@pytest.mark.parametrize("side", SPINES)
+def test_a_lost_run_takes_its_partner_with_it_and_no_other(side: str, how: str) -> None:
+    """The difference is that of all other pairs, to the last digit, as beyond noise as before, and it is said."""
+    data = table(seeds="shared")
+    found = compare(one_less(data, side, how), by="spine", groups=["gait", "frequency"])
+    both = one_less(one_less(data, SPINES[0], how), SPINES[1], how)
+    for row, known in zip(
+        found.rows("stride_extension") + found.rows("stride_extension", grouped=True),
+        (oracle := compare(both, by="spine", groups=["gait", "frequency"])).rows("stride_extension")
+        + oracle.rows("stride_extension", grouped=True),
+        strict=True,
+    ):
+        if row["metric"] == "speed":
+            for name in ("difference", "low", "high", "p", "beyond_noise", "base_mean", "runs_base", "runs_other"):
+                assert row[name] == known[name], name
+            assert row["paired"] == row["variants"]
+    everything = found.rows("stride_extension")[0]
+    assert everything["metric"] == "speed"
+    lost, whole = ("base", "other") if side == "none" else ("other", "base")
+    assert (everything[f"lost_{lost}"], everything[f"lost_{whole}"]) == (pytest.approx(1 / 72), 0)
+    assert (everything["left_out"], everything["runs_base"], everything["runs_other"]) == (1, 71, 71)
+    assert everything[f"failed_{lost}"] == (how != "no number")
+    slip = found.rows("stride_extension")[1]
+    assert slip["lost_base"] + slip["lost_other"] == pytest.approx((how != "no number") / 72)
+    assert found.notes[0] == found.lost[0]
+    assert f"1 of 72 runs of {side} (1 {how})" in found.lost[0]
+    assert "may not be the same robots" in found.lost[0]
+    assert any("is lost or not there: 1, of none and stride_extension" in note for note in found.notes)
+
+
+def test_pairs_are_those_of_common_seeds_and_others_are_said_to_be_none() -> None:
+    """More repeats on one side are left out; a variant without a common seed is compared as two samples."""
+    data = table(seeds="shared", noise=0.05)
+    kept = (np.array(data.column("spine").to_pylist()) == "none") | (data.column("repeat").to_numpy() < 5)
+    longer = compare(data.filter(pa.array(kept)), by="spine")
+    row, other = (
+        longer.rows("stride_extension")[0],
+        compare(data.filter(pa.array(data.column("repeat").to_numpy() < 5)), by="spine").rows("stride_extension")[0],
+    )
+    assert (row["difference"], row["low"], row["left_out"]) == (other["difference"], other["low"], 27)
+    assert any("is lost or not there: 27, of" in note for note in longer.notes)
+    seed = data.column("seed").to_numpy().copy()
+    alone = (np.array(data.column("gait").to_pylist()) == "lat") & (
+        np.array(data.column("spine").to_pylist()) == "none"
+    )
+    seed[alone] += 10_000
+    mixed = compare(changed(data, seed=seed), by="spine", groups=["gait", "frequency"])
+    assert mixed.rows("stride_extension")[0]["paired"] == 6
+    assert any("Not paired: 3 of 9 variants" in note for note in mixed.notes)
+    speed = data.to_pandas().set_index(["gait", "frequency", "spine"])["speed"]
+    row = speed_of(mixed, gait="lat", frequency=0.4)
+    known = stats.ttest_ind(speed["lat", 0.4, "stride_extension"], speed["lat", 0.4, "none"], equal_var=False)
+    assert row["p"] == pytest.approx(known.pvalue)
+    assert (row["low"], row["high"]) == pytest.approx(tuple(known.confidence_interval()))
+    row = speed_of(mixed, gait="trt", frequency=0.4)
+    known = stats.ttest_rel(speed["trt", 0.4, "stride_extension"], speed["trt", 0.4, "none"])
+    assert row["p"] == pytest.approx(known.pvalue)
+    assert (row["low"], row["high"]) == pytest.approx(tuple(known.confidence_interval()))
+
+
+def test_runs_with_the_same_seed_count_once() -> None:
+    """Each run of one side twice in the table makes nothing surer."""
+    data = table(seeds="shared")
+    twice = np.flatnonzero(np.array(data.column("spine").to_pylist()) == "none")
+    more = data.take(np.concatenate([np.arange(data.num_rows), twice]))
+    once, again = (compare(each, by="spine").rows("stride_extension")[0] for each in (data, more))
+    for name in ("difference", "low", "high", "p"):
+        assert once[name] == pytest.approx(again[name])
+
+
+def test_a_comparison_of_yes_and_no_is_no_surer_than_the_test_of_signs() -> None:
+    """All four runs of a variant fell with the spine and none without: p is 1/8, and no interval has width 0."""
+    data = table(repeats=4, seeds="shared")
+    chosen = (np.array(data.column("gait").to_pylist()) == "lat") & (data.column("frequency").to_numpy() == 0.4)
+    fell = chosen & (np.array(data.column("spine").to_pylist()) != "none")
+    data = changed(data, fell=fell.astype(float), status=np.where(fell, "fell", "ok").tolist())
+    rows = compare(data, by="spine", groups=["gait", "frequency"]).rows("stride_extension", grouped=True)
+    row = next(row for row in rows if (row["metric"], row["gait"], row["frequency"]) == ("fell", "lat", 0.4))
+    assert (row["difference"], row["p"], row["beyond_noise"]) == (1.0, 1 / 8, False)
+    assert np.isnan([row["low"], row["high"]]).all()
+
+
+@pytest.mark.parametrize("last", [7 * 0.1, np.nextafter(0.7, 1), np.nextafter(0.7, 0)])
+def test_values_that_differ_in_their_last_digits_are_one(last: float) -> None:
+    """In variants, groups and values that are compared, of one table or two."""
+    data = table()
+    frequency = data.column("frequency").to_numpy().copy()
+    frequency[frequency == 0.6] = 0.7
+    spine = np.array(data.column("spine").to_pylist())
+    other = changed(data, frequency=np.where((frequency == 0.7) & (spine != "none"), last, frequency))
+    data = changed(data, frequency=frequency)
+    for given in ({"groups": ["frequency"]}, {"where": {"frequency": 0.7}}):
+        known, found = (compare(each, by="spine", **given).table.to_pandas() for each in (data, other))
+        known, found = (each.drop(columns="frequency", errors="ignore") for each in (known, found))
+        assert known.equals(found)
+    assert compare(data, other).rows("table (B)")[0]["variants"] == 18
+    assert compare(other, by="frequency").others == compare(data, by="frequency").others
+
+
+def test_a_thousand_groups_take_seconds_and_say_how_far_they_are() -> None:
+    """100,000 runs in 1,000 groups: the processor's time of a group is a thousandth of that of all, or less."""
+    groups, runs = 1000, 100
+    place = np.arange(groups * runs)
+    columns, rng = Columns(), np.random.default_rng(0)
+    for name, values in {"row": place, "repeat": place % 50, "seed": place // runs * 50 + place % 50}.items():
+        columns.add(name, values, "index", "1", name)
+    columns.add("spine", np.array(SPINES, object)[place // 50 % 2], "varied", "1", "spine", scale="structure")
+    columns.add("frequency", 0.4 + 0.001 * (place // runs), "varied", "Hz", "frequency", scale="linear")
+    for name in ("speed", "slip", "shake"):
+        columns.add(name, rng.normal(size=len(place)), "metric", "1", name)
+    columns.add("status", np.where(rng.random(len(place)) < 0.02, "fell", "ok"), "status", "1", "status")
+    shares: list[float] = []
+    found = compare(columns.table({"sampler": "grid"}), by="spine", groups=["frequency"], progress=shares.append)
+    assert len(found.rows("stride_extension", grouped=True)) == 3 * groups
+    assert shares == sorted(shares)
+    assert shares[0] == 0 < shares[-1] < 1
+
+
+def test_the_table_fits_the_terminal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """At 80 columns rows that say nothing and columns of less importance are left out, and named; --all has them."""
+    data = table(seeds="shared")
+    number = {"electrical_cost_of_transport": 1.0, "never_measured": np.nan}
+    for name, value in number.items():
+        field = pa.field(name, pa.float64(), metadata={"role": "metric", "unit": "1", "description": name})
+        data = data.append_column(field, pa.array(np.full(data.num_rows, value)))
+    (tmp_path / "results").mkdir()
+    pq.write_table(one_less(data, "none", "fell"), tmp_path / "results" / "part-aa-0000000000000000.parquet")
+    asked = ("compare", tmp_path, "--by", "spine", "--for", "frequency")
+    monkeypatch.setenv("COLUMNS", "80")
+    shown = call(*asked).stdout
+    rows = [line for line in shown.splitlines() if re.match(r"(metric|speed|slip|shake|fell|frequency|─| +0\.)", line)]
+    assert len(rows) > 8
+    assert max(map(len, rows)) <= 80
+    assert shown.startswith("Lost for speed, electrical cost of transport: 1 of 72 runs of none (1 fell)")
+    assert re.search(r"^metric +unit +difference +95 % interval +.*lost", shown, re.MULTILINE)
+    assert re.search(r"^speed +mm/s .*1\.4 %, 0 %", shown, re.MULTILINE)
+    assert not re.search(r"^(never_measured|electrical_cost_of_transport)", shown, re.MULTILINE)
+    assert "but with --all: rows equal on both sides (5); rows without a run (1); the columns none" in shown
+    whole = call(*asked, "--all").stdout
+    assert re.search(r"^never_measured .*no run has it", whole, re.MULTILINE)
+    assert re.search(r"^electrical_cost_of_transport ", whole, re.MULTILINE)
+    assert "variants" in whole
+    monkeypatch.delenv("COLUMNS")
+    assert call(*asked).stdout == whole
+
+
 def test_several_values_are_each_compared_with_the_base() -> None:
     """Of the gaits, with the trot by name, over the frequencies of one spine."""
     found = compare(table(), by="gait", base="trt", where={"spine": "none"})

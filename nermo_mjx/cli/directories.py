@@ -343,12 +343,13 @@ def _print_comparison(found: Comparison, *, whole: bool) -> None:
                 group = [f"{each:.6g}" if isinstance(each, float) else each for each in map(row.get, found.groups)]
                 cells.append([*group, *_cells(row)])
             heads: list[Any] = [(name, "right") for name in found.groups]
-            show(f"{metric} [{unit(lines[0])}]: {other} minus {found.base}" if lines else metric, heads, numbers, cells)
+            if lines:
+                show(f"{metric} [{unit(lines[0])}]: {other} minus {found.base}", heads, numbers, cells)
     for side, counts in found.status.items():
         click.echo(f"{side}: {', '.join(f'{count:,} {status}' for status, count in counts.items())}")
     for note in found.notes[len(found.lost) :]:
         click.echo(note)
-    left = [f"{many:,} rows {why}" for why, many in hidden.items() if many]
+    left = [f"rows {why} ({many:,})" for why, many in hidden.items() if many]
     left += [f"the columns {', '.join(columns)}"] if columns else []
     if left:
         click.echo(f"Not shown, but with --all: {'; '.join(left)}.")

@@ -568,7 +568,7 @@ def compare(
             done += 1
             lines += own
             if not names:
-                lost += filter(None, (_lost(pairing, line) for line in own if line["metric"] in drawn))
+                lost += _lost(pairing, [line for line in own if line["metric"] in drawn])
                 unpaired += _unpaired(pairing, next(line for line in own if line["metric"] == drawn[0]))
     if not any(math.isfinite(line["low"]) for line in lines):
         notes.append("No interval: each side has one run of one variant, which tells no noise; give repeats.")
@@ -584,30 +584,32 @@ def compare(
     )
 
 
-def _lost(pairing: Pairing, line: Mapping[str, Any]) -> str:
-    """A sentence about a metric of which the sides lost different shares of their runs; empty for others."""
-    if line["lost_base"] == line["lost_other"]:
-        return ""
-    each, table = list[str](), list[tuple[int, int]]()
-    for side, word in zip(pairing.sides, ("base", "other"), strict=True):
-        index, runs = side.runs.index, len(side.runs)
-        why = losses(side.results.column("status")[index], side.results.well[index])
-        lost = round(line[f"lost_{word}"] * runs)
-        why |= {NO_NUMBER: lost - line[f"failed_{word}"]} if lost > line[f"failed_{word}"] else {}
-        each.append(f"{lost:,} of {runs:,} runs of {side.name}{told(why)}")
-        table.append((lost, runs - lost))
-    p = stats.fisher_exact(table).pvalue
-    return (
-        f"Of the {spoken(line['metric'])}, {' and '.join(each)} are lost (p {p:.2g} by Fisher's exact test): what is "
-        "left on the two sides may not be the same robots."
-    )
+def _lost(pairing: Pairing, lines: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    """Where the sides lost different shares of their runs, a sentence on the metrics that lost the same ones."""
+    found = dict[tuple[Any, ...], list[str]]()
+    for line in lines:
+        words = [(line[f"lost_{side}"], line[f"failed_{side}"]) for side in ("base", "other")]
+        found.setdefault(tuple(words), []).append(spoken(line["metric"]))
+    for (base, other), names in found.items():
+        each, table = list[str](), list[tuple[int, int]]()
+        for side, (share, failed) in zip(pairing.sides, (base, other), strict=True):
+            index, runs = side.runs.index, len(side.runs)
+            why, lost = losses(side.results.column("status")[index], side.results.well[index]), round(share * runs)
+            why |= {NO_NUMBER: lost - failed} if lost > failed else {}
+            each.append(f"{lost:,} of {runs:,} runs of {side.name}{told(why)}")
+            table.append((lost, runs - lost))
+        if base[0] != other[0]:
+            yield (
+                f"Lost for {', '.join(names)}: {' and '.join(each)} (p {stats.fisher_exact(table).pvalue:.2g} by Fisher's "
+                "exact test); what is left on the two sides may not be the same robots."
+            )
 
 
 def _unpaired(pairing: Pairing, line: Mapping[str, Any]) -> Iterator[str]:
     """What is not paired, of the metric of a row over all variants."""
     names = " and ".join(side.name for side in pairing.sides)
-    if left_out := line["left_out"]:
-        yield f"{left_out:,} runs of {names} are left out: their partner of the same seed is lost, or not there."
+    if line["left_out"]:
+        yield f"Left out, because the run of the same seed is lost or not there: {line['left_out']:,}, of {names}."
     if apart := line["variants"] - line["paired"]:
         yield f"Not paired: {apart:,} of {line['variants']:,} variants of {names} have no seed in common."
 

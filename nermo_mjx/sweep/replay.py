@@ -280,8 +280,8 @@ def recording_file(out: Path, row: int) -> Path:
 def kept_rows(results: Results, keep: Keep) -> dict[int, str]:
     """The rows of a complete table that are kept, and why.
 
-    The best variants come first, chosen by their means, each as the run that is nearest to it, of two the better one; one with
-    lost runs comes after those with fewer. Then those with another outcome, the first ones in the table.
+    First come the best variants by their means, each as the run that is nearest to its mean, of two the better one; a
+    variant with lost runs is chosen after those with fewer. Then come other outcomes, the first ones in the table.
     """
     kept: dict[int, str] = {}
     if keep.best:
