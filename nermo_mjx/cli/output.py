@@ -296,18 +296,17 @@ def print_table(
         for each in (headings.split(", ") if isinstance(headings, str) else headings)
     ]
     width = room() if spare else None
-    console = Console(file=sys.stdout, width=width or (None if sys.stdout.isatty() else 200), highlight=False)
     texts, kept = [[one_line(str(cell)) for cell in row] for row in rows], list(range(len(columns)))
-    for out in range(len(spare) + 1):
-        kept = [i for i in kept if i not in spare[:out]]
-        header = any(columns[i][0] for i in kept)
-        table = Table(box=SIMPLE_HEAD, pad_edge=False, show_edge=False, show_header=header)
-        for heading, side in (columns[i] for i in kept):
-            table.add_column(Text(one_line(heading)), justify="right" if side == "right" else "left")
-        for row in texts:
-            table.add_row(*(Text(row[i]) for i in kept))
-        if width is None or console.measure(table, options=console.options.update(width=10_000)).maximum <= width:
-            break
+    wide = [3 + max([len(heading), *(len(row[i]) for row in texts)]) for i, (heading, _) in enumerate(columns)]
+    for i in spare:
+        if width is not None and sum(wide[k] for k in kept) > width + 3:
+            kept.remove(i)
+    table = Table(box=SIMPLE_HEAD, pad_edge=False, show_edge=False, show_header=any(columns[i][0] for i in kept))
+    for heading, side in (columns[i] for i in kept):
+        table.add_column(Text(one_line(heading)), justify="right" if side == "right" else "left")
+    for row in texts:
+        table.add_row(*(Text(row[i]) for i in kept))
+    console = Console(file=sys.stdout, width=width or (None if sys.stdout.isatty() else 200), highlight=False)
     with console.capture() as capture:
         console.print(Text(one_line(title), style="bold"))
         console.print(table)

@@ -600,8 +600,8 @@ def _lost(pairing: Pairing, lines: Sequence[Mapping[str, Any]]) -> Iterator[str]
             table.append((lost, runs - lost))
         if base[0] != other[0]:
             yield (
-                f"Lost for {', '.join(names)}: {' and '.join(each)} (p {stats.fisher_exact(table).pvalue:.2g} by Fisher's "
-                "exact test); what is left on the two sides may not be the same robots."
+                f"Lost for {', '.join(names)}: {' and '.join(each)} (p {stats.fisher_exact(table).pvalue:.2g} by "
+                "Fisher's exact test); what is left on the two sides may not be the same robots."
             )
 
 
