@@ -18,6 +18,7 @@ from nermo_mjx.sweep.table import Columns
 
 PAGE = Path(__file__).parents[1] / "docs" / "comparisons.md"
 VARIANTS, REPEATS, RATIOS = (1, 2, 3, 4, 8, 16), (2, 4, 16), (0.3, 1.0, 3.0)
+NOISES = ("normal noise", "skewed noise", "skewed differences")
 #: Data sets of each entry of the table: their share has a standard error of 0.004.
 TRIALS = 3000
 #: Of one variant, the runs of two sides without common seeds.
@@ -29,16 +30,19 @@ def covered(found, truth=0.0) -> float:
     return float(np.mean((found.low <= truth) & (truth <= found.high)))
 
 
-def pairs(rng: np.random.Generator, variants: int, repeats: int, ratio: float, noise: str = "normal") -> float:
+def pairs(rng: np.random.Generator, variants: int, repeats: int, ratio: float, noise: str = "normal noise") -> float:
     """Coverage of the mean over variants whose true differences spread `ratio` times as far as those of a pair.
 
-    Of one variant, the truth is its own difference. Skewed noise is exponential on both sides.
+    Of one variant, the truth is its own difference. Skewed noise is exponential on both sides; skewed differences are
+    so themselves, as where the noise of one side alone is skewed.
     """
     cell = np.repeat(np.arange(variants), repeats)
     apart = ratio * rng.normal(size=(variants, TRIALS))
     shape = (len(cell), TRIALS)
-    pair = rng.normal(size=shape) if noise == "normal" else (rng.exponential(size=shape) - rng.exponential(size=shape))
-    found = two_stage(apart[cell] + pair / pair.std(), cell, np.arange(variants))
+    pair = rng.normal(size=shape) if noise == "normal noise" else rng.exponential(size=shape) - 1
+    if noise == "skewed noise":
+        pair = (pair - rng.exponential(size=shape) + 1) / np.sqrt(2)
+    found = two_stage(apart[cell] + pair, cell, np.arange(variants))
     return covered(found, apart[0] if variants == 1 else 0.0)
 
 
@@ -54,7 +58,7 @@ def coverages() -> dict[tuple, float]:
     """Coverage by what is compared."""
     rng, found = np.random.default_rng(51), dict[tuple, float]()
     for variants in VARIANTS:
-        for noise in ("normal", "skewed"):
+        for noise in NOISES:
             for repeats in REPEATS:
                 for ratio in RATIOS:
                     found["pairs", variants, noise, repeats, ratio] = pairs(rng, variants, repeats, ratio, noise)
@@ -69,9 +73,9 @@ def page() -> str:
     found, lines = coverages(), list[str]()
     heads = [f"{repeats} runs, {ratio:g}" for repeats in REPEATS for ratio in RATIOS]
     lines += [f"| | {' | '.join(heads)} |", f"|---|{'---:|' * len(heads)}"]
-    for noise in ("normal", "skewed"):
+    for noise in NOISES:
         for variants in VARIANTS:
-            name = f"{variants} variant{'s' * (variants > 1)}, {noise} noise"
+            name = f"{variants} variant{'s' * (variants > 1)}, {noise}"
             each = [found["pairs", variants, noise, repeats, ratio] for repeats in REPEATS for ratio in RATIOS]
             lines.append(f"| {name} | {' | '.join(f'{share:.2f}' for share in each)} |")
     lines += ["", f"| | {' | '.join(f'{ratio:g}' for ratio in RATIOS)} |", f"|---|{'---:|' * len(RATIOS)}"]
@@ -85,10 +89,12 @@ def page() -> str:
 def test_intervals_hold_the_truth_as_often_as_they_say(what: str) -> None:
     """At least 93 of 100 times. More than 97 where noise dominates: it is a lower bound for the spread of few variants;
     and where few runs stand against many, whose spread they do not show. Two runs of a side that spreads three times as
-    far as the three of the other hold it 92 times only: two may be alike by chance."""
+    far as the three of the other hold it 92 times only: two may be alike by chance. So do differences that are skewed
+    themselves within one variant, 88 to 92 times: few of them do not show their tail."""
     for key, share in coverages().items():
         if key[0] == what == "pairs":
-            assert 0.93 <= share <= (0.975 if key[1] == 1 or key[4] >= 3 else 0.99), key
+            least = 0.87 if key[1:3] == (1, "skewed differences") else 0.93
+            assert least <= share <= (0.975 if key[1] == 1 or key[4] >= 3 else 0.99), key
         elif key[0] == what:
             assert share >= (0.91 if key == ("sides", (2, 3), 0.3) else 0.93), key
 

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import click
-import numpy as np
 
 from nermo_mjx.cli import options
 from nermo_mjx.cli.choices import FORMATS, METRICS
@@ -313,8 +312,8 @@ def _print_comparison(found: Comparison, *, whole: bool) -> None:
                 kept.append(row)
         if kept and kept[0]["group"] >= 0 and len(kept) > _MOST_GROUPS:
             hidden["less sure"] += len(kept) - _MOST_GROUPS
-            order = np.argsort([row["p"] for row in kept], kind="stable")[:_MOST_GROUPS]  # NaN last
-            kept = [kept[i] for i in sorted(order.tolist())]
+            order = sorted(range(len(kept)), key=lambda i: kept[i]["p"] if math.isfinite(kept[i]["p"]) else 2.0)
+            kept = [kept[i] for i in sorted(order[:_MOST_GROUPS])]
         return kept
 
     def show(title: str, heads: list[Any], numbers: list[Any], cells: list[list[Any]]) -> None:
