@@ -323,3 +323,31 @@ def test_the_command_merges_and_says_what_is_missing(tmp_path):
     )
     assert whole.complete
     assert simulator.rows == 1
+
+
+def test_values_that_differ_in_their_last_digits_are_one_variant(tmp_path):
+    """0.7 and 7 * 0.1: nothing is run again, a merged sweep has it once, with its draws, and no list has both."""
+    spec = changed(vary={"frequency": [0.5, 0.7]}, randomize={"repeats": 3})
+    first = run_sweep(spec, tmp_path / "first", simulator=FakeSimulator())
+    computed = changed(vary={"frequency": [0.5, 7 * 0.1]}, randomize={"repeats": 3})
+    assert Sweep.from_dict(computed).digest() == Sweep.from_dict(spec).digest()
+    again = FakeSimulator()
+    wider = changed(vary={"frequency": [0.5, 7 * 0.1, 0.9]}, randomize={"repeats": 3})
+    run_sweep(wider, tmp_path / "first", extend=True, simulator=again)
+    assert again.batches == [3]
+    rows = changed(rows=[{"frequency": 7 * 0.1}, {"frequency": 3 * 0.1}], randomize={"repeats": 3})
+    del rows["vary"]
+    listed = run_sweep(rows, tmp_path / "rows", simulator=FakeSimulator())
+    merged = merge_sweeps([tmp_path / "first", tmp_path / "rows"], tmp_path / "merged")
+    assert merged.complete
+    assert sorted(set(merged.table.column("frequency").to_pylist())) == [0.3, 0.5, 0.7, 0.9]
+    assert merged.rows == 12
+    for each, place in ((first, 3), (listed, 0)):
+        assert each.table.column("frequency")[place].as_py() == 0.7
+        assert each.table.column("seed")[place].as_py() == first.table.column("seed")[3].as_py()
+    with pytest.raises(SpecError, match=r"lists 0\.7 twice"):
+        Sweep.from_dict(changed(vary={"frequency": [0.7, 7 * 0.1]}))
+    with pytest.raises(SpecError, match="a row is the same as that of"):
+        Sweep.from_dict(rows | {"rows": [{"frequency": 0.7}, {"frequency": 7 * 0.1}]})
+    third = Sweep.from_dict(changed(vary={"frequency": [1 / 3, 0.5]}))
+    assert third.axes[0].listed()[0] == 1 / 3  # nothing is rounded that no short number is
