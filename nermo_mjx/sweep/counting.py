@@ -169,9 +169,9 @@ def matched(sides: Sequence[pd.DataFrame], good: Sequence[np.ndarray]) -> tuple[
 # Intervals of a mean over variants whose runs are repeated, by Student's t; docs/comparisons.md says why.
 #
 # The variants' means alone tell how far off their mean is, whatever share of their spread is the noise of their runs,
-# and whatever their numbers of runs (Ibragimov and Mueller, J. Bus. Econ. Stat. 28, 2010). Where they are closer together
-# by chance than this noise allows, it has the wider interval, which counts. Of one variant it is all there is, by Welch's
-# t, with no more degrees of freedom than if both sides had the same spread: few runs may have a small one by chance.
+# and whatever their numbers of runs (Ibragimov and Mueller, J. Bus. Econ. Stat. 28, 2010). Where they are closer
+# together by chance than this noise allows, it has the wider interval, which counts. Of one variant it is all there is,
+# by Welch's t, with no more degrees of freedom than if both sides had the same spread: few runs may have a small one.
 
 
 class Interval(NamedTuple):
