@@ -232,7 +232,7 @@ def test_fronts_and_atlases_are_drawn(spec, names, tmp_path):
 
 
 def test_a_point_with_a_lost_run_comes_after_all_without():
-    """One run of two fell, or has no number for what is asked: as for best variants of sweeps, however fast the other."""
+    """One run of two fell, or has no number for what is asked, however fast the other: as for best variants."""
     aim = Search.from_dict({**SPEED, "randomize": {"repeats": 2}}).aim
     speed = {"speed": np.array([0.1, 0.1, 9.0, 9.0, 9.0, np.nan, 0.2, 0.2])}
     scores = scores_of(aim, 2, speed, np.array([True, True, True, False, True, True, True, True]))
