@@ -11,7 +11,7 @@ from search_fake import ATLAS, FRONT, SPEED, FakeSimulator
 
 from nermo_mjx.cli import main
 from nermo_mjx.optimize import Search, run_search
-from nermo_mjx.optimize.methods import Scores, Space, ranked_cost, searcher
+from nermo_mjx.optimize.methods import Scores, Space, ranked_cost, scores_of, searcher
 from nermo_mjx.optimize.run import cost_of
 from nermo_mjx.recording import Recording
 from nermo_mjx.specs.reading import SpecError
@@ -167,3 +167,12 @@ def test_the_command_searches_keeps_and_draws(tmp_path):
 def test_fronts_and_atlases_are_drawn(spec, names, tmp_path):
     result = run_search(spec | {"plots": True, "budget": 40}, tmp_path / "out", simulator=FakeSimulator())
     assert {f"{name}.{form}" for name in names for form in ("png", "svg")} <= {path.name for path in result.plots}
+
+
+def test_a_point_with_a_lost_run_comes_after_all_without():
+    """One run of two fell, or has no number for what is asked, however fast the other: as for best variants."""
+    aim = Search.from_dict({**SPEED, "randomize": {"repeats": 2}}).aim
+    speed = {"speed": np.array([0.1, 0.1, 9.0, 9.0, 9.0, np.nan, 0.2, 0.2])}
+    scores = scores_of(aim, 2, speed, np.array([True, True, True, False, True, True, True, True]))
+    assert scores.ok.tolist() == [True, False, False, True]
+    assert np.argsort(ranked_cost(scores, 0.0), kind="stable").tolist() == [3, 0, 1, 2]

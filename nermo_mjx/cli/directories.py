@@ -301,26 +301,24 @@ def _print_comparison(found: Comparison, *, whole: bool) -> None:
 
     def chosen(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
         """Rows that say something, and among groups the surest."""
-        if whole:
-            return rows
-        kept = []
-        for row in rows:
+
+        def shown(row: Mapping[str, Any]) -> bool:
             equal = "equal on both sides" if row["difference"] == 0 and row["low"] == row["high"] else ""
-            if why := equal if row["variants"] else "without a run":
-                hidden[why] += 1
-            else:
-                kept.append(row)
-        if kept and kept[0]["group"] >= 0 and len(kept) > _MOST_GROUPS:
-            hidden["less sure"] += len(kept) - _MOST_GROUPS
-            order = sorted(range(len(kept)), key=lambda i: kept[i]["p"] if math.isfinite(kept[i]["p"]) else 2.0)
-            kept = [kept[i] for i in sorted(order[:_MOST_GROUPS])]
-        return kept
+            why = equal if row["variants"] else "without a run"
+            hidden.update([why] if why else [])
+            return not why
+
+        kept = rows if whole else [row for row in rows if shown(row)]
+        if whole or not kept or kept[0]["group"] < 0 or len(kept) <= _MOST_GROUPS:
+            return kept
+        hidden["less sure"] += len(kept) - _MOST_GROUPS
+        order = sorted(range(len(kept)), key=lambda i: kept[i]["p"] if math.isfinite(kept[i]["p"]) else 2.0)
+        return [kept[i] for i in sorted(order[:_MOST_GROUPS])]
 
     def show(title: str, heads: list[Any], numbers: list[Any], cells: list[list[Any]]) -> None:
-        first = len(heads)
+        first, unit_too = len(heads), [1] if heads[1:] == ["unit"] else []
         lost = [] if any(line[first + 6] for line in cells) else [first + 6]
-        units = [1] if heads[1:] == ["unit"] else []
-        spare = [] if whole else [*lost, first + 5, first, first + 1, first + 4, *units]
+        spare = [] if whole else [*lost, first + 5, first, first + 1, first + 4, *unit_too]
         columns.update(dict.fromkeys(filter(None, print_table(title, [*heads, *numbers], cells, spare))))
 
     for sentence in found.lost:

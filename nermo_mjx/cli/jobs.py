@@ -219,7 +219,7 @@ def _print_sweep(result: SweepResult) -> None:
                 f"{key} {value if isinstance(value, str) else _with_unit(key, unit(key), value)}"
                 for key, value in best["parameters"].items()
             ]
-            (mean, high), shown = in_unit(name, unit(name), best["mean"], best["high"])
+            (mean, high), shown = in_unit(name, unit(name), best["mean"], best["high"] or math.nan)
             half = f" ± {high - mean:.2g}" if math.isfinite(high) else ""
             lost = f"{best['lost']:.0%}".replace("%", " %") + told(best["why"])
             rows.append([name, best["side"], f"{mean:.4g}{half}", shown, lost, ", ".join(at)])

@@ -569,7 +569,7 @@ def compare(
             lines += own
             if not names:
                 lost += _lost(pairing, [line for line in own if line["metric"] in drawn])
-                unpaired += _unpaired(pairing, next(line for line in own if line["metric"] == drawn[0]))
+                unpaired += (each for line in own if line["metric"] in drawn[:1] for each in _unpaired(pairing, line))
     if not any(math.isfinite(line["low"]) for line in lines):
         notes.append("No interval: each side has one run of one variant, which tells no noise; give repeats.")
     return Comparison(

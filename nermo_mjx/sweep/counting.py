@@ -147,8 +147,8 @@ def matched(sides: Sequence[pd.DataFrame], good: Sequence[np.ndarray]) -> tuple[
     >>> keys = [pd.MultiIndex.from_arrays([[0, 0], seeds]) for seeds in ([7, 8], [8, 9])]
     >>> sides = [pd.DataFrame({"speed": [1.0, 2.0]}, index) for index in keys]
     >>> (first, second), paired = matched(sides, [np.array([True, True])] * 2)
-    >>> first.index.tolist(), second.speed.tolist(), paired.tolist()
-    ([(np.int64(0), np.int64(8))], [1.0], [0])
+    >>> first.index.get_level_values(1).tolist(), second.speed.tolist(), paired.tolist()
+    ([8], [1.0], [0])
 
     Args:
         sides: a line a run, indexed by unit and seed.
@@ -166,15 +166,12 @@ def matched(sides: Sequence[pd.DataFrame], good: Sequence[np.ndarray]) -> tuple[
 
 
 # ---
-# Intervals of a mean over variants whose runs are repeated, by Student's t.
+# Intervals of a mean over variants whose runs are repeated, by Student's t; docs/comparisons.md says why.
 #
-# The variants count as drawn from all those that might have been swept, so their means alone tell how far off the mean
-# over them is: their spread contains the noise of their runs, whatever share of it that is, and whatever their numbers
-# of runs. Student's t with v - 1 degrees of freedom keeps its level of 5 % where the variances differ, too (Bakirov and
-# Szekely, J. Math. Sci. 139, 2006; Ibragimov and Mueller, J. Bus. Econ. Stat. 28, 2010). Where the variants' means are
-# closer together by chance than the noise of their runs allows, this noise alone has the wider interval, which counts.
-# Of one variant it is all there is, by Welch's t, with no more degrees of freedom than if both sides had the same
-# spread: two or three runs may have a small one by chance.
+# The variants' means alone tell how far off their mean is, whatever share of their spread is the noise of their runs,
+# and whatever their numbers of runs (Ibragimov and Mueller, J. Bus. Econ. Stat. 28, 2010). Where they are closer
+# together by chance than this noise allows, it has the wider interval, which counts. Of one variant it is all there is,
+# by Welch's t, with no more degrees of freedom than if both sides had the same spread: few runs may have a small one.
 
 
 class Interval(NamedTuple):

@@ -278,7 +278,7 @@ def _chosen(results: Results, x: str, y: str, color: str | None, remark: str) ->
     metrics, varied, sides = columns_of(results, "metric"), columns_of(results, "varied"), sides_in(results.schema)
     if color is None and x in sides and y in sides and x != y:
         points = points_of(results, [x, y])
-        return f"{x}-against-{y}", trade_off_figure(points, x, y, points.differing, remark)
+        return f"{x}-against-{y}", trade_off_figure(points, x, y, points.differing, remark + lost_remark(results))
     if color is None and not {x, y} & set(metrics):
         color = LEADING
     if results.is_grid and color in metrics and {x, y} <= set(varied) and x != y:
@@ -320,7 +320,6 @@ class Points:
         rows: a row of each point, (n,), which has its parameters.
         metrics: name -> (n,), as shown; NaN where no run had the number.
         runs: how many runs ended well.
-        lost: how many did not.
     """
 
     results: Results
@@ -328,7 +327,6 @@ class Points:
     rows: np.ndarray
     metrics: dict[str, ShownValues]
     runs: int
-    lost: int
 
     def of(self, names: Sequence[str], chosen: np.ndarray) -> list[ShownValues]:
         """Columns of the chosen points, as shown; only those columns are read, and only those points kept."""
@@ -343,28 +341,29 @@ class Points:
 
     @property
     def what(self) -> str:
-        """How many points there are, what they are, and how many runs are lost."""
+        """How many points there are, and what they are."""
         count = len(self.rows)
-        what = "runs" if count == self.runs else "variants, each the mean of its runs"
-        return f"{count:,} {what}" + (f", {self.lost:,} of {self.lost + self.runs:,} runs lost" if self.lost else "")
+        if count == self.runs:
+            return f"{count:,} runs"
+        return f"{count:,} variants, each the mean of its runs"
 
 
 def points_of(results: Results, metrics: Sequence[str]) -> Points:
     """The points of a table with these metrics: the variants of which a run ended well, or else such runs."""
     well, varied = results.well, columns_of(results, "varied")
     columns = results.columns(["variant", *metrics])
-    variant, lost = next(columns)[1], int((~well).sum())
+    variant = next(columns)[1]
     if not varied:
         found = {name: quantity(results, name, values[well]) for name, values in columns}
         drawn = tuple(columns_of(results, "randomized"))
-        return Points(results, drawn, np.flatnonzero(well), found, int(well.sum()), lost)
+        return Points(results, drawn, np.flatnonzero(well), found, int(well.sum()))
     variants = Variants.of(variant)
     some = np.bincount(variants.place, well) > 0
     found = {
         name: quantity(results, name, variants.tally(values, counts(name, values, well)).mean[some])
         for name, values in columns
     }
-    return Points(results, tuple(varied), variants.first[some], found, int(well.sum()), lost)
+    return Points(results, tuple(varied), variants.first[some], found, int(well.sum()))
 
 
 def quantity(results: Results, name: str, values: np.ndarray | Sequence[float]) -> ShownValues:
@@ -395,9 +394,14 @@ def metric_of(results: Results, metric: str) -> ShownValues:
 
 def repeats_remark(results: Results) -> str:
     """What the note of a figure says of repeats that share a point, and of runs that are lost."""
-    repeats, lost = int(np.max(results.column("repeat"))) + 1, int((~results.well).sum())
-    gone = f"{lost:,} of {results.rows:,} runs lost; " if lost else ""
-    return (f"mean of {repeats} repeats; " if repeats > 1 else "") + gone
+    repeats = int(np.max(results.column("repeat"))) + 1
+    return (f"mean of {repeats} repeats; " if repeats > 1 else "") + lost_remark(results)
+
+
+def lost_remark(results: Results) -> str:
+    """What the note of a figure says of runs that are lost."""
+    lost = int((~results.well).sum())
+    return f"{lost:,} of {results.rows:,} runs lost; " if lost else ""
 
 
 # ---
@@ -461,6 +465,7 @@ def survey_figures(results: Results, metric: str, remark: str = "") -> Iterator[
     """(file name, figure) of the figures over all variants of a table; none where one parameter or none differs."""
     weighed = AGAINST if metric == LEADING and AGAINST in results.schema.names else None
     points = points_of(results, [metric, *([weighed] if weighed else [])])
+    remark += lost_remark(results)
     names = points.differing
     if len(names) < 2 or len(points.rows) < 4:
         return

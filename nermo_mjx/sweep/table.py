@@ -432,14 +432,14 @@ def _best(
         return None
     at = int(ranked[0])
     own = variants.place == at
-    mean, std, half = (float(each[at]) for each in (tally.mean, tally.std, tally.half))
+    mean, one = float(tally.mean[at]), tally.count[at] < 2  # whose spread is unknown
     return {
         "side": side,
         "variant": int(variants.number[at]),
         "mean": mean,
-        "low": mean - half,
-        "high": mean + half,
-        "std": std,
+        "low": None if one else mean - float(tally.half[at]),
+        "high": None if one else mean + float(tally.half[at]),
+        "std": None if one else float(tally.std[at]),
         "runs": int(tally.count[at]),
         "lost": float(tally.lost[at]),
         "why": losses(results.column("status")[own], good[own]) if tally.lost[at] else {},
