@@ -148,7 +148,7 @@ class RunResult:
 BLOCK = 25
 #: What compiling takes on two free cores [s]; from the cache a program of `c` takes less than `PATIENCE` [s].
 COMPILE_SECONDS: Final = {"c": 5, "mjx": 30, "warp": 30}
-PATIENCE: Final = 1.5
+PATIENCE: Final = 3.0
 #: What a recording takes for a tick of a world, and at most [bytes].
 TICK_BYTES = 1_500
 MOST_RECORDED = 4e9
