@@ -394,7 +394,7 @@ class Simulator:
             notify(sentence)
             yield
             return
-        timer = threading.Timer(PATIENCE, logging.getLogger(__name__).warning, [sentence])
+        timer = threading.Timer(PATIENCE, _say_once, [sentence])
         timer.daemon = True
         timer.start()
         try:
@@ -434,6 +434,11 @@ def _compile_time() -> Iterator[list[float]]:
         yield pieces
     finally:
         jax.monitoring.unregister_event_duration_listener(listen)
+
+
+@functools.cache
+def _say_once(sentence: str) -> None:
+    logging.getLogger(__name__).warning(sentence)
 
 
 def _numbers(name: str, value: Any) -> np.ndarray:
