@@ -47,7 +47,8 @@ def test_a_notebook_runs(path: Path, tmp_path: Path, kernel: NotebookClient) -> 
     outputs = [output for cell in notebook.cells if cell.cell_type == "code" for output in cell.outputs]
     kinds = {kind for output in outputs for kind in output.get("data", {})}
     assert "image/png" in kinds, "a figure is shown"
-    assert not [output for output in outputs if output.output_type == "stream" and output.name == "stderr"]
+    errors = [output.text for output in outputs if output.output_type == "stream" and output.name == "stderr"]
+    assert not [text for text in errors if "compiling the c program" not in text]  # which depends on the cache
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)

@@ -197,6 +197,19 @@ def test_the_digest_tells_tunings_apart():
     assert digest not in [Tuning.from_dict(SMALL | other).digest() for other in others]
 
 
+@pytest.mark.parametrize(("count", "name"), [(8, "gradient"), (9, "differences"), (32, "differences"), (33, "cma")])
+def test_the_default_method_hangs_on_the_number_of_parameters(count, name):
+    """What the rematch found (docs/benchmarks/rematch.md); it is not written to the resolved file."""
+    names = [f"foot.{foot}.{axis}{i}" for foot in ("front", "rear", "front_left") for axis in "yz" for i in range(1, 9)]
+    tune = {each: {"bounds": [-0.01, 0.01]} for each in names[:count]}
+    spec = {"tune": tune, "objective": SMALL["objective"], "trajectory": "free"}
+    tuning = Tuning.from_dict(spec)
+    assert tuning.method.name == name
+    assert "method" not in tuning.resolved()
+    assert Tuning.from_text(tuning.to_yaml()) == tuning
+    assert Tuning.from_dict(spec | {"starts": 2}).method.name == name.replace("cma", "differences")
+
+
 def test_starts_are_drawn_within_the_bounds():
     """The first is the given one; the others are Sobol points of the seed, the same whenever they are asked for."""
     tuning = Tuning.from_dict(Tuning.from_text(GOOD).resolved() | {"starts": 64})

@@ -5,6 +5,7 @@ speed, by 2, 16 and 64 parameters, from starts beside the published gait; each b
 starts.
 """
 
+import contextlib
 import json
 import resource
 import sys
@@ -89,10 +90,8 @@ def search(tuning, method):
         return float(found.value[0]), np.asarray(found.gradient[0] * slope(tuning.bounds, u), float)
 
     if method.endswith("L-BFGS"):
-        try:
+        with contextlib.suppress(StopIteration):
             minimize(loss, to_unconstrained(tuning.bounds, tuning.start_points()[0]), jac=True, method="L-BFGS-B")
-        except StopIteration:
-            pass
     else:
         while spent() < limit:
             state, _ = tuner.step(state)

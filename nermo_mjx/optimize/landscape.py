@@ -517,8 +517,8 @@ def run_landscape(
     directory that already contains the points is not evaluated again; one that contains some of them is resumed.
 
     Args:
-        spec: a `Tuning`, a dict with the fields of a tuning file, or the path of one; its optimizer, estimator and
-            further starts do not matter.
+        spec: a `Tuning`, a dict with the fields of a tuning file, or the path of one; its optimizer and further
+            starts do not matter.
         out: the directory.
         problem: replaces the simulation of the tuning (`nermo_mjx.optimize.problems.WalkProblem`).
         points: of each line, 5 or more.

@@ -538,7 +538,7 @@ class Genetic(Searcher):
 
 
 # ---
-# CMA-ME and CMA-MEGA, for an atlas: pyribs's emitters, which search for cells that are empty or can be improved.
+# CMA-ME, for an atlas: pyribs's emitters, which search for cells that are empty or can be improved.
 
 
 #: Value reported to an emitter for a point outside the atlas.

@@ -173,7 +173,18 @@ class Sobol(SearchMethod):
 
 #: Methods by their names in files; of a search the first one for an aim is its default.
 TUNING_METHODS: Final[Mapping[str, type[TuningMethod]]] = {m.name: m for m in (Gradient, Generations, Differences)}
+#: Up to so many parameters an exact gradient takes a tuning as far as a secant, and up to so many a secant further than
+#: CMA-ES: 2, 16 and 64 have been measured (docs/benchmarks/rematch.md).
+MOST_EXACT, MOST_SECANTS = 8, 32
 SEARCH_METHODS: Final[Mapping[str, type[SearchMethod]]] = {m.name: m for m in (Cma, Nsga2, CmaMe, Sobol)}
+
+
+def default_method(parameters: int) -> TuningMethod:
+    """What a tuning of so many parameters does if its file names no method."""
+    if parameters > MOST_SECANTS:
+        return Generations()
+    return Gradient() if parameters <= MOST_EXACT else Differences(scheme="forward")
+
 
 # ---
 # A tuning file: tuned parameters, objective, optimizer.
@@ -323,11 +334,10 @@ class TuningFile(WalkFields):
     """tuned parameters"""
     objective: list[Term] = optional("terms whose sum is minimized", minItems=1)
     recording: Any = optional("path of the NPZ that trajectory_error compares with", type=["string", "null"])
-    method: Annotated[TuningMethod, one_of("TuningMethod", "is not a method", TUNING_METHODS)] = Field(
-        default_factory=Gradient
+    method: Annotated[TuningMethod, one_of("TuningMethod", "is not a method", TUNING_METHODS)] = optional(
+        "how an iteration finds its step: along exact gradients or secants, or by CMA-ES, whose generations replace "
+        "the starts; the default depends on the number of parameters"
     )
-    """how an iteration finds its step: along exact gradients or secants, or by CMA-ES, whose generations replace the
-    starts"""
     optimizer: OptimizerFields = optional("how an iteration steps")
     starts: Annotated[int, Whole(1, 100_000)] = 1
     """points that are tuned in parallel in one batch; the first is the given one, the others are drawn"""
@@ -420,7 +430,7 @@ class Tuning(WalkSpec, Described):
         data["objective"] = [written(term) for term in self.objective.terms]
         if self.recording is not None:
             data["recording"] = self.recording.name if self.recording.parent == folder else str(self.recording)
-        if not isinstance(self.method, Gradient):
+        if self.method != default_method(len(self.tuned)):
             data["method"] = named(self.method, TUNING_METHODS)
         data["optimizer"] = self.optimizer.written()
         data |= {name: getattr(self, name) for name in _PLAIN}
@@ -475,7 +485,9 @@ def _read_tuning(doc: Document, *, recorded: bool = True) -> Tuning:
         file = read(doc, TuningFile)
     walk = read_walk(doc, file)
     _refuse_distance(doc, walk["run"])
-    objective, method = read_objective(doc, file.objective), file.method
+    objective, method = read_objective(doc, file.objective), file.method or default_method(len(file.tune))
+    if file.method is None and any(field in doc.data for field in method.unread):
+        method = default_method(MOST_SECANTS)  # CMA-ES has neither an optimizer nor starts
     recording: Path | None = None
     compared = TRAJECTORY_ERROR in objective.metrics
     if file.recording is not None:

@@ -159,7 +159,7 @@ class RunResult:
 BLOCK = 25
 #: What compiling takes on two free cores [s]; from the cache a program of `c` takes less than `PATIENCE` [s].
 COMPILE_SECONDS: Final = {"c": 5, "mjx": 30, "warp": 30}
-PATIENCE: Final = 1.5
+PATIENCE: Final = 3.0
 #: What a recording takes for a tick of a world, and at most [bytes].
 TICK_BYTES = 1_500
 MOST_RECORDED = 4e9
@@ -407,7 +407,7 @@ class Simulator:
             notify(sentence)
             yield
             return
-        timer = threading.Timer(PATIENCE, logging.getLogger(__name__).warning, [sentence])
+        timer = threading.Timer(PATIENCE, _say_once, [sentence])
         timer.daemon = True
         timer.start()
         try:
@@ -448,6 +448,11 @@ def _compile_time() -> Iterator[list[float]]:
         yield pieces
     finally:
         jax.monitoring.unregister_event_duration_listener(listen)
+
+
+@functools.cache
+def _say_once(sentence: str) -> None:
+    logging.getLogger(__name__).warning(sentence)
 
 
 def _numbers(name: str, value: Any) -> np.ndarray:
