@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import copy
+import dataclasses
+
 import jax
 import mujoco
 import numpy as np
 import pytest
 
 from nermo_mjx.physics.variation import compile_model
-from nermo_mjx.robot import LIMBS, load_robot
-from nermo_mjx.rollout import Run, Setup, Simulator
+from nermo_mjx.robot import LIMBS, ModelParameters, Sensors, load_robot
+from nermo_mjx.rollout import Run, Setup, Simulator, electrical
 
 pytestmark = pytest.mark.compiles
 
@@ -44,3 +47,79 @@ def test_soft_soles_stand_where_hard_ones_do():
     hard |= {"contact.width": 0.0005, "build.tendon_impedance": 0.95}
     assert standing(hard) == pytest.approx(0.002 - 0.00043, abs=2e-5)
     assert abs(standing({}) - standing(hard)) < 1e-4
+
+
+@dataclasses.dataclass
+class Budget:
+    """Where the work of a second of trotting in place goes [J]; the robot is stepped by plain MuJoCo.
+
+    Attributes:
+        servos: net work of the servos.
+        servo_dampers, other_dampers: taken by the dampers of the servos' joints and of all others.
+        contact, tendons: taken by these constraints.
+        gained: change of kinetic and potential energy, springs included.
+    """
+
+    servos: float = 0.0
+    servo_dampers: float = 0.0
+    other_dampers: float = 0.0
+    contact: float = 0.0
+    tendons: float = 0.0
+    gained: float = 0.0
+
+
+def trotting_in_place() -> tuple[Budget, Sensors]:
+    """The budget by each force times the mean speed of its step, and the readings of all steps."""
+    robot = load_robot()
+    model = copy.copy(robot.physical)
+    model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_ENERGY
+    data, budget, readings = mujoco.MjData(model), Budget(), []
+    of_servo = np.isin(np.arange(model.nv), model.jnt_dofadr[model.actuator_trnid[:, 0]])
+    shares = np.array([[0.25, -0.25, -0.25, 0.25, 0.3, -0.3, 0.3, -0.3]]).T * np.sin(np.linspace(0, 14, 600) - 0.4)
+    neutral, energy = data.qpos[model.jnt_qposadr[model.actuator_trnid[:, 0]]].copy(), 0.0
+    for step in range(600):
+        data.ctrl[:] = neutral
+        data.ctrl[:8] += shares[:, step]
+        before = data.qvel.copy()
+        mujoco.mj_step(model, data)  # all forces in `data` are those of the state before
+        after, mean = data.qvel.copy(), 0.5 * (before + data.qvel)
+        if step >= 100:
+            pushed = np.zeros(data.nefc)
+            mujoco.mj_mulJacVec(model, data, pushed, mean)
+            lost = -model.opt.timestep * data.efc_force * pushed
+            tendon = data.efc_type == mujoco.mjtConstraint.mjCNSTR_LIMIT_TENDON
+            damped = model.opt.timestep * model.dof_damping * after * mean
+            budget.servos += model.opt.timestep * data.qfrc_actuator @ mean
+            budget.servo_dampers += damped[of_servo].sum()
+            budget.other_dampers += damped[~of_servo].sum()
+            budget.contact += lost[~tendon].sum()
+            budget.tendons += lost[tendon].sum()
+            readings.append(data.sensordata.copy())
+        elif step == 99:
+            energy = energies(model, data)
+    budget.gained = energies(model, data) - energy
+    return budget, robot.sensors(np.stack(readings))
+
+
+def energies(model: mujoco.MjModel, data: mujoco.MjData) -> float:
+    """Kinetic and potential energy of the state [J]."""
+    now = copy.copy(data)
+    mujoco.mj_forward(model, now)
+    return float(now.energy.sum())
+
+
+def test_energy_is_conserved_and_the_metrics_say_where_it_goes():
+    """Servos' work is what dampers, contact and tendons take and what the robot gains; the metrics have its parts."""
+    budget, sensors = trotting_in_place()
+    taken = budget.servo_dampers + budget.other_dampers + budget.contact + budget.tendons + budget.gained
+    assert budget.servos > 0.1
+    assert taken == pytest.approx(budget.servos, rel=1e-3)
+    body = ModelParameters()
+    first = np.stack([sensors.servo_torque[0], sensors.servo_velocity[0]])
+    spent = electrical.spent(first, sensors.servo_torque[1:], sensors.servo_velocity[1:], body.servo)
+    sums = {name: 0.998 * np.asarray(value) for name, value in spent.items()}
+    found = electrical.budget(sums, 0.998, electrical.Supply.of(body))
+    assert found["servo_net_work"] == pytest.approx(budget.servos, rel=0.01)
+    assert found["servo_damper_work"] == pytest.approx(budget.servo_dampers, rel=0.01)
+    torque = np.abs(np.asarray(sensors.servo_torque[1:]))
+    assert found["limited_rear_knees"] == pytest.approx((torque[:, 6:8] > 0.1569).mean(), abs=1e-6)

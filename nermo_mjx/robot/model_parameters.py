@@ -89,7 +89,7 @@ class Contact:
 
     Friction of the sole is that of the author's model (basic_scene.xml). His soles are nearly rigid: an impedance of
     0.9 at the first touch, of which the speed becomes a staircase in every parameter. Here a foot crosses the onset in
-    tens of steps instead of two, so that slopes of the speed are those that a tuner sees. The soft ball yields by 1.9
+    tens of steps instead of two, so that slopes of the speed are those that a tuner sees. The soft ball yields by 2.3
     mm under the standing robot, which then stands as high as on balls of 2 mm that yield by 0.5 mm (docs/model.md,
     Contact). The tail is printed plastic: 0.4, as for the robot against a box; the author's has MuJoCo's 1.0. Friction
     with a box is that of plastic and printed parts on wood.
@@ -102,7 +102,7 @@ class Contact:
     time_constant: Any = quantity(0.004, unit="s", low=0.004, high=0.1, doc="solref time constant; >= 2 time steps")
     damping_ratio: Any = quantity(1.5, unit="1", low=0.5, high=10.0, doc="solref damping ratio")
     impedance: Any = quantity(0.95, unit="1", low=0.5, high=0.9999, doc="solimp at full depth")
-    width: Any = quantity(0.004, unit="m", low=1e-5, high=0.02, doc="depth at which the full impedance is reached")
+    width: Any = quantity(0.005, unit="m", low=1e-5, high=0.02, doc="depth at which the full impedance is reached")
 
 
 @parameter_tree

@@ -115,9 +115,9 @@ SERVO_INSIDE: Final = 0.0038
 SERVO_DEPTH: Final = 0.0190
 #: How much farther out a pulley's rim is than the middle of its tendon [m].
 PULLEY_RIM: Final = 0.0008
-#: Radius of the soft ball with which a foot touches the ground [m]: the author's 2 mm, in a skin of 1.4 mm,
+#: Radius of the soft ball with which a foot touches the ground [m]: the author's 2 mm, in a skin of 1.8 mm,
 #: by which it yields further than his under the standing robot (`model_parameters.Contact`).
-FOOT_RADIUS: Final = 0.0034
+FOOT_RADIUS: Final = 0.0038
 
 
 @dataclasses.dataclass(frozen=True)

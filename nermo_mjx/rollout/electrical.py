@@ -1,4 +1,5 @@
-"""Electrical metrics: what the servos draw, and how long a battery lasts.
+"""What the servos draw, how long a battery lasts, how much of their work their joints' dampers take, and how long they
+stand at their torque limit.
 
 At its nominal voltage V0 a servo's motor draws a current that rises linearly with its torque, from I0 at rest to the
 stall current Is at the stall torque T:
@@ -18,12 +19,13 @@ mechanical work. Power that would flow back into the battery is not counted.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Float
 
-from nermo_mjx.robot.model_parameters import NOMINAL_VOLTAGE, Battery, ModelParameters, Servo
+from nermo_mjx.robot import LIMBS
+from nermo_mjx.robot.model_parameters import NOMINAL_VOLTAGE, Battery, Damping, ModelParameters, Servo
 from nermo_mjx.shapes import Array, Scalar
 
 
@@ -32,15 +34,60 @@ class Supply(NamedTuple):
 
     servo: Servo
     battery: Battery
+    damping: Damping
 
     @classmethod
     def of(cls, body: ModelParameters) -> Supply:
         """The supply of a body."""
-        return cls(body.servo, body.battery)
+        return cls(body.servo, body.battery, body.damping)
 
 
 #: Integrals of `drawn`.
 DRAWN: Final = ("servos", "torque", "energy")
+#: Groups of servos whose time at the torque limit is counted, as places among `SERVOS`.
+GROUPS: Final = {"front_hips": (0, 1), "rear_hips": (2, 3), "front_knees": (4, 5), "rear_knees": (6, 7), "spine": (8,)}
+#: Share of its limit from which a servo counts as standing at it; single precision rounds.
+AT_LIMIT: Final = 0.9999
+
+
+def spent(
+    before: Float[Array, "2 n"], torque: Float[Array, "steps n"], velocity: Float[Array, "steps n"], servo: Servo
+) -> dict[str, Array]:
+    """Means over a tick: net power of the servos [W], what a damper of 1 N m s/rad takes of hips and of all others (2,)
+    [W], and the shares of `GROUPS` at their torque limit (5,).
+
+    Work is force times the mean speed of a step, and MuJoCo damps by the speed at its end, so that the sum over all
+    forces is the change of energy. The tick is that of the readings, one step earlier.
+
+    Args:
+        before: torque and velocity in the step before.
+        torque: of the servos, before what the back-EMF takes [N m].
+        velocity: of the servos [rad/s].
+        servo: parameters.
+    """
+    driven = jnp.concatenate([before[:1], torque[:-1]])
+    mean = 0.5 * (jnp.concatenate([before[1:], velocity[:-1]]) + velocity)
+    damped = (mean * velocity).mean(axis=0)
+    limit = servo.stall_torque * jnp.ones(torque.shape[-1]).at[jnp.array(GROUPS["spine"])].set(servo.spine_torque)
+    limited = (jnp.abs(torque) >= AT_LIMIT * limit).mean(axis=0)
+    return {
+        "net_work": (driven * mean).sum(axis=-1).mean(),
+        "damped": jnp.stack([damped[: len(LIMBS)].sum(), damped[len(LIMBS) :].sum()]),
+        "limited": jnp.stack([limited[jnp.array(group)].mean() for group in GROUPS.values()]),
+    }
+
+
+def unspent(dtype: Any) -> dict[str, Array]:
+    """The integrals of `spent` before the first tick."""
+    shapes = {"net_work": (), "damped": (2,), "limited": (len(GROUPS),)}
+    return {name: jnp.zeros(shape, dtype) for name, shape in shapes.items()}
+
+
+def budget(sums: Mapping[str, Array], time: Scalar, supply: Supply) -> dict[str, Scalar]:
+    """Metrics of the servos' work and limits, from the integrals of `spent` over the measured time [s]."""
+    damping = jnp.stack([jnp.asarray(supply.damping.hip), jnp.asarray(supply.damping.pulley)]) + supply.servo.brake
+    shares = {f"limited_{name}": sums["limited"][i] / time for i, name in enumerate(GROUPS)}
+    return {"servo_net_work": sums["net_work"], "servo_damper_work": damping @ sums["damped"]} | shares
 
 
 def drawn(torque: Float[Array, "steps n"], velocity: Float[Array, "steps n"], servo: Servo) -> dict[str, Scalar]:
@@ -60,7 +107,7 @@ def drawn(torque: Float[Array, "steps n"], velocity: Float[Array, "steps n"], se
 
 def result(sums: Mapping[str, Scalar], time: Scalar, supply: Supply) -> dict[str, Scalar]:
     """The electrical metrics, from the integrals of `drawn` over the measured time [s]."""
-    servo, battery = supply
+    servo, battery, _ = supply
     per_torque = (servo.stall_current - servo.idle_current) / servo.torque_limit
     idle = servo.idle_current * sums["servos"] / time
     current = idle + sums["energy"] / time / servo.supply_voltage

@@ -103,6 +103,7 @@ class MetricState:
         path: how the path was followed.
         eyes: motion of the eyes.
         penetration: depth of the deepest contact since the start [m].
+        driven: torque and velocity of the servos in the last step (2, n) [N m, rad/s].
         own: accumulators of custom metrics; None without any.
         switching_roll: largest roll while switches act [rad]; None without a schedule.
         on_path: whether the pilot has a path.
@@ -129,6 +130,7 @@ class MetricState:
     path: path_metrics.PathState
     eyes: eye_metrics.EyeState
     penetration: Scalar
+    driven: Float[Array, "2 n"]
     own: reduction.OwnState | None
     switching_roll: Scalar | None
     on_path: Truth
@@ -154,7 +156,7 @@ def init(sensors: Sensors, own: tuple[OwnMetric, ...] = (), switches: bool = Fal
         time=zero,
         way=zero,
         travelled=zero,
-        sums=sums | {"load": jnp.append(four, zero)},
+        sums=sums | {"load": jnp.append(four, zero)} | electrical.unspent(zero.dtype),
         mean=three,
         square=three,
         readings=readings,
@@ -169,6 +171,7 @@ def init(sensors: Sensors, own: tuple[OwnMetric, ...] = (), switches: bool = Fal
         path=path_metrics.init(position),
         eyes=eye_metrics.init(sensors),
         penetration=zero,
+        driven=jnp.stack([sensors.servo_torque, sensors.servo_velocity]),
         own=reduction.init(own, sensors) if own else None,
         switching_roll=zero if switches else None,
         on_path=no,
@@ -275,6 +278,9 @@ def update(
         "square_error": error**2,
         "image": (image**2).mean(),
         **electrical.drawn(torque, sensors.servo_velocity, servo or ModelParameters().servo),
+        **electrical.spent(
+            state.driven, sensors.servo_torque, sensors.servo_velocity, servo or ModelParameters().servo
+        ),
     }
     measured = {name: part.weight * value for name, value in integrands.items()}
     measured["swing_loaded"] = swing * measured["loaded"]
@@ -306,6 +312,7 @@ def update(
         penetration=jnp.where(
             judged & ~lost, jnp.maximum(state.penetration, -sensors.contact_distance.min()), state.penetration
         ),
+        driven=jnp.stack([last.servo_torque, last.servo_velocity]),
         own=None if state.own is None else reduction.update(own, state.own, sensors, part, share, ~lost & (time > 0.0)),
         switching_roll=roll,
         on_path=jnp.asarray(path is not None),
@@ -392,7 +399,8 @@ def result(
         metrics |= {f"{angle}_{name}": value for name, value in values.items()}
     metrics |= eye_metrics.result(state.eyes, time) | {"picture_motion": root(sums["image"] / time)}
     metrics |= {} if state.switching_roll is None else transitions.result(sums, state.switching_roll)
-    metrics |= electrical.result(sums, time, supply or electrical.Supply.of(ModelParameters()))
+    supply = supply or electrical.Supply.of(ModelParameters())
+    metrics |= electrical.result(sums, time, supply) | electrical.budget(sums, time, supply)
     metrics |= {
         "electrical_cost_of_transport": jnp.where(
             moved, metrics["electrical_power"] * time / (mass * gravity * jnp.where(moved, state.way, 1.0)), jnp.nan

@@ -74,6 +74,12 @@ METRICS: Final[dict[str, Metric]] = {
     "tail_time": Metric("1", "share of time with the tail loaded"),
     "tail_load_share": Metric("1", "share of the tail in the load of feet and tail"),
     "servo_work": Metric("J", "positive mechanical work of all servos while measured", "low"),
+    "servo_net_work": Metric("J", "mechanical work of all servos while measured, less what they take back"),
+    "servo_damper_work": Metric("J", "work that the dampers of the servos' joints take of it", "low"),
+    **{
+        f"limited_{group}": Metric("1", f"share of time with the torque of the {group.replace('_', ' ')} at its limit")
+        for group in ("front_hips", "rear_hips", "front_knees", "rear_knees", "spine")
+    },
     "cost_of_transport": Metric("1", "servo work over weight and distance; NaN below 1 mm", "low"),
     "motor_current": Metric("A", "mean current in the motors of all servos, by their torque", "low"),
     "servo_current": Metric("A", "mean current that all servos draw from the battery", "low"),
