@@ -32,7 +32,6 @@ from sweep_fake import FakeSimulator
 from tune_fake import SPEC as TUNE
 
 from nermo_mjx import trust
-from nermo_mjx.bench import results as bench
 from nermo_mjx.cli.directories import KINDS
 from nermo_mjx.control import protocol
 from nermo_mjx.control.schedule import Switch
@@ -657,7 +656,6 @@ SPECIAL = pytest.mark.parametrize("kind", ["pipe", "device"])
         parquet_table,
         lambda path: read_row_table(read_mapping({}), str(path.with_suffix(".parquet"))),
         stored_json,
-        lambda path: bench.read(path.parent),
         replayed,
         lambda path: protocol.Source.named("metrics has", str(path.with_suffix(".py")), "a file").content(),
         lambda path: opened(path).__enter__(),

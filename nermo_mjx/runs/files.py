@@ -160,16 +160,20 @@ def parquet_file(source: Path | pa.BufferReader, ours: bool = True, **options: A
         texts = list[str]()
         for field in schema:
             kind = field.type.value_type if pa.types.is_dictionary(field.type) and not ours else field.type
-            if not (pa.types.is_primitive(kind) or pa.types.is_null(kind)):
+            of_text = pa.types.is_string, pa.types.is_large_string, pa.types.is_binary, pa.types.is_large_binary
+            if any(of(kind) for of in of_text[: 1 if ours else None]):
                 texts.append(field.name)
-                of_text = pa.types.is_string(kind) or (pa.types.is_large_string(kind) and not ours)
-                if not of_text:
+            elif not (pa.types.is_primitive(kind) or pa.types.is_null(kind)):
+                if ours:
                     raise ValueError(f"its column {field.name!r} is of type {field.type}")
+                cells += 0 if pa.types.is_decimal(kind) else _at_most(about, field.name)
             if ours and schema.names.count(field.name) > 1:
                 raise ValueError(f"its column {field.name!r} is there twice")
         for each in (schema, *schema):
             for key, value in (each.metadata or {}).items():
                 (key + value).decode()
+        if cells > most:
+            raise ValueError(f"its lists may unpack to more than {most:,} bytes")
         if texts:
             encoded = pq.ParquetFile(held, read_dictionary=texts, **options)
             for batch in encoded.iter_batches(1 << 16, columns=texts, use_threads=False):
@@ -177,6 +181,14 @@ def parquet_file(source: Path | pa.BufferReader, ours: bool = True, **options: A
                 if cells > most:
                     raise ValueError(f"its texts unpack to more than {most:,} bytes")
         yield file
+
+
+def _at_most(about: pq.FileMetaData, name: str) -> int:
+    """Bytes that a column of lists or the like has at most: no value is longer than all that is stored of it."""
+    groups = [about.row_group(group) for group in range(about.num_row_groups)]
+    chunks = [group.column(i) for group in groups for i in range(group.num_columns)]
+    own = [chunk for chunk in chunks if chunk.path_in_schema.partition(".")[0] == name]
+    return sum(max(chunk.num_values * chunk.total_uncompressed_size, 0) for chunk in own)
 
 
 def _length(texts: pa.Array) -> int:

@@ -265,10 +265,7 @@ class Results:
         table = pa.concat_tables(joined)
         for name, column in zip(table.column_names, table.columns, strict=True):
             # What the code of some rows did not know is null, but none of these.
-            known = name in ("status", "code") or pa.types.is_integer(column.type)
-            if column.null_count and (
-                known or (self.is_grid and meta(self.schema.field(name)).get("role") == "varied")
-            ):
+            if column.null_count and (name in ("status", "code") or pa.types.is_integer(column.type)):
                 raise DirectoryError(f"{self._called} has rows without {name!r}: run the same command again.")
         return table
 
