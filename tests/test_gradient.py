@@ -12,7 +12,7 @@ from nermo_mjx.control.parameters import ControlParameters
 from nermo_mjx.dynamics.checkpointing import checkpointed_scan
 from nermo_mjx.robot import load_robot
 from nermo_mjx.rollout import Run, Setup
-from nermo_mjx.rollout.differentiable import MOST_FORWARD, Rollout, choose_mode, value_and_gradient
+from nermo_mjx.rollout.differentiable import Rollout
 
 pytestmark = pytest.mark.compiles
 
@@ -61,20 +61,6 @@ def test_a_checkpointed_scan_is_a_scan(length):
     start = jnp.asarray(0.7)
     np.testing.assert_allclose(ours(start), plain(start), rtol=1e-6)
     np.testing.assert_allclose(jax.grad(total)(start, ours), jax.grad(total)(start, plain), rtol=1e-4, atol=1e-7)
-
-
-@pytest.mark.parametrize("mode", ["forward", "reverse"])
-def test_value_and_gradient_of_a_function_with_a_known_one(mode):
-    """Both modes give value, gradient and what else the function finds."""
-    value, gradient, rest = value_and_gradient(lambda x: (jnp.sum(x**3), {"sum": jnp.sum(x)}), mode)(jnp.arange(3.0))
-    assert (float(value), float(rest["sum"])) == (9.0, 3.0)
-    np.testing.assert_allclose(gradient, [0.0, 3.0, 12.0])
-
-
-def test_the_mode_follows_the_number_of_parameters():
-    assert choose_mode(MOST_FORWARD) == "forward"
-    assert choose_mode(MOST_FORWARD + 1) == "reverse"
-    assert choose_mode(2, "reverse") == "reverse"
 
 
 def test_a_rollout_in_float64_does_not_see_that_float32_was_there_before(simulator):
