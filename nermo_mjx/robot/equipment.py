@@ -259,7 +259,8 @@ def add_contacts(
         trunk_contacts: whether the spheres of `TRUNK` touch the ground, too. They always touch obstacles.
     """
     contact = parameters.contact
-    solref = np.array([float(contact.time_constant), float(contact.damping_ratio)])
+    time_constant = max(float(contact.time_constant), 2.0 * spec.option.timestep)
+    solref = np.array([time_constant, float(contact.damping_ratio)])
     solimp = np.array([0.0, float(contact.impedance), float(contact.width), 0.5, 2.0])
     soft = {f"{limb}_sole": contact.friction for limb in LIMBS}
     soft |= {geom: contact.tail_friction for geom, _ in _tail_ground(spec)}

@@ -120,12 +120,14 @@ class PathState:
 
     Attributes:
         walked: largest of the cross-track errors' means over whole gait cycles [m].
+        steady: integral over all ended cycles of the squares of these means [m^2 s].
         error, place, time: integrals over the current cycle of the error and the position (x, y) [m s], and its length
             so far [s].
         cycles, first, second, third: moments of the cycles' mean positions p: their number, p, p p^T, |p|^2 p.
     """
 
     walked: Scalar
+    steady: Scalar
     error: Scalar
     place: Float[Array, " 2"]
     time: Scalar
@@ -140,6 +142,7 @@ def init(position: Float[Array, " 3"]) -> PathState:
     zero, two = jnp.zeros((), position.dtype), jnp.zeros((2,), position.dtype)
     return PathState(
         walked=zero,
+        steady=zero,
         error=zero,
         place=two,
         time=zero,
@@ -169,6 +172,7 @@ def update(
     kept = 1.0 - ended
     return PathState(
         walked=jnp.maximum(state.walked, ended * jnp.abs(sum_error) * per_time),
+        steady=state.steady + ended * sum_error**2 * per_time,
         error=kept * sum_error + rest * error,
         place=kept * sum_place + rest * place,
         time=kept * time + rest,
@@ -177,6 +181,17 @@ def update(
         second=state.second + ended * jnp.outer(mean, mean),
         third=state.third + ended * (mean @ mean) * mean,
     )
+
+
+def noise(state: PathState, square: Scalar, time: Scalar) -> Scalar:
+    """Positional noise of the path (6.2.4): root mean square of the error about its mean over each gait cycle [m].
+
+    Args:
+        square: integral of the squared error [m^2 s].
+        time: measured [s]; a cycle that has not ended counts as one.
+    """
+    steady = state.steady + state.error**2 / jnp.maximum(state.time, 1e-9)
+    return root((square - steady) / time)
 
 
 def radius(state: PathState) -> Scalar:
