@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from nermo_mjx.physics.variation import compile_model
-from nermo_mjx.robot import LIMBS, ModelParameters, Sensors, load_robot
+from nermo_mjx.robot import LIMBS, ModelParameters, ParameterError, Sensors, load_robot
 from nermo_mjx.rollout import Run, Setup, Simulator, electrical
 
 pytestmark = pytest.mark.compiles
@@ -123,3 +123,12 @@ def test_energy_is_conserved_and_the_metrics_say_where_it_goes():
     assert found["servo_damper_work"] == pytest.approx(budget.servo_dampers, rel=0.01)
     torque = np.abs(np.asarray(sensors.servo_torque[1:]))
     assert found["limited_rear_knees"] == pytest.approx((torque[:, 6:8] > 0.1569).mean(), abs=1e-6)
+
+
+def test_the_fast_preset_walks_with_the_shortest_time_constant_of_its_step():
+    """The default is two of the reference's steps, and two of longer ones; a shorter one is refused."""
+    fast = Setup(physics="fast")
+    assert fast.defaults()["contact.time_constant"] == pytest.approx(2 * fast.timestep)
+    fast.check(fast.world({}))
+    with pytest.raises(ParameterError, match=r"contact.time_constant is 0.005: allowed is"):
+        fast.check(fast.world({"contact.time_constant": 0.005}))

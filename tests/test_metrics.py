@@ -285,7 +285,7 @@ def test_the_back_emf_takes_torque_and_current():
     """At half the no-load speed and full voltage half the stall torque is left, and half the stall current flows."""
     servo = dataclasses.replace(ModelParameters().servo, back_emf=0.4)
     full, half = np.full((STEPS, 1), 0.157), np.full((STEPS, 1), 0.5 * 6.0 / 0.4)
-    supply = electrical.Supply(servo, ModelParameters().battery)
+    supply = electrical.Supply(servo, ModelParameters().battery, ModelParameters().damping)
     for speed, current in ((half, 0.008 + 0.5 * (0.8 - 0.008)), (3.0 * half, 0.008)):  # and above its no-load speed
         drawn = electrical.drawn(full - servo.brake * speed, speed, servo)
         assert electrical.result(drawn, 1.0, supply)["servo_current"] == pytest.approx(current)
@@ -300,7 +300,9 @@ def test_power_is_at_least_work_whatever_the_motor(limit, stall, back_emf):
     servo = dataclasses.replace(ModelParameters().servo, torque_limit=limit, stall_current=stall, back_emf=back_emf)
     torque, speed = limit * random.uniform(-1.0, 1.0, (STEPS, 40)), random.uniform(-20.0, 20.0, (STEPS, 40))
     drawn = electrical.drawn(torque, speed, servo)
-    power = electrical.result(drawn, 1.0, electrical.Supply(servo, ModelParameters().battery))["electrical_power"]
+    power = electrical.result(
+        drawn, 1.0, electrical.Supply(servo, ModelParameters().battery, ModelParameters().damping)
+    )["electrical_power"]
     assert power >= np.maximum(torque * speed, 0.0).sum(axis=1).mean()
 
 
@@ -490,8 +492,10 @@ def test_sway_counts_in_the_peak_of_the_error_and_not_in_the_way_walked():
     assert result["cross_track_rms"] == pytest.approx(np.sqrt(np.mean(error[1:] ** 2)), rel=1e-6)
     means = error[1:].reshape(-1, 50).mean(axis=1)
     assert result["cross_track_walked"] == pytest.approx(np.abs(means).max(), rel=1e-6)
+    sway = error[1:] - np.repeat(means, 50)
+    assert result["cross_track_noise"] == pytest.approx(np.sqrt(np.mean(sway**2)), rel=1e-5)
     free, _ = measure(stream(401, position=path(error, -0.08 * TIME)), rate=2.0)
-    assert all(np.isnan(free[f"cross_track_{what}"]) for what in ("peak", "rms", "walked"))
+    assert all(np.isnan(free[f"cross_track_{what}"]) for what in ("peak", "rms", "walked", "noise"))
 
 
 # --- within a tick, and derivatives
@@ -604,7 +608,7 @@ def test_a_window_shorter_than_a_tick_has_numbers(late):
 
 
 #: Metrics without a number in a run as it should be: without a failure, a path, a bend.
-MAY_BE_NAN = {"failure_time", "cross_track_peak", "cross_track_rms", "cross_track_walked", "turning_radius"}
+MAY_BE_NAN = {"failure_time", "turning_radius"} | {f"cross_track_{what}" for what in ("peak", "rms", "walked", "noise")}
 
 
 @functools.cache

@@ -662,7 +662,7 @@ SPECIAL = pytest.mark.parametrize("kind", ["pipe", "device"])
     ],
 )
 def test_a_file_that_is_none_is_refused(load: Any, kind: str, tmp_path: Path) -> None:
-    for name in ("run.json", "run.parquet", "run.py", "results.jsonl"):
+    for name in ("run.json", "run.parquet", "run.py"):
         special(tmp_path / name, kind)
     said = "not a regular file"
     with bounded():

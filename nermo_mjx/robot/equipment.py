@@ -274,7 +274,8 @@ def add_contacts(
         capsules: whether soles are capsules instead of spheres, and the ankles of the front legs touch the ground, too.
     """
     contact = parameters.contact
-    solref = np.array([float(contact.time_constant), float(contact.damping_ratio)])
+    time_constant = max(float(contact.time_constant), 2.0 * spec.option.timestep)
+    solref = np.array([time_constant, float(contact.damping_ratio)])
     solimp = np.array([0.0, float(contact.impedance), float(contact.width), 0.5, 2.0])
     soft = {f"{limb}_sole": contact.friction for limb in LIMBS}
     for limb in LIMBS if capsules else ():

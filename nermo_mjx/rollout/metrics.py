@@ -384,6 +384,7 @@ def result(
         "cross_track_peak": jnp.maximum(state.high[3], -state.low[3]),
         "cross_track_rms": root(sums["square_error"] / time),
         "cross_track_walked": state.path.walked,
+        "cross_track_noise": path_metrics.noise(state.path),
         "turning_radius": path_metrics.radius(state.path),
         "turn_rate": (state.heading[1] - state.heading[0]) / time,
         "slip": _share(sums["slid"].sum(), sums["loaded"].sum()),

@@ -59,6 +59,7 @@ METRICS: Final[dict[str, Metric]] = {
     "cross_track_peak": Metric("m", "largest distance from the pilot's path; NaN for a pilot without one", "low"),
     "cross_track_rms": Metric("m", "root mean square of the distance from the pilot's path; NaN without a path", "low"),
     "cross_track_walked": Metric("m", "largest distance of a gait cycle's mean position from the pilot's path", "low"),
+    "cross_track_noise": Metric("m", "sway: root mean square of that distance about each gait cycle's mean", "low"),
     "turning_radius": Metric("m", "radius of the circle fitted to the cycles' mean positions; NaN if straight"),
     "turn_rate": Metric("rad/s", "yaw gained over duration, positive to the left"),
     "slip": Metric("m/s", "mean horizontal speed of loaded feet", "low"),

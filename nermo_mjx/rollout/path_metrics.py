@@ -136,12 +136,17 @@ class PathState:
 
     Attributes:
         walked: largest of the cross-track errors' means over whole gait cycles [m].
+        swayed: integral over these cycles of the squared error about each one's mean [m^2 s]; cycled: their length [s].
+        square: integral over the current cycle of the squared error [m^2 s].
         error, place, time: integrals over the current cycle of the error and the position (x, y) [m s], and its length
             so far [s].
         cycles, first, second, third: moments of the cycles' mean positions p: their number, p, p p^T, |p|^2 p.
     """
 
     walked: Scalar
+    swayed: Scalar
+    cycled: Scalar
+    square: Scalar
     error: Scalar
     place: Float[Array, " 2"]
     time: Scalar
@@ -156,6 +161,9 @@ def init(position: Float[Array, " 3"]) -> PathState:
     zero, two = jnp.zeros((), position.dtype), jnp.zeros((2,), position.dtype)
     return PathState(
         walked=zero,
+        swayed=zero,
+        cycled=zero,
+        square=zero,
         error=zero,
         place=two,
         time=zero,
@@ -180,11 +188,14 @@ def update(
     """
     part = weight - rest
     sum_error, sum_place, time = state.error + part * error, state.place + part * place, state.time + part
-    per_time = 1.0 / jnp.maximum(time, 1e-9)
+    sum_square, per_time = state.square + part * error**2, 1.0 / jnp.maximum(time, 1e-9)
     mean, ended = sum_place * per_time, cycle_ends.astype(time.dtype)
     kept = 1.0 - ended
     return PathState(
         walked=jnp.maximum(state.walked, ended * jnp.abs(sum_error) * per_time),
+        swayed=state.swayed + ended * (sum_square - sum_error**2 * per_time),
+        cycled=state.cycled + ended * time,
+        square=kept * sum_square + rest * error**2,
         error=kept * sum_error + rest * error,
         place=kept * sum_place + rest * place,
         time=kept * time + rest,
@@ -193,6 +204,13 @@ def update(
         second=state.second + ended * jnp.outer(mean, mean),
         third=state.third + ended * (mean @ mean) * mean,
     )
+
+
+def noise(state: PathState) -> Scalar:
+    """Positional noise of the path (6.2.4): root mean square of the error about its mean over each gait cycle [m]; NaN
+    before the first cycle's end."""
+    ended = state.cycled > 0.0
+    return jnp.where(ended, root(state.swayed / jnp.where(ended, state.cycled, 1.0)), jnp.nan)
 
 
 def radius(state: PathState) -> Scalar:

@@ -374,6 +374,8 @@ class Setup(RobotConfig):
         world = WorldParameters(control=controller.parameters)
         world = replace_quantities(world, mass_values(self.robot) | terrain_values(str(self.scene)))
         world = replace_quantities(world, gravity_values(np.asarray(load_scene(str(self.scene)).option.gravity)))
+        shortest = max(float(world.model.contact.time_constant), 2 * self.timestep)
+        world = replace_quantities(world, {"contact.time_constant": shortest})
         if self.schedule:
             known = dict(quantities(controller.parameters))
             world = dataclasses.replace(world, schedule=schedule_of(self._start, self.schedule, known))
