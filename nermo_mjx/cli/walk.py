@@ -147,7 +147,7 @@ def print_walk(report: dict[str, Any]) -> None:
         how = setup["controller"]
     else:
         gait = GAIT_NAMES.get(setup["gait"], setup["gait"]).replace("_", " ")
-        how = f"{gait} at {parameters['frequency']:g} Hz, spine {setup['spine']}"
+        how = f"{gait} at {parameters['frequency']:g} Hz, spine {setup['spine']}, profile {setup['profile']}"
         # Feet that neither slip nor lag (5.21), strides lengthened by the spine (5.33), whose bend counts only at the
         # moment when the diagonal pairs switch.
         values = {name: np.asarray(value) for name, value in parameters.items()}
