@@ -11,8 +11,9 @@ import pytest
 from click.testing import CliRunner
 
 from nermo_mjx.cli import main
+from nermo_mjx.control.parameters import PROFILES
 from nermo_mjx.experiments import walks
-from nermo_mjx.experiments.cases import Case, Outcome, Settings
+from nermo_mjx.experiments.cases import Case, Outcome, Settings, in_each_robot
 from nermo_mjx.experiments.published import Words
 from nermo_mjx.experiments.run import EXPERIMENTS
 from nermo_mjx.rollout import Run, Setup, Simulator
@@ -310,3 +311,23 @@ def test_a_quick_look_at_all_experiments_leaves_a_whole_report(tmp_path, profile
         assert (tmp_path / "results" / f"{name}.parquet").exists()
         assert list((tmp_path / "plots").glob(f"{name}-*.png"))
     assert "What does not hold" in (tmp_path / "report.md").read_text()
+
+
+def test_profiles_with_other_robots_are_simulated_apart_and_come_back_in_order():
+    """`as_published` has the author's tail and soles; rows stand in the order of the profiles, recordings are kept."""
+    seen, told = [], []
+
+    def run(settings: Settings) -> Outcome:
+        seen.append((settings.profiles, settings.robot))
+        settings.progress(1.0)
+        labels = np.repeat(settings.profiles, 2)
+        columns = {"profile": labels, "repeat": np.tile([0, 1], len(settings.profiles)), "time": np.arange(len(labels))}
+        return Outcome.of("maze", columns, {settings.profiles[0]: object(), "first": settings.profiles})
+
+    outcome = in_each_robot(run, Settings(progress=told.append))
+    rigid, author = {"tail": "rigid", "feet": "spheres"}, {"tail": "articulated", "feet": "capsules"}
+    assert seen == [(("exact", "as_built"), rigid), (("as_published",), author)]
+    assert outcome.columns["profile"].tolist() == [name for name in PROFILES for _ in range(2)]
+    assert outcome.columns["time"].tolist() == [0, 1, 0, 1, 2, 3]
+    assert outcome.recordings["first"] == ("exact", "as_built")
+    assert told == [0.5, 1.0]

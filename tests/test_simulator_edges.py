@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import dataclasses
 from operator import attrgetter
 from typing import Any
 
@@ -16,6 +17,7 @@ from nermo_mjx.robot import ModelParameters, load_robot
 from nermo_mjx.robot.equipment import highest_kp, highest_kv
 from nermo_mjx.robot.quantity import quantities, replace_quantities
 from nermo_mjx.rollout import Run, Setup, Simulator, all_parameters
+from nermo_mjx.rollout.setup import without_presettings
 
 pytestmark = pytest.mark.compiles
 
@@ -111,3 +113,17 @@ def test_a_world_whose_solver_often_stopped_early_says_so(simulator: Any, monkey
     monkeypatch.setattr(walking.engine, "open", Rough)
     result = walking.run({"frequency": np.full(3, 0.8)}, Run(cycles=2, warmup_cycles=0))
     assert result.status.tolist() == ["ok", "ok", "unsolved"]
+
+
+def test_a_profile_chooses_its_robot_unless_one_is_given():
+    """Tail and soles change with the profile, in a copy, too; a given tail stays, and programs are shared only where
+    robots are alike."""
+    published = Setup(profile="as_published")
+    assert (published.tail, published.feet) == ("articulated", "capsules")
+    assert (Setup().tail, Setup(profile="as_built").feet) == ("rigid", "spheres")
+    assert dataclasses.replace(published, profile="exact") == Setup()
+    assert dataclasses.replace(Setup(tail="articulated"), profile="as_built").tail == "articulated"
+    assert Setup(profile="as_published", tail="rigid").tail == "rigid"
+    assert without_presettings(published) != without_presettings(Setup())
+    assert without_presettings(Setup(profile="as_built")) == without_presettings(Setup(gait="lat"))
+    assert type(published.fields()["tail"]) is str
