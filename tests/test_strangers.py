@@ -567,11 +567,11 @@ def test_a_picture_with_many_pixels_is_refused(tmp_path: Path) -> None:
         (Sweep.from_dict, {"vary": {"frequency": [0.8]}, "run": {"duration": 1e12}}, "field 'run.duration'"),
         (Search.from_dict, SEARCH | {"batch": 100_000}, "field 'batch' is 100,000: 100,000 worlds at once take 5.0 GB"),
         (Search.from_dict, SEARCH | {"batch": 700, "randomize": {"repeats": 100}}, "70,000 worlds at once take 3.5 GB"),
-        (Tuning.from_dict, TUNE | {"starts": 100_000}, "100,000 worlds at once take 5.0 GB"),
+        (Tuning.from_dict, TUNE | {"starts": 100_000}, "500,000 worlds at once take 25.0 GB"),
         (
             Tuning.from_dict,
             TUNE | {"starts": 30_000},
-            "each with 3 walks: 90,000 worlds at once take 4",
+            "each with 5 walks: 150,000 worlds at once take 7",
         ),
         (Training.from_dict, {"worlds": 500_000, "steps": 1_000_000}, "500,000 worlds at once take 25.0 GB"),
         *(

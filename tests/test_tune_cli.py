@@ -14,6 +14,7 @@ from tune_fake import SPEC, FakeProblem, FakeWalker, speed
 
 from nermo_mjx.cli import jobs
 from nermo_mjx.optimize import Tuning
+from nermo_mjx.optimize.problems import WalkProblem
 from nermo_mjx.runs import codes_of, stamp
 
 
@@ -30,7 +31,9 @@ def fakes(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     """Simulations in closed form; how the next problem behaves, what was made, and what walked."""
     made: dict[str, Any] = {"options": {}, "problems": [], "walker": FakeWalker()}
 
-    def problem(tuning: Tuning) -> FakeProblem:
+    def problem(tuning: Tuning, simulator: Any = None) -> Any:
+        if simulator is not None:  # which walks from unseen starts
+            return WalkProblem(tuning, simulator=simulator)
         made["problems"].append(FakeProblem(tuning, **made["options"]))
         return made["problems"][-1]
 
