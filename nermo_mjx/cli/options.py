@@ -202,7 +202,8 @@ accept_new_code = flag(
     "--accept-new-code",
     "Resume a directory made by other code or another engine; the column code distinguishes its rows.",
 )
-robot, tail = choice("--robot", choices.ROBOTS), choice("--tail", choices.TAILS)
+robot = choice("--robot", choices.ROBOTS)
+tail = choice("--tail", choices.TAILS, "Default: rigid; in as_published articulated.", default=None)
 scene = text(
     "--scene",
     "NAME",

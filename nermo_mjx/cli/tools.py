@@ -32,7 +32,7 @@ def model_command(xml: Path | None, **config: Any) -> Outcome:
     """
     from nermo_mjx.robot import load_robot
 
-    loaded = load_robot(**config)
+    loaded = load_robot(**{name: value for name, value in config.items() if value is not None})
     summary = summarize(loaded)
     if xml is not None:
         try:

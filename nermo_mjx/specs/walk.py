@@ -112,7 +112,7 @@ def _in_a_file(name: str) -> tuple[Any, Any]:
     about, allowed = field.metadata["doc"], list[Any](field.metadata["allowed"])
     if name in ("timestep", "controller"):
         return float if name == "timestep" else str, optional(about)
-    if name == "steering":  # its default changes with the profile, which no JSON has
+    if isinstance(field.default, ProfileChoice):  # changes with the profile, which no JSON has
         extra: Any = {"enum": allowed, "default": str(field.default)}
         return str, Field(default_factory=lambda: field.default, description=about, json_schema_extra=extra)
     kind = {"scene": SceneField, "hinges": Annotated[int, Whole(1, MOST_HINGES)]}.get(name, str)
