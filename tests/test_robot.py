@@ -356,10 +356,13 @@ def test_zero_pose_is_the_published_stance(routing):
 
 
 def test_zero_pose_stands_on_the_front_feet():
-    """With a level torso, Table A.7 puts the front soles on the mat within 0.2 mm, the rear ones 2.1 mm above it."""
+    """With a level torso, Table A.7 puts the front soles on the mat within 0.2 mm, the rear ones 2.1 mm above it.
+
+    Without a load: the soft balls of 3.8 mm then yield, and the torso comes down by the 1.8 mm by which they are larger.
+    """
     model = load_robot().model
     data = at_rest(model)
-    assert data.body("torso").xpos[2] == pytest.approx(0.0794)
+    assert data.body("torso").xpos[2] == pytest.approx(0.0774 + 0.0038)
     clearance = [data.geom(f"{limb}_sole").xpos[2] - model.geom(f"{limb}_sole").size[0] for limb in LIMBS]
     # From Tables A.5 and A.7: (hip - shoulder) - (rear - front leg) = 7.1 mm - 5.0 mm.
     np.testing.assert_allclose(clearance, [0.0, 0.0, 0.0021, 0.0021], atol=2e-4)

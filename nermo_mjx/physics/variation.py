@@ -173,7 +173,8 @@ class Variation:
             reach = reach.at[ids, 1].add(p.build.slack(pair))
             softer = jnp.sqrt(getattr(p.build, f"{pair}_softness"))
             held = held.at[ids, 0].multiply(softer, unique_indices=True)
-        taut = jnp.asarray(model.tendon_solimp_lim, float).at[:, 0].set(p.build.tendon_impedance)
+        legs = np.concatenate([self._tendons[pair] for pair in LEGS])
+        taut = jnp.asarray(model.tendon_solimp_lim, float).at[legs, 0].set(p.build.tendon_impedance)
         return placed | {
             "actuator_gainprm": gain,
             "actuator_biasprm": bias,

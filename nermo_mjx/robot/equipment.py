@@ -93,10 +93,13 @@ TAIL_DAMPING: Final = 0.01
 #: Knee angle at which the torsion spring rests [rad].
 KNEE_REST: Final = {"front": np.radians(50.0), "rear": np.radians(75.0)}
 #: Tendons are massless and all but inextensible: their limit is stiff, with a time constant [s] of this or of two time
-#: steps, below which MuJoCo's solver would not hold. Under the standing robot they yield by 0.12 to 0.15 mm.
+#: steps, below which MuJoCo's solver would not hold.
 TENDON_TIME_CONSTANT: Final = 0.004
-#: Impedance of a taut tendon, and by how much it has yielded where it reaches that [m].
-TENDON_ONSET: Final = (0.99, 0.0002)
+TENDON_SOLIMP: Final = (0.95, 0.99, 0.0002, 0.5, 2.0)
+#: Those of the legs, which go slack and taut in each step, start gently: the impedance that they reach, and by how much
+#: they have yielded there [m]. Under the standing robot they yield by 0.07 to 0.08 mm. Spine tendons that did would bend
+#: the spine by a quarter less at small angles.
+LEG_TENDON_ONSET: Final = (0.99, 0.0001, 0.5, 2.0)
 #: Trunk geoms that may touch the ground when the robot falls; spheres, so that each costs MJX one contact.
 TRUNK: Final = ("torso_chest", "hip_pelvis", "head_skull")
 #: The group of the visual geoms.
@@ -193,8 +196,10 @@ def set_tendons(spec: mujoco.MjSpec, parameters: ModelParameters) -> None:
     time_constant = max(TENDON_TIME_CONSTANT, 2.0 * spec.option.timestep)
     for tendon in spec.tendons:
         tendon.solref_limit = np.array([time_constant, 1.0])
-        tendon.solimp_limit = np.array([float(parameters.build.tendon_impedance), *TENDON_ONSET, 0.5, 2.0])
+        tendon.solimp_limit = np.array(TENDON_SOLIMP)
         pair = pair_of(tendon.name)
+        if pair in LEGS:
+            tendon.solimp_limit = np.array([float(parameters.build.tendon_impedance), *LEG_TENDON_ONSET])
         if pair is not None:
             softness = float(getattr(parameters.build, f"{pair}_softness"))
             tendon.solref_limit = np.array([time_constant * np.sqrt(softness), 1.0])

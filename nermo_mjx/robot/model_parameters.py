@@ -159,7 +159,7 @@ class Build:
     rear_softness: Any = quantity(1.0, unit="1", low=1.0, high=1000.0, doc="how soft the rear legs' tendons are")
     spine_softness: Any = quantity(1.0, unit="1", low=1.0, high=1000.0, doc="how soft the spine's tendons are")
     tendon_impedance: Any = quantity(
-        0.0, unit="1", low=0.0, high=0.98, doc="impedance with which tendons go taut; 0: without a jump"
+        0.0, unit="1", low=0.0, high=0.98, doc="impedance with which the legs' tendons go taut; 0: without a jump"
     )
     asymmetry: Any = quantity(
         0.0, unit="1", low=-0.5, high=0.5, doc="share by which the left knees' springs are stiffer, the right softer"
