@@ -580,7 +580,7 @@ def compare(
     if not any(math.isfinite(line["low"]) for line in lines):
         notes.append("No interval: each side has one run of one variant, which tells no noise; give repeats.")
     return Comparison(
-        table=_table(lines, arms[0], by or "", groups, drawn, list(profiles)),
+        table=_table(lines, arms[0], by or "", groups, {"drawn": drawn, "profile": list(profiles)}),
         base=arms[0].name,
         profiles=tuple(profiles),
         others=tuple(arm.name for arm in arms[1:]),
@@ -639,14 +639,9 @@ def _lines(
 
 
 def _table(
-    lines: Sequence[Mapping[str, Any]],
-    base: Arm,
-    by: str,
-    groups: Sequence[str],
-    drawn: Sequence[str],
-    profiles: Sequence[str],
+    lines: Sequence[Mapping[str, Any]], base: Arm, by: str, groups: Sequence[str], named: Mapping[str, Sequence[str]]
 ) -> pa.Table:
-    """The lines as a table with described fields."""
+    """The lines as a table with described fields; its metadata have what is named."""
     columns = Columns()
 
     def add(name: str, role: str, about: str, unit: str = "1", scale: str = "linear") -> None:
@@ -670,8 +665,8 @@ def _table(
     add("better", "index", "whether high or low is better, or what is nearer to zero; empty if none is")
     for name, about in _COUNTS.items():
         add(name, "metric", about)
-    named = {"drawn": " ".join(drawn), "profile": " ".join(profiles)}
-    return columns.table({"comparison": base.name, "by": by, **named})
+    words = {key: " ".join(names) for key, names in named.items()}
+    return columns.table({"comparison": base.name, "by": by, **words})
 
 
 def _by_metric(rows: Sequence[Mapping[str, Any]], groups: Sequence[str]) -> dict[str, dict[str, Any]]:
