@@ -308,11 +308,12 @@ def test_sweep_json_and_directory(tmp_path: Path) -> None:
     result = json_of("sweep", spec, "--out", out, "--engine", "c", "--seed", "5")
     assert result["complete"]
     assert result["summary"]["status"] == {"ok": 2}
+    assert result["summary"]["profiles"] == ["exact"]
     assert (out / "summary.json").exists()
     assert "seed: 5" in (out / "sweep.yaml").read_text()
     again = call("sweep", spec, "--out", out, "--engine", "c", "--seed", "5")
     assert again.exit_code == 0
-    assert "2 runs (2 ok)" in again.stdout
+    assert "2 runs, profile exact (2 ok)" in again.stdout
     assert str(out / "results") in again.stdout
 
 

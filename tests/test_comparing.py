@@ -12,6 +12,7 @@ import pyarrow.csv
 import pyarrow.parquet as pq
 import pytest
 from command import call, json_of
+from matplotlib.text import Text
 from scipy import stats
 from sweep_fake import FakeSimulator
 
@@ -417,11 +418,11 @@ def test_the_command_prints_and_writes(tmp_path: Path) -> None:
     status = json_of("status", tmp_path / "gain")
     assert (status["kind"], status["complete"]) == ("comparison", True)
     shown = call(*asked, "--out", tmp_path / "gain.csv")
-    assert "0.4 minus 0" in shown.stdout
+    assert "0.4 minus 0, profile exact" in shown.stdout
     assert "24 ok" in shown.stdout
     assert re.search(r"^speed +mm/s +6\d\.", shown.stdout, re.MULTILINE)
     assert re.search(r"^roll_std +deg ", shown.stdout, re.MULTILINE)
-    assert "speed [mm/s]: 0.4 minus 0" in shown.stdout
+    assert "speed [mm/s]: 0.4 minus 0, profile exact" in shown.stdout
     kept = pq.read_table(tmp_path / "gain" / "comparison.parquet")
     assert pa.csv.read_csv(tmp_path / "gain.csv").num_rows == kept.num_rows
 
@@ -443,6 +444,30 @@ def test_figures_mark_what_is_beyond_noise(drawing) -> None:
     assert "gait lateral walk" in texts
     assert "3 of the other fell" in texts
     assert "frequency [Hz]" in texts
+
+
+def test_a_difference_names_its_profiles(drawing, tmp_path: Path) -> None:
+    """The comparison and each figure's note do, where one profile holds, where two differ, and where some do."""
+
+    def named(found) -> set[str]:
+        """What the figures' notes say of profiles."""
+        texts = [each.get_text() for _, figure in figures_of(found.table) for each in figure.findobj(Text)]
+        return {name for text in texts for name in re.findall(r"^(profile.*?);", text, re.MULTILINE)}
+
+    run_sweep(RANDOM, tmp_path / "exact", simulator=FakeSimulator())
+    run_sweep(RANDOM | {"profile": "as_published"}, tmp_path / "published", simulator=FakeSimulator())
+    one = compare(tmp_path / "exact", by="spine.amplitude", groups=["frequency"])
+    assert (one.about()["profiles"], named(one)) == (["exact"], {"profile exact"})
+    two = compare(tmp_path / "exact", tmp_path / "published")
+    assert (two.profiles, named(two)) == (("exact", "as_published"), {"profiles exact and as_published"})
+    varied = {name: each for name, each in RANDOM.items() if name != "vary"} | {
+        "vary": {"profile": ["exact", "as_published"], "spine.amplitude": [0.0, 0.4]}
+    }
+    run_sweep(varied, tmp_path / "varied", simulator=FakeSimulator())
+    assert compare(tmp_path / "varied", by="profile").profiles == ("exact", "as_published")
+    chosen = compare(tmp_path / "varied", by="spine.amplitude", where={"profile": "as_published"})
+    assert chosen.profiles == ("as_published",)
+    assert named(compare(table(), by="spine")) == {"profile not recorded"}
 
 
 def test_a_gain_in_speed_stands_beside_both_costs(drawing) -> None:

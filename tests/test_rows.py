@@ -18,8 +18,8 @@ import pyarrow as pa
 import pytest
 from sweep_fake import contents
 
-from nermo_mjx.runs import CodeStamp, DirectoryError, OtherCode, RunDirectory
 from nermo_mjx import files as writing
+from nermo_mjx.runs import CodeStamp, DirectoryError, OtherCode, RunDirectory
 from nermo_mjx.runs.rows import Runs, keys_of, part_files, retire
 
 STAMP = CodeStamp("1", "s", "m", "c", "3", "3", "0.8")

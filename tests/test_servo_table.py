@@ -199,6 +199,28 @@ def test_a_recorded_walk_gives_what_was_commanded(tmp_path: Path) -> None:
         recorded_table(recording, setup.load(), rate=1.0)
 
 
+@pytest.mark.parametrize("side", [0, 1], ids=["left", "right"])
+def test_parts_that_would_touch_are_named_with_the_time(side: int, tmp_path: Path) -> None:
+    """A front foot far back meets the rear foot far forward where the spine bends to their side, and only there."""
+    setup = Setup(pilot="open_loop")
+    walk = Simulator(setup, "c").run({"frequency": 0.8}, Run(duration=2.0, warmup=0.0), record=True).recording()
+    ctrl, share = np.zeros_like(walk.ctrl), np.clip(walk.time - 0.2, 0.0, 1.0)
+    towards, name = (0.6, "left") if side == 0 else (-0.6, "right")
+    for servo, angle in ((side, 1.6), (2 + side, -1.6), (4 + side, 1.25), (6 + side, -0.8), (8, towards)):
+        ctrl[:, servo] = share * angle
+    bent = dataclasses.replace(walk, ctrl=ctrl)
+    bent.save(tmp_path / "bent.npz")
+    with pytest.raises(ParameterError, match=f"^rear_{name}_foot and front_{name}_foot would touch at ") as refused:
+        recorded_table(bent, setup.load())
+    time = float(str(refused.value).partition(" at ")[2].partition(" s")[0])
+    assert 0.8 < time <= 1.3  # on the way there, the last part of it
+    ctrl[:, 8] = 0.0
+    assert len(recorded_table(dataclasses.replace(walk, ctrl=ctrl), setup.load()).time) == 101
+    told = call("servos", "--recording", tmp_path / "bent.npz", "--out", tmp_path / "bent.csv")
+    assert (told.exit_code, f"front_{name}_foot would touch" in told.stderr) == (2, True)
+    assert not (tmp_path / "bent.csv").exists()
+
+
 def test_a_cycle_and_three_cycles_are_the_same_gait() -> None:
     one = servo_table(Setup(gait="lat"), {"frequency": 0.5}, rate=50.0)
     three = servo_table(Setup(gait="lat"), {"frequency": 0.5}, rate=50.0, cycles=3)

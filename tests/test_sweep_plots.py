@@ -141,7 +141,13 @@ def test_gain_figure_shows_speed_relative_to_the_stiff_spine_in_percent(tmp_path
     svg = next(
         path for path in write_figures(figures_of(Results(result.table)), tmp_path) if path.name == f"{GAIN}.svg"
     ).read_text()
-    for text in ("spine amplitude [deg]", "spine phase [deg]", "speed relative to the stiff spine [%]", "+20 %"):
+    for text in (
+        "spine amplitude [deg]",
+        "spine phase [deg]",
+        "speed relative to the stiff spine [%]",
+        "+20 %",
+        "profile exact",
+    ):
         assert text in svg
 
 
@@ -182,11 +188,15 @@ def test_no_gain_figure_without_a_stiff_spine_to_compare_with(tmp_path, vary):
 @pytest.mark.parametrize(
     ("change", "names", "texts"),
     [
-        ({"vary": {"frequency": [0.5, 0.7, 0.9]}}, ["speed-over-frequency"], ["frequency [Hz]", "speed [mm/s]"]),
+        (
+            {"vary": {"frequency": [0.5, 0.7, 0.9]}},
+            ["speed-over-frequency"],
+            ["frequency [Hz]", "speed [mm/s]", "profile exact"],
+        ),
         (
             {"vary": {"frequency": [0.5, 0.7]}, "randomize": {"repeats": 3}},
             ["speed-over-frequency"],
-            ["mean of 3 repeats"],
+            ["profile exact; mean of 3 repeats"],
         ),
         ({"vary": {"frequency": [0.5, 0.7], "duty": [0.5, 0.6]}}, ["speed-over-frequency-and-duty"], ["duty"]),
         (

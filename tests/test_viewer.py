@@ -266,7 +266,7 @@ def test_an_experiments_recording_has_its_cases_name_and_figures(walk: Recording
     }
     recording = dataclasses.replace(walk, metadata=about)
     assert title_of(recording) == "trt, 0.67 Hz, with spine"
-    assert headline_of(recording) == [["speed", "79.1 mm/s"]]
+    assert headline_of(recording) == [["speed", "79.1 mm/s"], ["profile", "exact"]]
     assert details_of(recording)[0] == {"title": "Case", "rows": [["profile", "exact"], ["spine", "yes"]]}
 
 

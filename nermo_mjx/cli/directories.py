@@ -292,7 +292,9 @@ def _print_comparison(found: Comparison, *, whole: bool) -> None:
     """Tables for people: every metric over all variants, and the chosen ones by groups; where lines have an end, what
     differs, in the columns that fit."""
     from nermo_mjx.rollout.own_metrics import headed
+    from nermo_mjx.sweep.table import profile_text
 
+    profile = profile_text(found.profiles)
     headings, hidden, columns = headed(), collections.Counter[str](), dict[str, None]()
     whole = whole or room() is None
 
@@ -332,7 +334,7 @@ def _print_comparison(found: Comparison, *, whole: bool) -> None:
                 heading = now
                 cells.append([f"{heading}:", *[""] * (1 + len(numbers))])
             cells.append([row["metric"], unit(row), *_cells(row)])
-        show(f"{other} minus {found.base}", ["metric", "unit"], numbers, cells)
+        show(f"{other} minus {found.base}, {profile}", ["metric", "unit"], numbers, cells)
         for metric in found.drawn if found.groups else ():
             lines = chosen([row for row in found.rows(other, grouped=True) if row["metric"] == metric])
             cells = []
@@ -341,7 +343,7 @@ def _print_comparison(found: Comparison, *, whole: bool) -> None:
                 cells.append([*group, *_cells(row)])
             heads: list[Any] = [(name, "right") for name in found.groups]
             if lines:
-                show(f"{metric} [{unit(lines[0])}]: {other} minus {found.base}", heads, numbers, cells)
+                show(f"{metric} [{unit(lines[0])}]: {other} minus {found.base}, {profile}", heads, numbers, cells)
     for side, counts in found.status.items():
         click.echo(f"{side}: {', '.join(f'{count:,} {status}' for status, count in counts.items())}")
     for note in found.notes[len(found.lost) :]:

@@ -203,11 +203,12 @@ def _print_sweep(result: SweepResult) -> None:
         return
     counts = ", ".join(f"{count:,} {status}" for status, count in summary["status"].items())
     effort = f"{summary['steps_per_second']:,.0f} steps/s on the engine {summary['engine']}"
-    click.echo(f"{summary['rows']:,} runs ({counts}) in {duration(summary['wall_seconds'])}, {effort}")
     from nermo_mjx.runs.rows import part_files
     from nermo_mjx.sweep.counting import told
-    from nermo_mjx.sweep.table import Results, meta
+    from nermo_mjx.sweep.table import Results, meta, profile_text
 
+    profile = profile_text(summary["profiles"])
+    click.echo(f"{summary['rows']:,} runs, {profile} ({counts}) in {duration(summary['wall_seconds'])}, {effort}")
     schema, rows = Results(part_files(result.out)).schema, []
 
     def unit(name: str) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import math
 import os
@@ -10,6 +11,7 @@ from typing import Any, Final
 
 import jax
 import jax.numpy as jnp
+import mujoco
 import numpy as np
 from jaxtyping import Float
 
@@ -20,6 +22,7 @@ from nermo_mjx.control.spine_modes import mode_names
 from nermo_mjx.hardware.channels import Channel, Channels, read_channels
 from nermo_mjx.recording import Recording
 from nermo_mjx.robot import ModelParameters, ParameterError, Robot, Sensors
+from nermo_mjx.robot.equipment import VISUAL_GROUP
 from nermo_mjx.robot.parameters import servo_range
 from nermo_mjx.robot.quantity import quantities, replace_quantities
 from nermo_mjx.rollout import Setup
@@ -35,6 +38,8 @@ MOST_ROWS: Final = 1_000_000
 _ALIKE: Final = 1e-6
 #: Head and tail controls that use sensors.
 _ANSWERING: Final = (GAZE, COUNTER_YAW, COUNTER_ROLL, "pitch_balance")
+#: Physics steps between two looks at whether parts touch.
+_BETWEEN: Final = 5
 #: Maximum number of gait cycles for the controller to settle.
 _PATIENCE: Final = 200
 
@@ -155,8 +160,8 @@ def servo_table(
             down, positive backward; spine positive to the left.
 
     Raises:
-        ParameterError: an invalid argument or parameter, or an angle beyond a servo's limit; the message is one
-        sentence.
+        ParameterError: an invalid argument or parameter, an angle beyond a servo's limit, or parts of the robot that
+        would touch; the message is one sentence.
     """
     setup = setup or Setup()
     if setup.controller is not None:
@@ -210,7 +215,7 @@ def _table(channels: Channels, robot: Robot, angles: np.ndarray, rate: float, mo
     """The table of the controller's angles (rows, n_servos) [rad] of a robot with these parameters of the model.
 
     Raises:
-        ParameterError: an angle is beyond its servo's limit.
+        ParameterError: an angle is beyond its servo's limit, or parts of the robot would touch.
     """
     columns = sent_angles(channels, robot.servos, np.degrees(angles))
     for channel, column in zip(channels, columns.T, strict=True):
@@ -224,7 +229,42 @@ def _table(channels: Channels, robot: Robot, angles: np.ndarray, rate: float, mo
                     f"{channel.servo} would go to {column[row]:.1f} deg at {row / rate:.3f} s, {word} its limit of "
                     f"{limit:.1f} deg: take a shorter stride, or another zero or direction of the servo."
                 )
+    check_clearance(robot.with_geometry(model.geometry, model.build), angles, rate)
     return ServoTable(channels, columns, rate, math.degrees(float(model.servo.top_speed)), *gait)
+
+
+def check_clearance(model: mujoco.MjModel, angles: Float[np.ndarray, "rows servos"], rate: float) -> None:
+    """Refuse angles [rad] at which parts of the robot would touch, played on a robot in the air without gravity.
+
+    Its tendons and springs place knees and spine. Parts are convex hulls of the drawn ones; neighbours are left out.
+
+    Raises:
+        ParameterError: two parts touch; the message names them and the time.
+    """
+    model = copy.copy(model)
+    model.opt.gravity[:] = 0.0
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
+    data, body = mujoco.MjData(model), model.geom_bodyid
+    of_robot = model.body_rootid[body] == model.body("torso").rootid
+    drawn = np.flatnonzero(of_robot & (model.geom_group == VISUAL_GROUP))
+    first, second = drawn[np.array(np.triu_indices(len(drawn), 1))]
+    parents = model.body_parentid[body]
+    apart = (body[first] != body[second]) & (parents[first] != body[second]) & (body[first] != parents[second])
+    pairs = np.stack([first, second], axis=-1)[apart]
+    reach = model.geom_rbound[pairs].sum(axis=-1)
+    data.ctrl[:] = angles[0]
+    mujoco.mj_step(model, data, nstep=50 * _BETWEEN)
+    for time in np.arange(0.0, len(angles) / rate, _BETWEEN * model.opt.timestep):
+        data.ctrl[:] = angles[int(time * rate + 1e-9)]
+        mujoco.mj_step(model, data, nstep=_BETWEEN)
+        mujoco.mj_kinematics(model, data)
+        between = np.linalg.norm(data.geom_xpos[pairs[:, 0]] - data.geom_xpos[pairs[:, 1]], axis=-1)
+        for pair in pairs[between < reach]:
+            if mujoco.mj_geomDistance(model, data, *pair, 1e-3, None) < 0.0:
+                one, other = (model.body(body[geom]).name for geom in pair)
+                raise ParameterError(
+                    f"{one} and {other} would touch at {time:.3f} s: take a shorter stride, or less of the spine."
+                )
 
 
 def _steady(
@@ -334,7 +374,8 @@ def recorded_table(
         channels: as for `servo_table`.
 
     Raises:
-        ParameterError: an invalid argument, a recording of less than two rows, or an angle beyond a servo's limit.
+        ParameterError: an invalid argument, a recording of less than two rows, an angle beyond a servo's limit, or
+        parts of the robot that would touch.
     """
     if recording.ctrl.shape[1] != len(robot.servos):
         raise ParameterError(f"recording has {recording.ctrl.shape[1]} servos, and the robot has {len(robot.servos)}.")
@@ -349,7 +390,7 @@ def recorded_table(
     given = {
         name: float(value)
         for name, value in (recording.metadata.get("parameters") or {}).items()
-        if name.startswith("servo.") and name in known
+        if name.startswith(("servo.", "geometry.", "build.")) and name in known
     }
     model = replace_quantities(ModelParameters(), given)
     return _table(connected, robot, np.stack(commanded, axis=-1), rate, model)

@@ -48,6 +48,8 @@ from nermo_mjx.sweep.table import (
     better,
     columns_of,
     meta,
+    profile_text,
+    profiles_of,
     report_table,
 )
 
@@ -439,6 +441,7 @@ class Comparison:
             runs_base, runs_other, failed_base, failed_other, lost_base, lost_other. Each field's metadata has its
             description.
         base: what is compared with.
+        profiles: those of the walks, on which every difference depends.
         others: what is compared with it; more than one if a column has more than two values.
         groups: the columns that make groups.
         drawn: the metrics of which figures and summaries have the groups.
@@ -449,6 +452,7 @@ class Comparison:
 
     table: pa.Table
     base: str
+    profiles: tuple[str, ...]
     others: tuple[str, ...]
     groups: tuple[str, ...]
     drawn: tuple[str, ...]
@@ -478,7 +482,7 @@ class Comparison:
                     for own in (list(own) for _, own in itertools.groupby(rows, lambda row: row["group"]))
                 ]
             each.append(about)
-        about = {"base": self.base, "status": self.status, "notes": list(self.notes)}
+        about = {"base": self.base, "profiles": list(self.profiles), "status": self.status, "notes": list(self.notes)}
         return about | (each[0] if len(each) == 1 else {"comparisons": each})
 
 
@@ -537,6 +541,9 @@ def compare(
             raise ParameterError(f"no run of {arm.name} is left with {values}.")
         arms[i] = arm
     schemas = [columns_of(arm.results, "metric") for arm in arms]
+    profiles = dict.fromkeys(name for arm in arms for name in profiles_of(arm.results))
+    if "profile" in (where or {}):
+        profiles = dict.fromkeys(name for arm in arms for name in arm.runs["profile"])
     shared = [name for name in schemas[0] if all(name in known for known in schemas)]
     for name in drawn:
         if name not in shared:
@@ -573,8 +580,9 @@ def compare(
     if not any(math.isfinite(line["low"]) for line in lines):
         notes.append("No interval: each side has one run of one variant, which tells no noise; give repeats.")
     return Comparison(
-        table=_table(lines, arms[0], by or "", groups, drawn),
+        table=_table(lines, arms[0], by or "", groups, {"drawn": drawn, "profile": list(profiles)}),
         base=arms[0].name,
+        profiles=tuple(profiles),
         others=tuple(arm.name for arm in arms[1:]),
         groups=tuple(groups),
         drawn=tuple(drawn),
@@ -631,9 +639,9 @@ def _lines(
 
 
 def _table(
-    lines: Sequence[Mapping[str, Any]], base: Arm, by: str, groups: Sequence[str], drawn: Sequence[str]
+    lines: Sequence[Mapping[str, Any]], base: Arm, by: str, groups: Sequence[str], named: Mapping[str, Sequence[str]]
 ) -> pa.Table:
-    """The lines as a table with described fields."""
+    """The lines as a table with described fields; its metadata have what is named."""
     columns = Columns()
 
     def add(name: str, role: str, about: str, unit: str = "1", scale: str = "linear") -> None:
@@ -657,7 +665,8 @@ def _table(
     add("better", "index", "whether high or low is better, or what is nearer to zero; empty if none is")
     for name, about in _COUNTS.items():
         add(name, "metric", about)
-    return columns.table({"comparison": base.name, "by": by, "drawn": " ".join(drawn)})
+    words = {key: " ".join(names) for key, names in named.items()}
+    return columns.table({"comparison": base.name, "by": by, **words})
 
 
 def _by_metric(rows: Sequence[Mapping[str, Any]], groups: Sequence[str]) -> dict[str, dict[str, Any]]:
@@ -687,6 +696,7 @@ def figures_of(table: pa.Table) -> Iterator[tuple[str, Figure]]:
     about = table.schema.metadata or {}
     base, metrics = about[b"comparison"].decode(), about[b"drawn"].decode().split()
     groups = columns_of(table, "varied")
+    profile = profile_text(profiles_of(table))
     lines = table.to_pylist()
     for other in dict.fromkeys(line["other"] for line in lines):
         own = [line for line in lines if line["other"] == other]
@@ -696,11 +706,12 @@ def figures_of(table: pa.Table) -> Iterator[tuple[str, Figure]]:
             f"{spoken(by)} {_text(other)} against {_text(base)}" if by else f"{_last(other)} against {_last(base)}"
         )
         tail = "" if len({line["other"] for line in lines}) == 1 else f"-{_last(other)}"
-        yield f"differences{tail}", _forest([line for line in own if line["group"] < 0], against)
+        yield f"differences{tail}", _forest([line for line in own if line["group"] < 0], against, profile)
         if groups:
             rows = [line for line in own if line["group"] >= 0 and line["metric"] in metrics]
             what = f"{metrics[0]}-gain" if len(metrics) == 1 else "gains"
-            yield f"{what}-by-{'-and-'.join(groups)}{tail}", _by_groups(rows, metrics, table.schema, groups, against)
+            drawn = _by_groups(rows, metrics, table.schema, groups, against, profile)
+            yield f"{what}-by-{'-and-'.join(groups)}{tail}", drawn
 
 
 def figures(out: Path) -> Figures:
@@ -712,7 +723,7 @@ def figures(out: Path) -> Figures:
     return figures_of(report_table(out, "comparison"))
 
 
-def _forest(rows: Sequence[Row], against: str) -> Figure:
+def _forest(rows: Sequence[Row], against: str, profile: str) -> Figure:
     """The relative difference of each metric with its interval, and in numbers beside it."""
     known = [row for row in rows if row["relative"] is not None and np.isfinite(row["relative"])]
     listed = [row for row in known if row["metric"] in OBJECTIVES or row["beyond_noise"]] or known
@@ -757,11 +768,11 @@ def _forest(rows: Sequence[Row], against: str) -> Figure:
     left = len(rows) - len(drawn)
     more = f"\n{left} more metrics are in the table" if left else ""
     handles = [_mark(LINE, "better"), _mark(BEST, "worse"), _mark(MUTED, "neither")]
-    return page.finish(handles, f"{_MARKS}\n{_runs(rows)}{more}")
+    return page.finish(handles, f"{_MARKS}\n{profile}; {_runs(rows)}{more}")
 
 
 def _by_groups(
-    rows: Sequence[Row], metrics: Sequence[str], schema: pa.Schema, groups: Sequence[str], against: str
+    rows: Sequence[Row], metrics: Sequence[str], schema: pa.Schema, groups: Sequence[str], against: str, profile: str
 ) -> Figure:
     """The gain of each metric over the groups: one of their columns across, one as lines, the others as panels."""
     # The x axis is the numbers with the most values, the lines are the names or numbers with the most of the few.
@@ -832,7 +843,7 @@ def _by_groups(
     failed = sorted(((row["failed_base"] + row["failed_other"], row) for row in rows), key=lambda pair: -pair[0])
     told = [f"{', '.join(_text(row[name]) for name in groups)} ({count})" for count, row in failed[:4] if count]
     most = f", most at {'; '.join(told)}" if told else ""
-    return page.finish(handles, f"{_MARKS}\n{_runs(rows)}{most}")
+    return page.finish(handles, f"{_MARKS}\n{profile}; {_runs(rows)}{most}")
 
 
 def _mark(colour: str, label: str) -> Line2D:

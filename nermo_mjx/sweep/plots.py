@@ -46,6 +46,8 @@ from nermo_mjx.sweep.table import (
     SweepRecord,
     columns_of,
     meta,
+    profile_text,
+    profiles_of,
     rank_correlation,
     spine_ratio,
 )
@@ -59,9 +61,10 @@ MOST_PAIRED = 4
 
 
 def figures_of(results: Results, metric: str = LEADING, remark: str = "") -> Iterator[tuple[str, Figure]]:
-    """(file name, figure) of one metric; only successful runs count. The note of each begins with the remark."""
+    """(file name, figure) of one metric; only successful runs count. Notes begin with the remark and the profile."""
     if not results.well.any():
         return
+    remark += f"{profile_text(profiles_of(results))}; "
     z = metric_of(results, metric)
     varied = [x for x in quantities(results, columns_of(results, "varied")) if not alike(x.values)]
     numbers = [x for x in varied if not x.names]
@@ -263,6 +266,7 @@ def chosen_figure(
         _check_column(results, name, option)
     if not results.well.any():
         raise ParameterError("no run in the table succeeded, so there is nothing to plot.")
+    remark += f"{profile_text(profiles_of(results))}; "
     return (_chosen(results, x, y or LEADING, color, remark) for _ in range(1))  # in the style that holds then
 
 

@@ -94,7 +94,8 @@ def chunk_table(
     columns.add("code", codes, "code", "1", "which code made the row, as run.json names it")
     sampler = "grid" if sweep.is_grid else sweep.sampler
     pairs = {"second_order": "true"} if sweep.second_order else {}
-    return columns.table({"sweep": sweep.digest(), "sampler": sampler, **pairs, **about})
+    profiles = dict.fromkeys(each.setup.profile for each in sweep.structures)
+    return columns.table({"sweep": sweep.digest(), "sampler": sampler, "profile": " ".join(profiles), **pairs, **about})
 
 
 def joined(parts: Sequence[pa.Table], index: np.ndarray) -> pa.Table:
@@ -109,6 +110,22 @@ def joined(parts: Sequence[pa.Table], index: np.ndarray) -> pa.Table:
 def columns_of(table: Any, *roles: str) -> list[str]:
     """Names of the columns with one of the roles, in order; of whatever has a schema."""
     return [field.name for field in table.schema if meta(field).get("role") in roles]
+
+
+def profiles_of(table: Any) -> list[str]:
+    """The profiles of a table's walks, on which speeds and costs depend; none where an older table does not say it."""
+    if "profile" in table.schema.names:  # they are varied
+        return [name for name in dict.fromkeys(np.asarray(table.column("profile")).tolist()) if name]
+    return ((table.schema.metadata or {}).get(b"profile") or b"").decode().split()
+
+
+def profile_text(profiles: Sequence[str]) -> str:
+    """Profiles as headings and the notes of figures name them.
+
+    >>> profile_text(["exact"]), profile_text(["exact", "as_built"]), profile_text([])
+    ('profile exact', 'profiles exact and as_built', 'profile not recorded')
+    """
+    return f"profile{'s' * (len(profiles) > 1)} {' and '.join(profiles) or 'not recorded'}"
 
 
 def labelled(table: Any) -> list[str]:
@@ -392,6 +409,7 @@ def summarize(table: pa.Table | Results) -> dict[str, Any]:
         "rows": results.rows,
         "variants": variants.all,
         "repeats": results.rows // variants.all,
+        "profiles": profiles_of(results),
         "status": results.statuses,
         "metrics": spreads,
         "best": {name: best[name] for name in sides if name in best},

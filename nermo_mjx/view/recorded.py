@@ -417,12 +417,14 @@ def title_of(recording: Recording) -> str:
 
 
 def headline_of(recording: Recording) -> list[list[str]]:
-    """A few metrics as (label, value with unit), and the status if something went wrong."""
+    """A few metrics as (label, value with unit), their profile, and the status if something went wrong."""
     metrics = _part(recording, "metrics")
     units = _units(recording)
     known = [(name, label) for name, label in _HEADLINE.items() if name in metrics]
     rows = [[label, _shown(metrics[name], units[name], digits=3)] for name, label in known]
     status = metrics.get("status", "ok")
+    profile = (_part(recording, "setup") | _part(recording, "labels")).get("profile")
+    rows += [["profile", str(profile)]] if rows and profile else []
     return [row for row in rows if row[1] != "–"] + ([["status", str(status)]] if status != "ok" else [])
 
 
