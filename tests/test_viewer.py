@@ -84,11 +84,12 @@ def test_contact_forces_are_those_that_the_feet_felt(walk: Recording) -> None:
 def test_contact_points_are_at_the_feet_on_the_ground(walk: Recording, motion: Motion) -> None:
     for contact in motion.contacts:
         loaded = np.linalg.norm(contact.force, axis=1) > 0.1
-        np.testing.assert_allclose(contact.point[loaded, 2], 0.0, atol=0.0012)
+        # In the middle between sole and ground, and soles give by up to 3 mm.
+        np.testing.assert_allclose(contact.point[loaded, 2], 0.0, atol=0.0015)
         if contact.limb < 0:  # the tail
             continue
         feet = walk.sensors["foot_position"][loaded, contact.limb]
-        # A sole is a sphere of 2 mm; the sensor's reading is one step old.
+        # A sole is a sphere of 3.8 mm; the sensor's reading is one step old.
         assert np.linalg.norm(contact.point[loaded] - feet, axis=1).max() < 0.004
 
 
