@@ -75,6 +75,9 @@ def check(setup: Setup, worlds: list[dict[str, float]], seconds: float) -> None:
     result = simulator.run(values, Run(duration=seconds, warmup=0.2 * seconds), record=True)
     metrics, trace, model, given = result.metrics, result.trace, simulator.robot.model, result.parameters
     low, high = model.actuator_ctrlrange.T
+    knees = np.array(["knee" in model.actuator(i).name for i in range(model.nu)])
+    further = knees * np.asarray(given["servo.knee_range"])[:, None, None]
+    low, high = low - further, high + further
     assert ((trace.ctrl >= low - 1e-6) & (trace.ctrl <= high + 1e-6)).all()
     for i, world in enumerate(worlds):
         if result.status[i] != "ok":

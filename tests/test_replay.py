@@ -37,7 +37,7 @@ WALKS = {
     "plots": False,
     # Weak servos carry the robot, but not a heavy one, which goes to the ground where no sphere of the trunk stops it.
     "physics": "fast",
-    "set": {"servo.torque_limit": 0.01},
+    "set": {"servo.torque_limit": 0.02},
     "vary": {"frequency": [1.0, 1.2], "mass.front": [0.1695, 0.5]},
     "randomize": {"repeats": 2, "start.x": {"uniform": [-0.1, 0.1]}, "start.y": {"uniform": [-0.1, 0.1]}},
 }

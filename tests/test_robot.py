@@ -358,7 +358,7 @@ def test_zero_pose_is_the_published_stance(routing):
 def test_zero_pose_stands_on_the_front_feet():
     """With a level torso, Table A.7 puts the front soles on the mat within 0.2 mm, the rear ones 2.1 mm above it.
 
-    Without a load: the soft balls of 3.8 mm then yield, and the torso comes down by the 1.8 mm by which they are larger.
+    Without a load: the soft balls of 3.8 mm then yield, and the torso comes down by what they are larger than 2 mm.
     """
     model = load_robot().model
     data = at_rest(model)

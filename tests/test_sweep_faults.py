@@ -15,8 +15,9 @@ import pytest
 from sweep_fake import SPEC, FakeSimulator, contents, part_of
 from test_rows import FullDisk
 
+from nermo_mjx import files
 from nermo_mjx.robot.quantity import ParameterError
-from nermo_mjx.runs import Interrupted, JobFailed, OtherCode, Watch, files
+from nermo_mjx.runs import Interrupted, JobFailed, OtherCode, Watch
 from nermo_mjx.runs.rows import Runs
 from nermo_mjx.sweep import (
     DirectoryError,

@@ -183,7 +183,7 @@ def test_other_code_is_wrong_use_until_it_is_accepted(
     assert call(name, spec, "--out", out).exit_code == 1
     fakes["options"] = {}
     module = {"tune": "nermo_mjx.optimize.run", "landscape": "nermo_mjx.optimize.landscape"}[name]
-    here = stamp("another model", "mjx")
+    here = stamp("another model", "c")
     monkeypatch.setattr(f"{module}.stamp", lambda *_: here)
     refused = call(name, spec, "--out", out)
     assert (refused.exit_code, refused.stdout) == (2, "")

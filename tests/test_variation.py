@@ -22,6 +22,7 @@ from nermo_mjx.physics.variation import DERIVED_FIELDS, compile_model
 from nermo_mjx.robot import LIMBS, ModelParameters, Robot, assemble, load_robot
 from nermo_mjx.robot.masses import is_front, reduced_model
 from nermo_mjx.robot.model_parameters import gravity_vector
+from nermo_mjx.robot.parameters import FOOT_RADIUS
 from nermo_mjx.robot.quantity import quantities, replace_quantities
 from nermo_mjx.rollout import Setup, Simulator
 
@@ -351,7 +352,7 @@ def test_turned_mounts_carry_the_feet_and_slack_lowers_them():
         data = mujoco.MjData(model)
         data.qpos[:] = simulator.prepare(values).qpos[0]
         mujoco.mj_kinematics(model, data)
-        soles = [data.geom(f"{limb}_sole").xpos[2] - 0.002 for limb in LIMBS]
+        soles = [data.geom(f"{limb}_sole").xpos[2] - FOOT_RADIUS for limb in LIMBS]
         assert min(soles) == pytest.approx(-1e-5, abs=2e-6)
         return np.array([data.site(f"{limb}_foot").xpos - data.body("torso").xpos for limb in LIMBS])
 

@@ -97,8 +97,8 @@ KNEE_REST: Final = {"front": np.radians(50.0), "rear": np.radians(75.0)}
 TENDON_TIME_CONSTANT: Final = 0.004
 TENDON_SOLIMP: Final = (0.95, 0.99, 0.0002, 0.5, 2.0)
 #: Those of the legs, which go slack and taut in each step, start gently: the impedance that they reach, and by how much
-#: they have yielded there [m]. Under the standing robot they yield by 0.07 to 0.08 mm. Spine tendons that did would bend
-#: the spine by a quarter less at small angles.
+#: they have yielded there [m]. Under the standing robot they yield by 0.07 to 0.08 mm. Spine tendons that did would
+#: bend the spine by 14 % less at small angles.
 LEG_TENDON_ONSET: Final = (0.99, 0.0001, 0.5, 2.0)
 #: Trunk geoms that may touch the ground when the robot falls; spheres, so that each costs MJX one contact.
 TRUNK: Final = ("torso_chest", "hip_pelvis", "head_skull")

@@ -110,8 +110,7 @@ def ticks_until(end: Any, dt: float) -> np.ndarray:
     """
     last = np.asarray(end, float) / dt
     coarse = 2.0 * jnp.finfo(jax.dtypes.canonicalize_dtype(float)).eps * last
-    ticks: np.ndarray = np.ceil(last - _ROUNDING + coarse).astype(int) + 1
-    return ticks
+    return np.asarray(np.ceil(last - _ROUNDING + coarse).astype(int) + 1)
 
 
 # ---
