@@ -405,8 +405,9 @@ def test_a_file_asks_for_its_comparison(tmp_path: Path) -> None:
     assert about["metrics"]["speed"] == pytest.approx(known)
 
 
-def test_the_command_prints_and_writes(tmp_path: Path) -> None:
+def test_the_command_prints_and_writes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """JSON as other programs rely on it, a directory that `plot` and `status` know, and tables in one file."""
+    monkeypatch.delenv("COLUMNS", raising=False)  # a plain pipe gets all rows and columns
     run_sweep(RANDOM, tmp_path / "sweep", simulator=FakeSimulator())
     asked = ("compare", tmp_path / "sweep", "--by", "spine.amplitude", "--for", "frequency")
     speed = json_of(*asked, "--out", tmp_path / "gain")["metrics"]["speed"]

@@ -38,6 +38,7 @@ def fakes(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
         return made["problems"][-1]
 
     monkeypatch.setattr("nermo_mjx.optimize.run.WalkProblem", problem)
+    monkeypatch.setattr("nermo_mjx.optimize.landscape.WalkProblem", problem)
     monkeypatch.setattr("nermo_mjx.optimize.run.Simulator", lambda *_: made["walker"])
     monkeypatch.setattr("nermo_mjx.optimize.run.pace_here", lambda _: 100.0)
     return made

@@ -362,7 +362,7 @@ def test_a_disk_that_does_not_answer_ends_it_and_changes_nothing(done, monkeypat
         if broken == "orbax":
             patch.setattr(ocp.CheckpointManager, "restore", fail)
         else:
-            patch.setattr("nermo_mjx.files.opened", fail)
+            patch.setattr("nermo_mjx.runs.checkpoints.read_bytes", fail)
         with pytest.raises(DirectoryError, match=r"checkpoint 7 in .* cannot be read: Input/output error; nothing was"):
             tune(done.out)
     assert content(done.out) == before

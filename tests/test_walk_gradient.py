@@ -26,7 +26,7 @@ POINT = {
     "stiffness.ankle": 0.1,
     "mass.front": 0.165,
     "contact.friction": 1.3,
-    "contact.width": 0.001,
+    "contact.width": 0.004,
     "servo.back_emf": 0.3,
     "servo.supply_voltage": 5.5,
     "servo.dead_band": 0.006,
