@@ -561,7 +561,9 @@ def test_a_file_that_exists_is_never_replaced(tmp_path, running):
 def test_a_drive_outlives_every_signal(number, tmp_path):
     """A terminal that closes saves it, as Ctrl-C does; of one that is killed there is the journal."""
     words = [sys.executable, "-m", "nermo_mjx", "drive", "--no-browser", "--record", str(tmp_path / "d.npz")]
-    with subprocess.Popen(words, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True) as process:
+    streams = {"stderr": subprocess.PIPE, "stdout": subprocess.DEVNULL, "text": True}
+    # Tests may run under `nohup`, whose ignored signal a child would inherit.
+    with subprocess.Popen(words, **streams, preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_DFL)) as process:
         try:
             address = next(line for line in process.stderr if "http://" in line).split()[-1]
             origin = address.rpartition("/")[0].rpartition("/")[0]
