@@ -72,7 +72,7 @@ def test_the_derivative_is_that_of_mjx_in_float64() -> None:
 
 @pytest.mark.slow
 def test_three_widths_give_the_same_derivative_at_twelve_points(long_walk: Rollout) -> None:
-    """But for one, at which a tendon of the spine goes taut within the width: `gradient_spread` tells."""
+    """But for one, where the quotient is a jump over the width; a stiff onset of the spine's tendons is suspected."""
     random = np.random.default_rng(0)
     agree = []
     for amplitude, phase in zip(random.uniform(0.05, 0.35, 12), random.uniform(-3, 3, 12), strict=True):
