@@ -152,8 +152,8 @@ class Rollout:
             return MjxEngine(self.robot, self.loop)
 
     @functools.cached_property
-    def _differences(self) -> Differences:
-        return Differences(self.setup, self.length)
+    def _differences(self) -> WalkDifferences:
+        return WalkDifferences(self.setup, self.length)
 
     def __call__(
         self,
@@ -331,7 +331,7 @@ def _traced(tree: Any) -> bool:
 # Walks on the engine c, and the differences between them.
 
 
-class Differences:
+class WalkDifferences:
     """Walks of the engine `c` in float64 as a function of their traced values, under JAX's transformations."""
 
     def __init__(self, setup: Setup, run: Run) -> None:
