@@ -22,11 +22,11 @@ from nermo_mjx.dynamics import constraint
 from nermo_mjx.dynamics.rows import Layout, Problem
 from nermo_mjx.shapes import Array, Count, Dofs, Scalar, Truth
 
-#: Maximum number of rounds. Walks, falls and impacts need 3.5 on average and 10 at most; light links in stiff contacts
+#: Maximum number of rounds. Walks, falls and impacts need 3.5 on average and 12 at most; light links in stiff contacts
 #: up to 40 in float64.
 ROUNDS: Final = 100
 #: Rounds on an accelerator, where a loop with a stopping criterion would wait for the host in each round.
-FIXED: Final = 10
+FIXED: Final = 11
 #: Shares of a step at which the slope along it is evaluated, all at once, on a finer grid than a single step would
 #: need. Fewer shares need more rounds.
 SHARES: Final = (0.0, *(2.0 ** (-k / 2) for k in range(24, -1, -1)))

@@ -117,10 +117,13 @@ class Stiffness:
 
 @parameter_tree
 class Damping:
-    """Viscous damping of the joints: that of the author's model."""
+    """Viscous damping of the joints: that of the author's model.
+
+    Knees end at 0.5 N m s/rad: beyond, the tendon pulls at a leg that holds still, and its servo swings against it.
+    """
 
     hip: Any = quantity(0.01, unit="N m s/rad", low=0.0, high=1.0, doc="hip and shoulder joints")
-    knee: Any = quantity(0.005, unit="N m s/rad", low=0.0, high=1.0, doc="knee joints")
+    knee: Any = quantity(0.005, unit="N m s/rad", low=0.0, high=0.5, doc="knee joints")
     ankle: Any = quantity(0.005, unit="N m s/rad", low=0.0, high=1.0, doc="ankle joints")
     spine: Any = quantity(0.01, unit="N m s/rad", low=0.0, high=1.0, doc="spine joints")
     pulley: Any = quantity(0.01, unit="N m s/rad", low=0.0, high=1.0, doc="pulleys of knees and spine, neck, head")
