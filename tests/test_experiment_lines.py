@@ -1,4 +1,4 @@
-"""Published figures: the file that holds them, the rules, the words that measure them, and the 90 % intervals."""
+"""Published figures: the file that holds them, the rules, how they are measured, and the 90 % intervals."""
 
 import dataclasses
 import itertools
@@ -9,16 +9,13 @@ from experiment_fake import made_up
 
 from nermo_mjx.experiments import stands, walks
 from nermo_mjx.experiments.cases import Case, Outcome, clock, texts
+from nermo_mjx.experiments.measures import MEASURES, ProfileOutcome, every, falls, farthest, saturates
 from nermo_mjx.experiments.published import (
     KINDS,
     Figure,
-    Words,
     compare,
     counts,
-    falls,
-    farthest,
     figures,
-    saturates,
     set_ups,
 )
 from nermo_mjx.experiments.run import EXPERIMENTS
@@ -104,7 +101,7 @@ def test_only_what_nothing_was_decided_by_is_predicted():
 
 
 def figure(rule, published, **more):
-    return Figure("name", "predicted", rule, "1", published, **more)
+    return Figure("name", "predicted", rule, lambda of: 1, published, **more)
 
 
 @pytest.mark.parametrize(
@@ -179,7 +176,7 @@ def test_a_wrong_word_in_the_file_is_refused():
         figure("efect", 1.0)
 
 
-# --- the words
+# --- measures
 
 
 def line_table(**measured) -> Outcome:
@@ -189,7 +186,7 @@ def line_table(**measured) -> Outcome:
 
 def test_speeds_are_in_the_controllers_clock_and_angles_in_degrees():
     outcome = line_table(speed=lambda row: 0.1 * row["frequency"] * (2 if row["spine"] else 1), roll_std=0.1)
-    ours, exact = (Words(outcome, profile) for profile in ("as_published", "exact"))
+    ours, exact = (ProfileOutcome(outcome, profile) for profile in ("as_published", "exact"))
     assert ours.speed("trt", 0.8) == pytest.approx(1e3 * 0.4 * 0.08)
     assert exact.speed("trt", 0.8) == pytest.approx(80.0)
     assert ours.gain("trt", 0.5) == pytest.approx(2.0)
@@ -197,13 +194,25 @@ def test_speeds_are_in_the_controllers_clock_and_angles_in_degrees():
     assert [clock(profile) for profile in ("as_published", "exact", "as_built")] == [0.4, 1.0, 1.0]
 
 
-def test_a_word_without_a_case_or_a_number_unmeasures_the_figure():
+@pytest.mark.parametrize(
+    ("measure", "value"),
+    [
+        (lambda of: of.speed("trt", 0.8) > 1, True),
+        (lambda of: of.speed("lat", 0.8) > 1, None),
+        (lambda of: of.speed("trt", 0.9), None),
+        (lambda of: every(of.speed(gait, 0.8) < 1 for gait in ("trt", "lat")), None),
+        (lambda of: np.mean([]), None),
+        (lambda of: "a", "a"),
+    ],
+)
+def test_without_a_case_or_a_number_a_figure_is_not_measured(measure, value):
     outcome = line_table(speed=lambda row: np.nan if row["gait"] == "lat" else 0.1)
-    words = Words(outcome, "as_published")
-    measures = {'speed("trt", 0.8) > 1': True, 'speed("lat", 0.8) > 1': None, 'speed("trt", 0.9)': None, "'a'": "a"}
-    for measure, value in measures.items():
-        assert words.evaluate(compile(measure, "", "eval")) == value, measure
+    assert Figure("name", "predicted", "number", measure, 1.0).measured(outcome, "as_published") == value
     assert figures("straight-line")[0].measured(outcome, "as_built") is None
+
+
+def test_every_measure_is_of_a_figure():
+    assert [(name, measure) for name in MEASURES for measure in MEASURES[name]] == [(n, f.figure) for n, f in ALL]
 
 
 def test_a_spine_that_does_nothing_fails_every_line_about_its_effect():
@@ -250,9 +259,9 @@ def test_the_circle_that_is_lost_is_named_and_strategies_are_compared_where_both
             "theory_equal_strides": 0.4,
         },
     )
-    words = Words(outcome, "as_published")
-    assert words.lost() == "lat, 0.8 Hz, spine, 0.5 m"
-    assert len(words.compared("spine", "leg")) == 17, "18 circles, of which one was lost"
+    turns = ProfileOutcome(outcome, "as_published")
+    assert turns.lost() == "lat, 0.8 Hz, spine, 0.5 m"
+    assert len(turns.compared("spine", "leg")) == 17, "18 circles, of which one was lost"
     held = {line.figure: line.holds for line in compare(outcome)}
     assert held["paths not followed"]
     assert held["spine-based turning fastest wherever it follows the path"]
@@ -261,7 +270,7 @@ def test_the_circle_that_is_lost_is_named_and_strategies_are_compared_where_both
 
 
 def test_every_figure_is_measured_where_its_columns_are():
-    """Whatever the numbers: no measure names a column, a case or a word that does not exist."""
+    """Whatever the numbers: no measure names a column or a case that does not exist."""
     three, random = ("exact", "as_published", "as_built"), np.random.default_rng(0)
     limbs = [Case({"leg": leg, "sbc": sbc}, "trt") for leg in LIMBS for sbc in (False, True)]
     designs = {
@@ -303,9 +312,9 @@ def test_intervals_are_over_starts_and_bodies_and_say_whether_they_cover():
     own = made_up("maze", [{}], {"speed": lambda row: 90.0 + 2 * row["repeat"]})
     bodies = made_up("maze", [{"body": i + 1} for i in range(38)], {"speed": lambda row: 80.0 + row["body"]}, repeats=1)
     chosen = [
-        Figure("speed", "predicted", "number", 'mean("speed")', 100.0),
-        Figure("far", "predicted", "number", 'mean("speed")', 200.0),
-        Figure("word", "predicted", "outcome", '"pass" if mean("speed") > 90 else "fail"', "pass"),
+        Figure("speed", "predicted", "number", lambda of: of.mean("speed"), 100.0),
+        Figure("far", "predicted", "number", lambda of: of.mean("speed"), 200.0),
+        Figure("word", "predicted", "outcome", lambda of: "pass" if of.mean("speed") > 90 else "fail", "pass"),
     ]
     speed, far, word = compare(own, bodies, chosen)
     assert (speed.low, speed.high) == pytest.approx((82.05, 116.95), abs=0.5)

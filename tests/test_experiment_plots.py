@@ -343,7 +343,7 @@ def test_the_report_shows_numbers_as_shares_of_the_published():
     """
 
     def row(name, rule, published, as_published, exact, holds, unit="s"):
-        made = Figure(name, "predicted", rule, "1", published, unit=unit)
+        made = Figure(name, "predicted", rule, lambda of: 1, published, unit=unit)
         return line("maze", made, as_published=as_published, exact=exact, holds=holds)
 
     lines = [

@@ -14,7 +14,7 @@ from nermo_mjx.cli import main
 from nermo_mjx.control.parameters import PROFILES
 from nermo_mjx.experiments import walks
 from nermo_mjx.experiments.cases import Case, Outcome, Settings, in_each_robot
-from nermo_mjx.experiments.published import Words
+from nermo_mjx.experiments.measures import ProfileOutcome
 from nermo_mjx.experiments.run import EXPERIMENTS
 from nermo_mjx.rollout import Run, Setup, Simulator
 
@@ -158,7 +158,7 @@ def test_offset_compensation_lowers_the_roll(line):
 
 
 def test_speed_is_linear_in_the_stride(line):
-    assert Words(line, "exact").stride_line(False) >= 0.98
+    assert ProfileOutcome(line, "exact").stride_line(False) >= 0.98
 
 
 # --- turning

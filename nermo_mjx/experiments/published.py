@@ -1,7 +1,7 @@
 """The published figures, how they are measured and judged, and the lines of the report that result.
 
 The figures are data, in `published.yaml`: value, rule, kind, the sentence of the thesis that the rule stands for, its
-section, how it is measured (`Words`), and what the author's own model and code give, with their settings.
+section, and what the author's own model and code give, with their settings. How each is measured: `measures`.
 
 How a figure is judged, its `rule`:
 
@@ -24,29 +24,24 @@ was made, its kind:
 
 from __future__ import annotations
 
-import builtins
 import dataclasses
 import functools
 import math
-import re
 import warnings
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from importlib import resources
 from typing import Any, Final, Literal, get_args
 
 import numpy as np
 import yaml
 
-from nermo_mjx.experiments import theory
-from nermo_mjx.experiments.cases import AMPLITUDE, BODY, FREQUENCIES, PROFILES, Outcome, Settings, clock
-from nermo_mjx.experiments.walks import FULL_LOCK, GAITS, HARDWARE_STRIDE, STRATEGIES
-from nermo_mjx.robot.parameters import LIMBS
+from nermo_mjx.experiments.cases import BODY, PROFILES, Outcome, Settings
+from nermo_mjx.experiments.measures import MEASURES, Measure, NotMeasured, ProfileOutcome
 
 Kind = Literal["predicted", "chosen", "fitted", "theory"]
 Rule = Literal["number", "effect", "gain", "range", "at_most", "outcome", "none"]
 KINDS: Final[tuple[Kind, ...]] = get_args(Kind)
 Value = float | bool | str | None
-Number = np.floating[Any]
 #: A number, or the size of an effect, agrees with the publication within this share of it.
 AGREES: Final = 0.25
 #: The share of bodies and starts that an interval holds.
@@ -63,7 +58,7 @@ class Figure:
         figure: its name, for display.
         kind, rule: see the module.
         published: value; of a range two numbers; None for one that is compared with the author's model alone.
-        measure: expression of `Words`.
+        measure: of a profile's outcome; see `measures`.
         profile: the set-up in which it is judged: that which made it.
         unit: of a number as it is shown.
         digits: decimals that were published; None for a number that is not rounded.
@@ -76,7 +71,7 @@ class Figure:
     figure: str
     kind: Kind
     rule: Rule
-    measure: str
+    measure: Measure
     published: Any = None
     profile: str = "as_published"
     unit: str = ""
@@ -92,11 +87,6 @@ class Figure:
         for name, allowed in (("kind", KINDS), ("rule", get_args(Rule)), ("profile", PROFILES)):
             if getattr(self, name) not in allowed:
                 raise ValueError(f"{self.figure}: {name} is {getattr(self, name)!r}: allowed is {', '.join(allowed)}.")
-
-    @functools.cached_property
-    def code(self) -> Any:
-        """The compiled measure."""
-        return compile(self.measure, self.figure, "eval")
 
     @property
     def reference(self) -> Any:
@@ -115,7 +105,17 @@ class Figure:
 
     def measured(self, outcome: Outcome, profile: str) -> Value:
         """The figure in a profile; None where it was not measured."""
-        return Words(outcome, profile).evaluate(self.code) if profile in set(outcome.columns["profile"]) else None
+        if profile not in set(outcome.columns["profile"]):
+            return None
+        try:
+            # A quick run has no cases for some figures: the mean of nothing is not finite, so not measured.
+            with np.errstate(all="ignore"), warnings.catch_warnings(action="ignore", category=RuntimeWarning):
+                value = self.measure(ProfileOutcome(outcome, profile))
+        except NotMeasured:
+            return None
+        if isinstance(value, bool | np.bool_ | str):
+            return value if isinstance(value, str) else bool(value)
+        return float(value) if math.isfinite(value) else None
 
     def holds(self, value: Value | Sequence[float]) -> bool | None:
         """Whether a value agrees; None if there is none, or it is not judged."""
@@ -170,7 +170,10 @@ def _content() -> dict[str, Any]:
 @functools.cache
 def figures(experiment: str) -> tuple[Figure, ...]:
     """The published figures of an experiment, in the order of the report."""
-    return tuple(Figure(**entry) for entry in _content()["figures"].get(experiment, []))
+    measures = MEASURES.get(experiment, {})
+    return tuple(
+        Figure(**entry, measure=measures[entry["figure"]]) for entry in _content()["figures"].get(experiment, [])
+    )
 
 
 def set_ups() -> dict[str, str]:
@@ -332,222 +335,3 @@ def counts(lines: Sequence[Mapping[str, Any]]) -> dict[str, int]:
     holds, covered = ([line[name] for line in lines] for name in ("holds", "covered"))
     counted = {"hold": holds.count(True), "do_not_hold": holds.count(False), "not_measured": holds.count(None)}
     return {"lines": len(lines), **counted, "covered": covered.count(True), "not_covered": covered.count(False)}
-
-
-# --- measures: the vocabulary of published.yaml, words over the outcome of one profile
-
-#: Minimum R^2 for points to count as on a line.
-LINEAR: Final = 0.98
-#: The published straight lines by gait, without and with the spine.
-SPINE_GAITS: Final = GAITS[:2]
-_ANGLE: Final = re.compile(r"(roll|pitch|yaw)_(mean|std|min|max)|pitch_peak_up")
-
-
-class Words:
-    """The words, bound to an outcome and a profile; angles in degrees, speeds in mm/s, other lengths in metres.
-
-    A `measure` is an expression of them, such as `speed("trt", 0.8, True) / speed("trt", 0.8)`. A word that finds no
-    such case, or no number, makes the whole figure unmeasured. Times and speeds are in the controller's clock.
-    """
-
-    def __init__(self, outcome: Outcome, profile: str) -> None:
-        self._outcome, self._profile, self._missing = outcome, profile, False
-        self._clock, self._stride = clock(profile), HARDWARE_STRIDE if profile == "as_built" else 1.0
-
-    def evaluate(self, code: Any) -> Value:
-        """Value of a compiled expression; None if a word found nothing, or it is not a finite number."""
-        names = {name: getattr(self, name) for name in dir(self) if not name.startswith("_")}
-        self._missing = False
-        # A quick run has no cases for some figures: the mean of nothing is not finite, so not measured.
-        with np.errstate(all="ignore"), warnings.catch_warnings(action="ignore", category=RuntimeWarning):
-            value = eval(code, {"__builtins__": {}, **_CONSTANTS, **names})
-        if self._missing or value is None:
-            return None
-        if isinstance(value, bool | np.bool_ | str):
-            return value if isinstance(value, str) else bool(value)
-        return float(value) if math.isfinite(value) else None
-
-    def mean(self, column: str, **case: Any) -> Number:
-        """Mean of a column over the repeats of a case, in SI units and simulated time."""
-        value = self._outcome.mean(column, profile=self._profile, **case)
-        self._missing |= not math.isfinite(value)
-        return np.float64(value)
-
-    def worlds(self, column: str, **case: Any) -> np.ndarray:
-        """A column of all worlds of the profile that match, (n,), in SI units and simulated time."""
-        return np.asarray(self._outcome.columns[column], float)[self._outcome.where(profile=self._profile, **case)]
-
-    def simulation(self) -> Words:
-        """The words over the published simulation's profile, to which the hardware is compared."""
-        return Words(self._outcome, "as_published")
-
-    # straight line
-
-    def walk(
-        self, column: str, gait: str, frequency: float, spine: bool = False, *stride: float, **case: Any
-    ) -> Number:
-        """A column of a straight walk, at the profile's own stride if none is named; angles in degrees."""
-        case = {"compensated": False, "stride": stride[0] if stride else self._stride} | case
-        value = self.mean(column, gait=gait, frequency=frequency, spine=spine, **case)
-        return np.degrees(value) if _ANGLE.fullmatch(column) else value
-
-    def speed(self, *case: Any) -> Number:
-        """Speed of a walk [mm/s]; arguments as for `walk`."""
-        return 1e3 * self._clock * self.walk("speed", *case)
-
-    def theory_speed(self, *case: Any) -> Number:
-        """The same without slip."""
-        return 1e3 * self._clock * self.walk("theory_speed", *case)
-
-    def gain(self, gait: str, frequency: float) -> Number:
-        """Speed with the spine over that without."""
-        return self.speed(gait, frequency, True) / self.speed(gait, frequency)
-
-    def ratio(self, column: str, gait: str = "trt", frequency: float = 0.8) -> Number:
-        """A column with the spine over that without."""
-        return self.walk(column, gait, frequency, True) / self.walk(column, gait, frequency)
-
-    def compensated(self, column: str) -> Number:
-        """A column with offset compensation over that without, trot at 0.67 Hz with the spine."""
-        return self.walk(column, "trt", 0.67, True, compensated=True) / self.walk(column, "trt", 0.67, True)
-
-    def amplitude(self, angle: str, gait: str, frequency: float, spine: bool, compensated: bool = False) -> Number:
-        """Half the range of an angle [deg]."""
-        ends = (f"{angle}_min", f"{angle}_max")
-        low, high = (self.walk(end, gait, frequency, spine, compensated=compensated) for end in ends)
-        return 0.5 * (high - low)
-
-    def stride_line(self, spine: bool) -> float:
-        """R^2 of the line through speed over stride, trot at 0.8 Hz; NaN with fewer than three strides."""
-        case = {"gait": "trt", "frequency": 0.8, "spine": spine, "compensated": False}
-        stride, speed = (self.worlds(name, **case) for name in ("stride", "speed"))
-        return float(np.corrcoef(stride, speed)[0, 1] ** 2) if len(np.unique(stride)) >= 3 else math.nan
-
-    def stride_gain(self) -> float:
-        """Stride gained without slip by the spine (5.33) [mm]."""
-        return 1e3 * theory.stride_gain_of(AMPLITUDE)
-
-    # turning
-
-    def turn(self, column: str, gait: str, frequency: float, radius: float, strategy: str) -> Number:
-        """A column of a turn to the left."""
-        case = {"gait": gait, "frequency": frequency, "radius": radius, "strategy": strategy}
-        return self.mean(column, side="left", stride=self._stride, **case)
-
-    def turn_time(self, strategy: str) -> Number:
-        """Time for the quarter circle of 0.5 m, trot at 0.67 Hz [s]."""
-        return self.turn("time", "trt", 0.67, 0.5, strategy) / self._clock
-
-    def lock(self, gait: str, strategy: str, frequency: float = 0.67) -> Number:
-        """Smallest radius: that of the path at full lock [m]."""
-        return self.turn("turning_radius", gait, frequency, FULL_LOCK, strategy)
-
-    def followed(self, strategy: str, gait: str = "trt", frequency: float = 0.67, radius: float = 0.5) -> bool:
-        """Whether all repeats followed a quarter circle."""
-        return bool(self.turn("followed", gait, frequency, radius, strategy) == 1.0)
-
-    def _circles(self) -> list[tuple[str, float, float]]:
-        columns = self._outcome.only(side="left", profile=self._profile, stride=self._stride).columns
-        names = ("gait", "frequency", "radius")
-        return sorted({row for row in zip(*(columns[name].tolist() for name in names), strict=True) if row[2] > 0})
-
-    def lost(self) -> str | None:
-        """The quarter circles that were not followed, in words."""
-        circles = self._circles()
-        lost = [(*circle, name) for circle in circles for name in STRATEGIES if not self.followed(name, *circle)]
-        texts = [f"{gait}, {f:g} Hz, {strategy}, {radius:g} m" for gait, f, radius, strategy in lost]
-        return ("; ".join(texts) or "none") if circles else None
-
-    def compared(self, *strategies: str) -> list[tuple[Number, ...]]:
-        """Speeds of strategies on every quarter circle that all of them followed; none unmeasures the figure."""
-        found = [
-            tuple(self.turn("speed", *circle, strategy) for strategy in strategies)
-            for circle in self._circles()
-            if builtins.all(self.followed(strategy, *circle) for strategy in strategies)
-        ]
-        self._missing |= not found
-        return found
-
-    def mirrored(self) -> bool:
-        """Whether right equals left within the spread of the repeats, in speed and in the radius at full lock.
-
-        A single repeat has no spread: then within 0.2 %, to which rounding errors grow along the path.
-        """
-        rows = self._outcome.where(profile=self._profile, side="right")
-        self._missing |= not rows.any()
-        for row in np.flatnonzero(rows):
-            names = ("gait", "frequency", "radius", "strategy", "stride")
-            labels = {name: self._outcome.columns[name][row] for name in names}
-            for name in ("speed",) if labels["radius"] > 0 else ("speed", "turning_radius"):
-                left, right = (self.worlds(name, side=side, **labels) for side in ("left", "right"))
-                spread = max(np.ptp(left), np.ptp(right))
-                if not abs(left.mean() - right.mean()) <= (spread if len(left) > 1 else 2e-3 * left.mean()):
-                    return False
-        return True
-
-    # balance
-
-    def verdict(self, limb: str, sbc: bool) -> str:
-        """Whether a leg passed in all repeats: pass, fail, or the share that did."""
-        passed = self.lift("passed", limb, sbc)
-        return {1.0: "pass", 0.0: "fail"}.get(float(passed), f"{passed:.0%} pass")
-
-    def lift(self, column: str, limb: str, sbc: bool) -> Number:
-        """A column of a lift."""
-        return self.mean(column, leg=limb, sbc=sbc)
-
-    def rest(self, pair: str, sbc: bool) -> Number:
-        """Size of the resting pitch, mean of left and right [rad]."""
-        return np.mean([abs(self.lift("pitch_rest", f"{pair}_{side}", sbc)) for side in ("left", "right")])
-
-    def force(self, foot: str, lifted: str, sbc: bool) -> Number:
-        """Force of a foot [N] on four feet, just before a leg is lifted; mean of the case and its mirror image."""
-        swap = {"left": "right", "right": "left"}
-        mirror = [f"{pair}_{swap[side]}" for pair, side in (limb.split("_") for limb in (foot, lifted))]
-        return np.mean([self.lift(f"force_shift_{f}", leg, sbc) for f, leg in ((foot, lifted), mirror)])
-
-    # maze
-
-    def maze(self, column: str, spine: bool) -> Number:
-        """A column of the maze; time [s], mean_speed [mm/s] and angles [deg]."""
-        value = self.mean(column, spine=spine)
-        if column == "time":
-            return value / self._clock
-        if column == "mean_speed":
-            return 1e3 * self._clock * value
-        return np.degrees(value) if column.endswith("_std") else value
-
-    def maze_ratio(self, column: str) -> Number:
-        """With the spine over without."""
-        return self.maze(column, True) / self.maze(column, False)
-
-
-def farthest(values: Sequence[float], low: float, high: float) -> float:
-    """The value that lies farthest outside of an interval, or the one nearest to its ends."""
-    return builtins.max(values, key=lambda value: max(low - value, value - high))
-
-
-def falls(values: Iterable[float]) -> bool:
-    """Whether values decrease strictly."""
-    return bool((np.diff(list(values)) < 0.0).all())
-
-
-def saturates(x: Sequence[float], y: Sequence[float]) -> bool:
-    """Whether the slope decreases."""
-    return falls(np.diff(y) / np.diff(x))
-
-
-def _extreme(end: Any, values: np.ndarray) -> float:
-    """Of the values that are numbers; NaN without any."""
-    finite = values[~np.isnan(values)]
-    return float(end(finite)) if len(finite) else math.nan
-
-
-_CONSTANTS: Final[dict[str, Any]] = {
-    **{"F": FREQUENCIES, "GAITS": GAITS, "SPINE_GAITS": SPINE_GAITS, "LIMBS": LIMBS, "LINEAR": LINEAR},
-    **{"farthest": farthest, "falls": falls, "saturates": saturates, "average": np.mean, "abs": abs},
-    **{"degrees": np.degrees, "largest": lambda x: _extreme(np.max, x), "smallest": lambda x: _extreme(np.min, x)},
-    "on_a_line": lambda x, y: bool(np.corrcoef(x, y)[0, 1] ** 2 >= LINEAR),
-    "all": lambda values: builtins.all(list(values)),
-    "max": lambda values: builtins.max(values, default=math.nan),
-}

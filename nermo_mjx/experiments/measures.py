@@ -1,0 +1,526 @@
+"""How each published figure is measured: a function of one profile of an experiment's outcome.
+
+Angles are in degrees, speeds in mm/s, other lengths in metres unless the figure says another unit; times and speeds are
+in the controller's clock. What the figures are compared with stands beside them, in `published.yaml`.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any, Final
+
+import numpy as np
+
+from nermo_mjx.experiments import theory
+from nermo_mjx.experiments.cases import AMPLITUDE, FREQUENCIES, Outcome, clock
+from nermo_mjx.experiments.walks import FULL_LOCK, GAITS, HARDWARE_STRIDE, STRATEGIES
+from nermo_mjx.robot.parameters import LEGS, LIMBS
+
+Number = np.floating[Any]
+#: Minimum R^2 for points to count as on a line.
+LINEAR: Final = 0.98
+#: The published straight lines by gait, without and with the spine.
+SPINE_GAITS: Final = GAITS[:2]
+_ANGLE: Final = re.compile(r"(roll|pitch|yaw)_(mean|std|min|max)|pitch_peak_up")
+
+
+class NotMeasured(Exception):
+    """There is no such case, or no number: the figure is not measured."""
+
+
+class ProfileOutcome:
+    """An outcome in one profile. A method that finds no such case, or no number, raises `NotMeasured`."""
+
+    def __init__(self, outcome: Outcome, profile: str) -> None:
+        self._outcome, self._profile = outcome, profile
+        self._clock, self._stride = clock(profile), HARDWARE_STRIDE if profile == "as_built" else 1.0
+
+    def mean(self, column: str, **case: Any) -> Number:
+        """Mean of a column over the repeats of a case, in SI units and simulated time."""
+        value = self._outcome.mean(column, profile=self._profile, **case)
+        if not math.isfinite(value):
+            raise NotMeasured
+        return np.float64(value)
+
+    def worlds(self, column: str, **case: Any) -> np.ndarray:
+        """A column of all worlds of the profile that match, (n,), in SI units and simulated time."""
+        values = np.asarray(self._outcome.columns[column], float)[self._outcome.where(profile=self._profile, **case)]
+        if not len(values):
+            raise NotMeasured
+        return values
+
+    def simulation(self) -> ProfileOutcome:
+        """The outcome in the published simulation's profile, to which the hardware is compared."""
+        return ProfileOutcome(self._outcome, "as_published")
+
+    # straight line
+
+    def walk(
+        self, column: str, gait: str, frequency: float, spine: bool = False, *stride: float, **case: Any
+    ) -> Number:
+        """A column of a straight walk, at the profile's own stride if none is named; angles in degrees."""
+        case = {"compensated": False, "stride": stride[0] if stride else self._stride} | case
+        value = self.mean(column, gait=gait, frequency=frequency, spine=spine, **case)
+        return np.degrees(value) if _ANGLE.fullmatch(column) else value
+
+    def speed(self, *case: Any) -> Number:
+        """Speed of a walk [mm/s]; arguments as for `walk`."""
+        return 1e3 * self._clock * self.walk("speed", *case)
+
+    def theory_speed(self, *case: Any) -> Number:
+        """The same without slip."""
+        return 1e3 * self._clock * self.walk("theory_speed", *case)
+
+    def gain(self, gait: str, frequency: float) -> Number:
+        """Speed with the spine over that without."""
+        return self.speed(gait, frequency, True) / self.speed(gait, frequency)
+
+    def speeds(self, gait: str) -> list[Number]:
+        """Speed at each of `FREQUENCIES`."""
+        return [self.speed(gait, frequency) for frequency in FREQUENCIES]
+
+    def gains(self, gait: str, frequencies: Sequence[float] = FREQUENCIES) -> list[Number]:
+        """`gain` at each frequency."""
+        return [self.gain(gait, frequency) for frequency in frequencies]
+
+    def ratio(self, column: str, gait: str = "trt", frequency: float = 0.8) -> Number:
+        """A column with the spine over that without."""
+        return self.walk(column, gait, frequency, True) / self.walk(column, gait, frequency)
+
+    def ratios(self, column: str) -> list[Number]:
+        """`ratio` of both trots at each of `FREQUENCIES`."""
+        return [self.ratio(column, gait, frequency) for gait in SPINE_GAITS for frequency in FREQUENCIES]
+
+    def growths(self, column: str) -> list[Number]:
+        """Growth of a column of the trot with each step of the frequency, without and with the spine."""
+        return [
+            self.walk(column, "trt", high, spine) / self.walk(column, "trt", low, spine) - 1
+            for low, high in itertools.pairwise(FREQUENCIES)
+            for spine in (False, True)
+        ]
+
+    def largest_roll(self, spine: bool) -> Number:
+        """Largest roll to either side, trot at 0.8 Hz [deg]."""
+        return max(abs(self.walk(end, "trt", 0.8, spine)) for end in ("roll_min", "roll_max"))
+
+    def compensated(self, column: str) -> Number:
+        """A column with offset compensation over that without, trot at 0.67 Hz with the spine."""
+        return self.walk(column, "trt", 0.67, True, compensated=True) / self.walk(column, "trt", 0.67, True)
+
+    def amplitude(self, angle: str, gait: str, frequency: float, spine: bool, compensated: bool = False) -> Number:
+        """Half the range of an angle [deg]."""
+        ends = (f"{angle}_min", f"{angle}_max")
+        low, high = (self.walk(end, gait, frequency, spine, compensated=compensated) for end in ends)
+        return 0.5 * (high - low)
+
+    def stride_line(self, spine: bool) -> float:
+        """R^2 of the line through speed over stride, trot at 0.8 Hz; NaN with fewer than three strides."""
+        case = {"gait": "trt", "frequency": 0.8, "spine": spine, "compensated": False}
+        stride, speed = (self.worlds(name, **case) for name in ("stride", "speed"))
+        return float(np.corrcoef(stride, speed)[0, 1] ** 2) if len(np.unique(stride)) >= 3 else math.nan
+
+    def stride_gain(self) -> float:
+        """Stride gained without slip by the spine (5.33) [mm]."""
+        return 1e3 * theory.stride_gain_of(AMPLITUDE)
+
+    # turning
+
+    def turn(self, column: str, gait: str, frequency: float, radius: float, strategy: str) -> Number:
+        """A column of a turn to the left."""
+        case = {"gait": gait, "frequency": frequency, "radius": radius, "strategy": strategy}
+        return self.mean(column, side="left", stride=self._stride, **case)
+
+    def turn_time(self, strategy: str) -> Number:
+        """Time for the quarter circle of 0.5 m, trot at 0.67 Hz [s]."""
+        return self.turn("time", "trt", 0.67, 0.5, strategy) / self._clock
+
+    def lock(self, gait: str, strategy: str, frequency: float = 0.67) -> Number:
+        """Smallest radius: that of the path at full lock [m]."""
+        return self.turn("turning_radius", gait, frequency, FULL_LOCK, strategy)
+
+    def tighter(self, gait: str, strategy: str, other: str, frequency: float = 0.67) -> Number:
+        """By what share a strategy's smallest radius is below another's."""
+        return 1 - self.lock(gait, strategy, frequency) / self.lock(gait, other, frequency)
+
+    def followed(self, strategy: str, gait: str = "trt", frequency: float = 0.67, radius: float = 0.5) -> bool:
+        """Whether all repeats followed a quarter circle."""
+        return bool(self.turn("followed", gait, frequency, radius, strategy) == 1.0)
+
+    def _circles(self) -> list[tuple[str, float, float]]:
+        columns = self._outcome.only(side="left", profile=self._profile, stride=self._stride).columns
+        names = ("gait", "frequency", "radius")
+        return sorted({row for row in zip(*(columns[name].tolist() for name in names), strict=True) if row[2] > 0})
+
+    def lost(self) -> str:
+        """The quarter circles that were not followed, in words."""
+        circles = self._circles()
+        lost = [(*circle, name) for circle in circles for name in STRATEGIES if not self.followed(name, *circle)]
+        texts = [f"{gait}, {f:g} Hz, {strategy}, {radius:g} m" for gait, f, radius, strategy in lost]
+        if not circles:
+            raise NotMeasured
+        return "; ".join(texts) or "none"
+
+    def compared(self, *strategies: str) -> list[tuple[Number, ...]]:
+        """Speeds of strategies on every quarter circle that all of them followed."""
+        found = [
+            tuple(self.turn("speed", *circle, strategy) for strategy in strategies)
+            for circle in self._circles()
+            if all(self.followed(strategy, *circle) for strategy in strategies)
+        ]
+        if not found:
+            raise NotMeasured
+        return found
+
+    def mirrored(self) -> bool:
+        """Whether right equals left within the spread of the repeats, in speed and in the radius at full lock.
+
+        A single repeat has no spread: then within 0.2 %, to which rounding errors grow along the path.
+        """
+        rows = self._outcome.where(profile=self._profile, side="right")
+        if not rows.any():
+            raise NotMeasured
+        for row in np.flatnonzero(rows):
+            names = ("gait", "frequency", "radius", "strategy", "stride")
+            labels = {name: self._outcome.columns[name][row] for name in names}
+            for name in ("speed",) if labels["radius"] > 0 else ("speed", "turning_radius"):
+                left, right = (self.worlds(name, side=side, **labels) for side in ("left", "right"))
+                spread = max(np.ptp(left), np.ptp(right))
+                if not abs(left.mean() - right.mean()) <= (spread if len(left) > 1 else 2e-3 * left.mean()):
+                    return False
+        return True
+
+    # balance
+
+    def verdict(self, limb: str, sbc: bool) -> str:
+        """Whether a leg passed in all repeats: pass, fail, or the share that did."""
+        passed = self.lift("passed", limb, sbc)
+        return {1.0: "pass", 0.0: "fail"}.get(float(passed), f"{passed:.0%} pass")
+
+    def lift(self, column: str, limb: str, sbc: bool) -> Number:
+        """A column of a lift."""
+        return self.mean(column, leg=limb, sbc=sbc)
+
+    def rest(self, pair: str, sbc: bool) -> Number:
+        """Size of the resting pitch, mean of left and right [rad]."""
+        return np.mean([abs(self.lift("pitch_rest", f"{pair}_{side}", sbc)) for side in ("left", "right")])
+
+    def force(self, foot: str, lifted: str, sbc: bool) -> Number:
+        """Force of a foot [N] on four feet, just before a leg is lifted; mean of the case and its mirror image."""
+        swap = {"left": "right", "right": "left"}
+        mirror = [f"{pair}_{swap[side]}" for pair, side in (limb.split("_") for limb in (foot, lifted))]
+        return np.mean([self.lift(f"force_shift_{f}", leg, sbc) for f, leg in ((foot, lifted), mirror)])
+
+    # maze
+
+    def maze(self, column: str, spine: bool) -> Number:
+        """A column of the maze; time [s], mean_speed [mm/s] and angles [deg]."""
+        value = self.mean(column, spine=spine)
+        if column == "time":
+            return value / self._clock
+        if column == "mean_speed":
+            return 1e3 * self._clock * value
+        return np.degrees(value) if column.endswith("_std") else value
+
+    def maze_ratio(self, column: str) -> Number:
+        """With the spine over without."""
+        return self.maze(column, True) / self.maze(column, False)
+
+    # the stand of the leg
+
+    def shortens(self, routing: str, other: str) -> bool:
+        """Whether a routing has a shorter lever arm on the knee than another one, in both pairs of legs."""
+        force = [[self.mean("force", pair=pair, routing=r, hinges=1) for r in (routing, other)] for pair in LEGS]
+        return all(one < another for one, another in force)
+
+
+def farthest(values: Sequence[Number], low: float, high: float) -> Number:
+    """The value that lies farthest outside of an interval, or the one nearest to its ends."""
+    return max(values, key=lambda value: max(low - value, value - high))
+
+
+def falls(values: Iterable[Any]) -> bool:
+    """Whether values decrease strictly."""
+    return bool((np.diff(list(values)) < 0.0).all())
+
+
+def saturates(x: Sequence[float], y: Sequence[Number]) -> bool:
+    """Whether the slope decreases."""
+    return falls(np.diff(y) / np.diff(x))
+
+
+def on_a_line(x: Sequence[float], y: Sequence[Number]) -> bool:
+    """Whether the R^2 of the line through points is at least `LINEAR`."""
+    return bool(np.corrcoef(x, y)[0, 1] ** 2 >= LINEAR)
+
+
+def every(values: Iterable[Any]) -> bool:
+    """Whether all are true. All are asked for, so that a figure of which a part is missing is not measured."""
+    return all(list(values))
+
+
+# --- the figures
+
+Measure = Callable[[ProfileOutcome], float | bool | str | np.generic]
+#: By experiment and figure, as in `published.yaml`.
+MEASURES: Final[Mapping[str, Mapping[str, Measure]]] = {
+    "straight-line": {
+        "theory: speed of trt, 0.8 Hz, no spine": lambda of: of.theory_speed("trt", 0.8),
+        "theory: speed of trt, 0.8 Hz, spine": lambda of: of.theory_speed("trt", 0.8, True),
+        "theory: longer stride by the spine": ProfileOutcome.stride_gain,
+        "theory: speed of the spine alone (stride 0), 0.8 Hz": lambda of: of.theory_speed("trt", 0.8, True, 0.0),
+        "speed of the spine alone (stride 0), 0.8 Hz": lambda of: of.speed("trt", 0.8, True, 0.0),
+        "speed of trt, 0.8 Hz, no spine": lambda of: of.speed("trt", 0.8),
+        "speed of trt over its theory, 0.8 Hz": lambda of: of.speed("trt", 0.8) / of.theory_speed("trt", 0.8),
+        "speed of trt1 over its theory, mean of the frequencies": lambda of: np.mean(
+            [of.speed("trt1", f) / of.theory_speed("trt1", f) for f in FREQUENCIES]
+        ),
+        "speed of lat over its theory, mean of the frequencies": lambda of: np.mean(
+            [of.speed("lat", f) / of.theory_speed("lat", f) for f in FREQUENCIES]
+        ),
+        "trot > walking trot > lateral walk at each frequency": lambda of: every(
+            falls(of.speed(g, f) for g in GAITS) for f in FREQUENCIES
+        ),
+        "trt faster with the spine at each frequency": lambda of: min(of.gains("trt")) > 1,
+        "trt1 faster with the spine at each frequency": lambda of: min(of.gains("trt1")) > 1,
+        "speed of trt, 0.5 and 0.67 Hz, spine over none": lambda of: farthest(
+            of.gains("trt", FREQUENCIES[:2]), 1.05, 1.22
+        ),
+        "speed of trt, 0.8 Hz, spine over none": lambda of: of.gain("trt", 0.8),
+        "speed of trt over lat, 0.8 Hz, no spine": lambda of: of.speed("trt", 0.8) / of.speed("lat", 0.8),
+        "speed of trt with spine over lat, 0.8 Hz": lambda of: of.speed("trt", 0.8, True) / of.speed("lat", 0.8),
+        "speed of trt linear in frequency": lambda of: on_a_line(FREQUENCIES, of.speeds("trt")),
+        "speed of trt1 linear in frequency": lambda of: on_a_line(FREQUENCIES, of.speeds("trt1")),
+        "speed of lat saturates with frequency": lambda of: saturates(FREQUENCIES, of.speeds("lat")),
+        "speed over stride, R^2 of a line": lambda of: of.stride_line(False),
+        "speed over stride with the spine: a line, above that without": lambda of: (
+            of.stride_line(True) >= LINEAR
+            and every(of.speed("trt", 0.8, True, s) > of.speed("trt", 0.8, False, s) for s in (0.0, 0.5, 0.8, 1.0))
+        ),
+        "roll std higher with the spine": lambda of: min(of.ratios("roll_std")) > 1,
+        "pitch std higher with the spine": lambda of: min(of.ratios("pitch_std")) > 1,
+        "yaw std higher with the spine": lambda of: min(of.ratios("yaw_std")) > 1,
+        "roll std, spine over none, trt and trt1 at each frequency": lambda of: farthest(
+            of.ratios("roll_std"), 1.25, 1.4
+        ),
+        "roll std of trt grows with each frequency step": lambda of: min(of.growths("roll_std")) > 0,
+        "growth of roll std of trt with a frequency step, mean": lambda of: np.mean(of.growths("roll_std")),
+        "yaw std of trt with the spine, 0.8 Hz": lambda of: of.walk("yaw_std", "trt", 0.8, True),
+        "yaw std of trt, 0.8 Hz, spine over none": lambda of: of.ratio("yaw_std"),
+        "yaw amplitude of trt, 0.8 Hz, spine over none": lambda of: (
+            of.amplitude("yaw", "trt", 0.8, True) / of.amplitude("yaw", "trt", 0.8, False)
+        ),
+        "yaw follows the spine's angle": lambda of: of.walk("yaw_spine_correlation", "trt", 0.8, True) >= 0.7,
+        "largest roll of trt, 0.8 Hz, spine": lambda of: of.largest_roll(True),
+        "largest roll of trt, 0.8 Hz, no spine": lambda of: of.largest_roll(False),
+        "roll std falls with duty, 0.8 Hz: trt > trt1 > lat": lambda of: falls(
+            of.walk("roll_std", g, 0.8) for g in GAITS
+        ),
+        "yaw std with the spine larger at the lower duty, trt > trt1": lambda of: every(
+            of.walk("yaw_std", "trt", f, True) > of.walk("yaw_std", "trt1", f, True) for f in FREQUENCIES
+        ),
+        "roll std of trt, 0.67 Hz, spine, compensated over not": lambda of: of.compensated("roll_std"),
+        "roll amplitude of trt, 0.67 Hz, spine, compensated over not": lambda of: (
+            of.amplitude("roll", "trt", 0.67, True, True) / of.amplitude("roll", "trt", 0.67, True)
+        ),
+        "compensation lowers the roll, and leaves pitch and yaw": lambda of: (
+            of.compensated("roll_std") < 1
+            and every(abs(of.compensated(a) - 1) <= 0.15 for a in ("pitch_std", "yaw_std"))
+        ),
+        "standing pitch": lambda of: of.walk("pitch_mean", "stand", 0.8, False, 0.0),
+        "mean pitch of trt, 0.8 Hz, no spine": lambda of: of.walk("pitch_mean", "trt", 0.8),
+        "largest pitch std of all cases": lambda of: np.nanmax(np.degrees(of.worlds("pitch_std"))),
+        "pitch std of trt, 0.8 Hz, spine minus none": lambda of: (
+            of.walk("pitch_std", "trt", 0.8, True) - of.walk("pitch_std", "trt", 0.8)
+        ),
+        "pitch std of trt, 0.8 Hz, stride 1.0 over 0.8": lambda of: max(
+            of.walk("pitch_std", "trt", 0.8, s, 1.0) / of.walk("pitch_std", "trt", 0.8, s, 0.8) for s in (False, True)
+        ),
+        "upward pitch peak of trt, 0.8 Hz, spine over none": lambda of: of.ratio("pitch_peak_up"),
+        "upward pitch peak of trt, 0.8 Hz, stride 1.0 over 0.8": lambda of: (
+            of.walk("pitch_peak_up", "trt", 0.8) / of.walk("pitch_peak_up", "trt", 0.8, False, 0.8)
+        ),
+        "pitch peaks in a gait cycle of trt, 0.8 Hz": lambda of: of.walk("pitch_peaks", "trt", 0.8),
+        "largest upward pitch of trt, 0.8 Hz": lambda of: max(
+            -of.walk("pitch_min", "trt", 0.8, s) for s in (False, True)
+        ),
+        "front feet carry more than rear feet": lambda of: of.walk("front_load_share", "trt", 0.8) > 0.5,
+        "rear feet slip most at lift-off": lambda of: (
+            of.walk("slip_rear_lift_off", "trt", 0.8)
+            > max(of.walk(f"slip_rear_{part}", "trt", 0.8) for part in ("touch_down", "mid_stance"))
+        ),
+        "hardware: speed of trt, 0.67 Hz, no spine": lambda of: of.speed("trt", 0.67),
+        "hardware: speed of trt, 0.67 Hz, spine": lambda of: of.speed("trt", 0.67, True),
+        "hardware: speed of trt, 0.67 Hz, spine over none": lambda of: of.gain("trt", 0.67),
+        "hardware: speed of trt, 0.5 and 0.8 Hz, spine over none": lambda of: farthest(
+            of.gains("trt", (0.5, 0.8)), 1.15, 1.22
+        ),
+        "hardware: speed of trt over lat, mean of the frequencies": lambda of: np.mean(
+            [of.speed("trt", f) / of.speed("lat", f) for f in FREQUENCIES]
+        ),
+        "hardware below simulation, trt, no spine": lambda of: (
+            1 - of.speed("trt", 0.67) / of.simulation().speed("trt", 0.67)
+        ),
+        "hardware below simulation, trt, spine": lambda of: (
+            1 - of.speed("trt", 0.67, True) / of.simulation().speed("trt", 0.67, True)
+        ),
+        "hardware below simulation, lat": lambda of: 1 - of.speed("lat", 0.67) / of.simulation().speed("lat", 0.67),
+    },
+    "turning": {
+        "spine-based turning fastest wherever it follows the path": lambda of: every(
+            a > b for other in ("leg", "mix") for a, b in of.compared("spine", other)
+        ),
+        "mix-based turning between leg- and spine-based": lambda of: every(
+            a < b < c for a, b, c in of.compared("leg", "mix", "spine")
+        ),
+        "speed, spine- over leg-based, mean of all paths": lambda of: np.mean(
+            [a / b for a, b in of.compared("spine", "leg")]
+        ),
+        "largest gain in speed, spine- over leg-based": lambda of: max(
+            a / b - 1 for a, b in of.compared("spine", "leg")
+        ),
+        "leg-based turning loses speed": lambda of: every(a < b for a, b in of.compared("leg", "spine")),
+        "spine-based turning has the more limited range of radii": lambda of: every(
+            of.lock(g, "spine", f) > of.lock(g, "leg", f) for g in GAITS for f in FREQUENCIES
+        ),
+        "speed, spine- over mix-based, trt, 1.0 m, 0.5 Hz": lambda of: (
+            of.turn("speed", "trt", 0.5, 1.0, "spine") / of.turn("speed", "trt", 0.5, 1.0, "mix")
+        ),
+        "speed, spine- over mix-based, trt1, 1.0 m, 0.5 Hz": lambda of: (
+            of.turn("speed", "trt1", 0.5, 1.0, "spine") / of.turn("speed", "trt1", 0.5, 1.0, "mix")
+        ),
+        "time for 0.5 m, trt, 0.67 Hz, spine- over leg-based": lambda of: of.turn_time("spine") / of.turn_time("leg"),
+        "time for 0.5 m, trt, 0.67 Hz, mix- over leg-based": lambda of: of.turn_time("mix") / of.turn_time("leg"),
+        "paths not followed": ProfileOutcome.lost,
+        "time for 0.5 m, trt, 0.67 Hz, spine-based": lambda of: of.turn_time("spine"),
+        "time for 0.5 m, trt, 0.67 Hz, leg-based": lambda of: of.turn_time("leg"),
+        "time for 0.5 m, trt, 0.67 Hz, mix-based": lambda of: of.turn_time("mix"),
+        "smallest radius of trt, leg-based": lambda of: of.lock("trt", "leg"),
+        "smallest radius of trt, mix-based": lambda of: of.lock("trt", "mix"),
+        "smallest radius of all, mix-based": lambda of: np.nanmin(
+            of.worlds("turning_radius", strategy="mix", radius=0.0)
+        ),
+        "smallest radius of lat by the spine, 0.5 Hz": lambda of: of.lock("lat", "spine", 0.5),
+        "smallest radius of lat by the spine, 0.8 Hz, above 0.5 m": lambda of: of.lock("lat", "spine", 0.8) > 0.5,
+        "smallest radius of lat by the spine, 0.8 Hz": lambda of: of.lock("lat", "spine", 0.8),
+        "smallest radius of trt, 0.5 Hz, mix- below spine-based": lambda of: of.tighter("trt", "mix", "spine", 0.5),
+        "smallest radius of lat, 0.8 Hz, mix- below spine-based": lambda of: of.tighter("lat", "mix", "spine", 0.8),
+        "theory: smallest radius, leg-based": lambda of: of.turn("theory_radius", "trt", 0.67, 0.0, "leg"),
+        "theory: smallest radius, mix-based": lambda of: of.turn("theory_radius", "trt", 0.67, 0.0, "mix"),
+        "theory: spine-based full lock (5.43)": lambda of: of.turn("theory_radius", "trt", 0.67, 0.0, "spine"),
+        "theory: spine-based full lock, two feet with equal strides": lambda of: of.turn(
+            "theory_equal_strides", "trt", 0.67, 0.0, "spine"
+        ),
+        "smallest radius of trt, mix-based below leg-based": lambda of: of.tighter("trt", "mix", "leg"),
+        "smallest radius of trt1, mix-based below leg-based": lambda of: of.tighter("trt1", "mix", "leg"),
+        "smallest radius of lat, mix-based below leg-based": lambda of: of.tighter("lat", "mix", "leg"),
+        "smallest radius of trt above theory, leg-based": lambda of: (
+            of.lock("trt", "leg") / of.turn("theory_radius", "trt", 0.67, 0.0, "leg") - 1
+        ),
+        "smallest radius of trt above theory, mix-based": lambda of: (
+            of.lock("trt", "mix") / of.turn("theory_radius", "trt", 0.67, 0.0, "mix") - 1
+        ),
+        "smallest radius off theory, mean of all cases": lambda of: np.mean(
+            abs(
+                of.worlds("turning_radius", radius=0.0, side="left")
+                / of.worlds("theory_radius", radius=0.0, side="left")
+                - 1
+            )
+        ),
+        "right turns as left turns": ProfileOutcome.mirrored,
+        "hardware: time for 0.5 m, trt, 0.67 Hz, spine-based": lambda of: of.turn_time("spine"),
+        "hardware: time for 0.5 m, trt, 0.67 Hz, leg-based": lambda of: of.turn_time("leg"),
+        "hardware: time for 0.5 m, trt, 0.67 Hz, mix-based": lambda of: of.turn_time("mix"),
+        "hardware: 0.5 m, trt, 0.67 Hz, followed, spine-based": lambda of: of.followed("spine"),
+        "hardware: 0.5 m, trt, 0.67 Hz, followed, leg-based": lambda of: of.followed("leg"),
+        "hardware: 0.5 m, trt, 0.67 Hz, followed, mix-based": lambda of: of.followed("mix"),
+    },
+    "balance": {
+        "front left lifted, without balance compensation": lambda of: of.verdict("front_left", False),
+        "front right lifted, without balance compensation": lambda of: of.verdict("front_right", False),
+        "rear left lifted, without balance compensation": lambda of: of.verdict("rear_left", False),
+        "rear right lifted, without balance compensation": lambda of: of.verdict("rear_right", False),
+        "front left lifted, with balance compensation": lambda of: of.verdict("front_left", True),
+        "front right lifted, with balance compensation": lambda of: of.verdict("front_right", True),
+        "rear left lifted, with balance compensation": lambda of: of.verdict("rear_left", True),
+        "rear right lifted, with balance compensation": lambda of: of.verdict("rear_right", True),
+        "resting pitch reduced by compensation, front legs": lambda of: (
+            1 - of.rest("front", True) / of.rest("front", False)
+        ),
+        "resting pitch reduced by compensation, rear legs": lambda of: (
+            1 - of.rest("rear", True) / of.rest("rear", False)
+        ),
+        "height of the centre of mass": lambda of: (
+            1e3 * np.mean([of.lift("com_height", leg, sbc) for leg in LIMBS for sbc in (False, True)])
+        ),
+        "force of the rear left foot, without compensation": lambda of: of.force("rear_left", "rear_left", False),
+        "force of the rear left foot, with compensation": lambda of: of.force("rear_left", "rear_left", True),
+        "force of the front right foot, with compensation": lambda of: of.force("front_right", "rear_left", True),
+        "front left and rear right carry most, with compensation": lambda of: (
+            of.force("front_left", "rear_left", True) + of.force("rear_right", "rear_left", True)
+            > of.force("front_right", "rear_left", True) + of.force("rear_left", "rear_left", True)
+        ),
+        "impact of the rear right foot without compensation": lambda of: of.lift("impact", "rear_right", False),
+        "impact of the rear left foot without compensation": lambda of: of.lift("impact", "rear_left", False),
+        "hardware: front left lifted, without compensation": lambda of: of.verdict("front_left", False),
+        "hardware: front right lifted, without compensation": lambda of: of.verdict("front_right", False),
+        "hardware: rear left lifted, without compensation": lambda of: of.verdict("rear_left", False),
+        "hardware: rear right lifted, without compensation": lambda of: of.verdict("rear_right", False),
+        "hardware: front left lifted, with compensation": lambda of: of.verdict("front_left", True),
+        "hardware: front right lifted, with compensation": lambda of: of.verdict("front_right", True),
+        "hardware: rear left lifted, with compensation": lambda of: of.verdict("rear_left", True),
+        "hardware: rear right lifted, with compensation": lambda of: of.verdict("rear_right", True),
+    },
+    "maze": {
+        "end reached without spine": lambda of: of.maze("reached", False) == 1,
+        "end reached with spine": lambda of: of.maze("reached", True) == 1,
+        "no box touched without spine": lambda of: of.maze("touched", False) == 0,
+        "no box touched with spine": lambda of: of.maze("touched", True) == 0,
+        "time without spine": lambda of: of.maze("time", False),
+        "time with spine": lambda of: of.maze("time", True),
+        "time with spine over without": lambda of: of.maze_ratio("time"),
+        "mean speed without spine": lambda of: of.maze("mean_speed", False),
+        "mean speed with spine": lambda of: of.maze("mean_speed", True),
+        "mean speed with spine over without": lambda of: of.maze_ratio("mean_speed"),
+        "roll std higher with the spine": lambda of: of.maze_ratio("roll_std") > 1,
+        "pitch std higher with the spine": lambda of: of.maze_ratio("pitch_std") > 1,
+        "roll std without spine": lambda of: of.maze("roll_std", False),
+        "roll std with spine": lambda of: of.maze("roll_std", True),
+        "roll std with spine over without": lambda of: of.maze_ratio("roll_std"),
+        "pitch std without spine": lambda of: of.maze("pitch_std", False),
+        "pitch std with spine": lambda of: of.maze("pitch_std", True),
+        "pitch std with spine over without": lambda of: of.maze_ratio("pitch_std"),
+        "hardware: time saved with the spine": lambda of: 1 - of.maze_ratio("time"),
+    },
+    "body": {
+        "mass": lambda of: 1e3 * of.mean("mass"),
+        "servos": lambda of: of.mean("servos"),
+        "length": lambda of: 1e3 * of.mean("length"),
+        "height": lambda of: 1e3 * of.mean("height"),
+        "width": lambda of: 1e3 * of.mean("width"),
+        "shoulder to hip": lambda of: 1e3 * of.mean("scapula_pelvis"),
+        "bend of a front knee under load": lambda of: of.mean("bend_front_knee"),
+        "bend of a rear knee under load": lambda of: of.mean("bend_rear_knee"),
+        "bend of the spine under load": lambda of: of.mean("bend_spine"),
+        "largest angle of a spine joint": lambda of: of.mean("spine_joint_limit"),
+    },
+    "leg-stand": {
+        "bend of a front knee under load, 4 hinges": lambda of: of.mean(
+            "bend", pair="front", routing="type3", hinges=4
+        ),
+        "bend of a rear knee under load, 4 hinges": lambda of: of.mean("bend", pair="rear", routing="type3", hinges=4),
+        "routing type 2 has a shorter lever arm on the knee than type 1": lambda of: of.shortens("type2", "type1"),
+        "routing type 3 has a shorter lever arm on the knee than type 1": lambda of: of.shortens("type3", "type1"),
+        "adjusted type 3 has the shortest lever arm": lambda of: of.shortens("type3_idler", "type3"),
+        "only with type 3 the knee is independent of the hip": lambda of: every(
+            (abs(of.mean("coupling", pair=p, routing=r, hinges=1)) < 0.01) == (r == "type3")
+            for p in ("front", "rear")
+            for r in ("type1", "type2", "type3")
+        ),
+    },
+    "spine-stand": {
+        "bend of the spine under load, 4 hinges": lambda of: of.mean("bend", robot="nermo_lite", hinges=4),
+    },
+}
