@@ -4,6 +4,7 @@ import json
 import types
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 
 from nermo_mjx.experiments import ensemble, identification
@@ -13,8 +14,10 @@ from nermo_mjx.robot.identified import read_ensemble
 from nermo_mjx.robot.model_parameters import ModelParameters
 from nermo_mjx.robot.quantity import ParameterError, quantities
 from nermo_mjx.rollout import Setup
-from nermo_mjx.runs import JobFailed, OtherCode, Watch, codes_of
+from nermo_mjx.runs import DirectoryError, JobFailed, OtherCode, Watch, codes_of
+from nermo_mjx.runs.rows import part_files
 from nermo_mjx.runs.workers import WorkersLost
+from nermo_mjx.sweep import simulating
 
 pytestmark = pytest.mark.draws
 
@@ -99,7 +102,7 @@ class Pretended:
     def __init__(self, setup=None, engine="auto"):
         self.setup = setup
 
-    def run(self, values, run):
+    def run(self, values, run, **_):
         type(self).calls += 1
         if self.dies_after is not None and type(self).calls > self.dies_after:
             raise KeyboardInterrupt
@@ -113,7 +116,7 @@ class Pretended:
             case = CASES[i % len(CASES)].labels
             gain = {0.5: 1.1, 0.8: 1.48 / 1.27}[case["frequency"]] if case["spine"] else 1.0
             speed[i] = base[case["gait"], case["frequency"]] * gain * np.exp(away[i])
-        return types.SimpleNamespace(metrics={"speed": speed}, status=np.full(len(away), "ok"))
+        return types.SimpleNamespace(metrics={"speed": speed}, status=np.full(len(away), "ok"), steps=1)
 
 
 @pytest.fixture
@@ -121,7 +124,7 @@ def pretended(monkeypatch):
     class Fresh(Pretended):
         pass
 
-    monkeypatch.setattr(identification, "Simulator", Fresh)
+    monkeypatch.setattr(simulating, "Simulator", Fresh)
     return Fresh
 
 
@@ -161,7 +164,7 @@ def test_the_ensemble_is_within_tolerance_and_bounds_and_begins_with_the_best(pr
 def test_the_set_up_of_the_tests_is_searched_from_the_authors_values_in_the_publications_clock(pretended):
     """The pretended trot walks at 0.9 of its theory in one clock, and so at 0.36 of it in the other."""
     asked = []
-    pretended.run = lambda self, values, run, inherited=pretended.run: (
+    pretended.run = lambda self, values, run, inherited=pretended.run, **_: (
         asked.append(values),
         inherited(self, values, run),
     )[1]
@@ -230,8 +233,10 @@ def test_who_walks_the_candidates_and_when_does_not_matter(pretended, tmp_path):
     assert others.at_hand == [3, *[1] * 12, *[3] * (len(others.at_hand) - 13)]
     assert len(others.at_hand) > 14, "the ensemble sweeps"
     for name in ("one", "others"):
-        rows = [json.loads(line) for line in (tmp_path / name / "candidates.jsonl").read_text().splitlines()[1:]]
-        assert len(rows) == sum(others.at_hand)
+        table = pq.read_table(tmp_path / name / "results")
+        assert len(part_files(tmp_path / name)) == sum(others.at_hand)
+        assert sorted(table["row"].to_pylist()) == list(range(table.num_rows))
+        assert identification.status(tmp_path / name).rows_done == table.num_rows // len(CASES) > len(ours["costs"])
 
 
 def test_workers_that_are_lost_leave_what_they_walked(pretended, tmp_path):
@@ -257,26 +262,36 @@ def test_another_robot_does_not_go_on_with_the_candidates(pretended, tmp_path, m
         identification.run_identification(tmp_path, **settings)
 
 
+def test_candidates_of_an_earlier_version_are_refused(tmp_path):
+    (tmp_path / "candidates.jsonl").write_text("{}\n")
+    with pytest.raises(DirectoryError, match="holds candidates of an earlier version: choose another directory"):
+        identification.run_identification(tmp_path, engine="c")
+
+
 def test_candidates_of_other_code_are_refused_until_they_are_accepted(pretended, tmp_path, monkeypatch):
-    """Each line says which code walked it, and none is walked twice; the last line was being written at the kill."""
+    """Each row says which code walked it, and none is walked twice, unless its part is damaged."""
     settings = {**SMALL, "generations": 4, "bodies": 0}
     pretended.dies_after = 3
     with pytest.raises(KeyboardInterrupt):
         identification.run_identification(tmp_path, **settings, engine="mjx")
     pretended.dies_after, pretended.calls = None, 0
-    path = tmp_path / "candidates.jsonl"
-    before, cut = path.read_text(), '{"points": [[0.1, 0\n'
-    path.write_text(before + cut.rstrip())
+    before = {path: path.read_bytes() for path in part_files(tmp_path)}
     monkeypatch.setattr("nermo_mjx.runs.code.__version__", "9.9.9")
     with pytest.raises(OtherCode, match=r"made by other code: nermo-mjx .*, not 9\.9\.9; .*--accept-new-code"):
         identification.run_identification(tmp_path, **settings, engine="mjx")
     assert not pretended.calls
     content = identification.run_identification(tmp_path, **settings, accept_new_code=True)
     assert content["engine"] == "mjx", "that with which it was begun"
-    assert path.read_text().startswith(before + cut), "what was there stays as it was"
-    codes = [json.loads(line)["code"] for line in path.read_text().replace(cut, "").splitlines()[1:]]
+    assert {path: path.read_bytes() for path in before} == before, "what was there stays as it was"
     former, new = codes_of(tmp_path)
-    assert codes == [former] * 3 + [new] * pretended.calls
+    codes = {path: set(pq.read_table(path)["code"].to_pylist()) for path in part_files(tmp_path)}
+    assert [codes.pop(path) for path in before] == [{former}] * 3
+    assert list(codes.values()) == [{new}] * pretended.calls
+    (tmp_path / "identification.json").unlink()
+    next(iter(codes)).write_bytes(b"damaged")
+    pretended.calls = 0
+    again = identification.run_identification(tmp_path, **settings, accept_new_code=True)
+    assert (again["costs"], pretended.calls) == (content["costs"], 1)
     assert content["codes"] == [former, new]
     assert f"code {former}, {new};" in (tmp_path / "identification.md").read_text()
 

@@ -49,7 +49,7 @@ def jobs() -> dict[str, Callable[[Path], pa.Table]]:
     from nermo_mjx.experiments import identification, plots
     from nermo_mjx.experiments.run import EXPERIMENTS, run_experiments
     from nermo_mjx.optimize import Tuning, read_history, run_landscape, run_search, run_tuning
-    from nermo_mjx.sweep import merge_sweeps, read_table, run_sweep
+    from nermo_mjx.sweep import merge_sweeps, read_table, run_sweep, simulating
 
     name = next(iter(EXPERIMENTS))
     EXPERIMENTS[name] = Fake(name).experiment()
@@ -61,12 +61,12 @@ def jobs() -> dict[str, Callable[[Path], pa.Table]]:
         def __init__(self, setup: Any, engine: str) -> None:
             self.setup = setup
 
-        def run(self, values: dict[str, np.ndarray], run: Any) -> Any:
+        def run(self, values: dict[str, np.ndarray], run: Any, **_: Any) -> Any:
             gain = np.asarray(values["servo.kp"])
             speed = np.resize(0.05 + 0.01 * np.arange(len(identification.CASES)), len(gain)) * (1 + 0.01 * gain)
-            return types.SimpleNamespace(metrics={"speed": speed}, status=np.full(len(speed), "ok"))
+            return types.SimpleNamespace(metrics={"speed": speed}, status=np.full(len(speed), "ok"), steps=1)
 
-    identification.Simulator = Walker  # type: ignore[misc, assignment]
+    simulating.Simulator = Walker  # type: ignore[misc, assignment]
 
     def sweep(out: Path) -> pa.Table:
         run_sweep(SPEC, out, chunk=4, simulator=FakeSimulator())

@@ -25,7 +25,7 @@ from nermo_mjx.optimize import Tuning, run_landscape, run_tuning
 from nermo_mjx.runs import Interrupted, RunDirectory, codes_of, stamp
 from nermo_mjx.runs.code import local_time
 from nermo_mjx.runs.rows import part_files
-from nermo_mjx.sweep import run_sweep
+from nermo_mjx.sweep import run_sweep, simulating
 
 status = functools.partial(call, "status")
 KEYS = {"kind", "rows", "rows_done", "code", "engine", "complete"}
@@ -193,15 +193,15 @@ def test_an_identification_counts_its_candidates(tmp_path: Path, monkeypatch: py
         def __init__(self, setup: Any, engine: str) -> None:
             self.setup = setup
 
-        def run(self, values: dict[str, np.ndarray], run: Any) -> Any:
+        def run(self, values: dict[str, np.ndarray], run: Any, **_: Any) -> Any:
             nonlocal calls
             calls += 1
             if calls == 3:
                 raise KeyboardInterrupt
             speed = np.resize(0.05 + 0.01 * np.arange(len(CASES)), len(values["servo.kp"]))
-            return types.SimpleNamespace(metrics={"speed": speed}, status=np.full(len(speed), "ok"))
+            return types.SimpleNamespace(metrics={"speed": speed}, status=np.full(len(speed), "ok"), steps=1)
 
-    monkeypatch.setattr(identification, "Simulator", Walker)
+    monkeypatch.setattr(simulating, "Simulator", Walker)
     settings = {"samples": 8, "generations": 2, "population": 6, "bodies": 0, "engine": "c"}
     with pytest.raises(KeyboardInterrupt):
         identification.run_identification(tmp_path, **settings)

@@ -4,13 +4,13 @@ The objective uses only the published speeds on the straight line, in one profil
 deviation from the published value, in tolerances stated beforehand: 10 % of a ratio, 2 % of an order. The objective is
 the root of their mean square. The search is a Sobol sample, then CMA-ES (Hansen 2016) from its best point, both in the
 logarithms of the parameters and inside physical bounds; a generation is one batch. It is followed by an ensemble of all
-bodies within the tolerance. A directory of it holds identification.json, a report, plots, and every candidate.
+bodies within the tolerance. A directory of it holds identification.json, a report, plots, and the walks of all
+candidates (`nermo_mjx.runs.rows`).
 """
 
 from __future__ import annotations
 
 import dataclasses
-import json
 import math
 import os
 import shlex
@@ -26,9 +26,9 @@ from scipy.stats import qmc
 
 from nermo_mjx.control.parameters import AS_PUBLISHED_BODY, body_values, robot_choices
 from nermo_mjx.experiments import ensemble
-from nermo_mjx.experiments.cases import AMPLITUDE, Case, Settings, texts, worlds
-from nermo_mjx.experiments.report import number, published_text
-from nermo_mjx.files import MOST_ARRAYS, FileError, json_of, read_bytes
+from nermo_mjx.experiments.cases import AMPLITUDE, Case, Column, Outcome, Settings, columns_about, texts, worlds
+from nermo_mjx.experiments.report import REPEAT, number, published_text, table_of
+from nermo_mjx.files import FileError, json_of
 from nermo_mjx.optimize.methods import strategy
 from nermo_mjx.physics.making import resolve_engine
 from nermo_mjx.plotting.charts import page as blank_page
@@ -37,15 +37,13 @@ from nermo_mjx.plotting.style import BAND, BEST, LINE, MUTED, SHADE
 from nermo_mjx.plotting.style import MISSING as GREY
 from nermo_mjx.robot import ModelParameters, ParameterError
 from nermo_mjx.robot.quantity import choice, quantities
-from nermo_mjx.rollout import Run, Setup, Simulator
+from nermo_mjx.rollout import Run, Setup
 from nermo_mjx.runs import RunDirectory, Written, codes_of, engine_of, session
-from nermo_mjx.runs.code import CodeStamp, stamp
+from nermo_mjx.runs.code import CodeStamp
 from nermo_mjx.runs.directory import Session
 from nermo_mjx.runs.files import (
     MISSING,
     DirectoryError,
-    append_line,
-    clear_errors,
     content_of,
     listed,
     stored_json,
@@ -53,9 +51,13 @@ from nermo_mjx.runs.files import (
     to_json,
 )
 from nermo_mjx.runs.job import SILENT, Progress, Watch, resumable
-from nermo_mjx.runs.status import Status, last_command
+from nermo_mjx.runs.rows import Runs, keys_of, opened, part_files
+from nermo_mjx.runs.status import Status, last_command, metadata_of
 from nermo_mjx.runs.workers import LocalWorkers, TaskFailed, Workers
+from nermo_mjx.specs.described import digest_of
 from nermo_mjx.specs.reading import changes
+from nermo_mjx.specs.walk import WalkSpec
+from nermo_mjx.sweep.simulating import Simulated, SweepSimulator
 
 #: Where the search starts, by profile: the values of an earlier prototype of this robot, or the author's.
 START: Final[dict[str, float]] = texts("identification")["start"]
@@ -116,63 +118,34 @@ def objective(found: Mapping[str, np.ndarray], failed: np.ndarray) -> np.ndarray
     return np.where(failed | ~np.isfinite(squares), FAILED, np.sqrt(squares))
 
 
-# --- candidates: simulated in batches of one size and scored; each batch is remembered on disk
+# --- candidates: walked in batches of one size and scored; each batch is a part of the directory's runs
 
 #: The walk of the candidates.
 WALKS: Final = Setup(pilot="straight", spine="stride_extension")
 _CYCLES: Final = 8.0
-#: Files of an identification's directory: the candidates, and the result of a finished search.
-FILE, RESULT = "candidates.jsonl", "identification.json"
+#: Result of a finished search.
+RESULT: Final = "identification.json"
 
 
-@dataclasses.dataclass
-class Walking:
-    """Simulates batches of candidates on an engine; a `nermo_mjx.runs.workers.Computer`."""
-
-    engine: str
-    profile: str = "exact"
-
-    @property
-    def setup(self) -> Setup:
-        """That of a walk, with the robot of the profile."""
-        own: Any = {name: str(chosen) for name, chosen in robot_choices(self.profile).items()}
-        return dataclasses.replace(WALKS, **own)
-
-    def warm(self) -> None:
-        """Make the simulator; it compiles with the first batch."""
-        self._simulator = Simulator(self.setup, engine=self.engine)
-
-    def stamp(self) -> CodeStamp:
-        """Stamp of the code, the model and the engine that simulate here."""
-        return stamp(self.setup.load().fingerprint, self.engine)
-
-    def __call__(
-        self, values: Mapping[str, np.ndarray], progress: Callable[[float], None] | None = None
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Speed of worlds on the controller's clock, and whether their walks were completed, (n,) each."""
-        result = self._simulator.run(values, Run(cycles=_CYCLES))
-        speed = result.metrics["speed"] * values.get("tracking.clock_ratio", 1.0)
-        return speed, np.asarray(result.status) == "ok"
+def walking(engine: str, profile: str) -> SweepSimulator:
+    """What simulates batches of candidates, with the robot of the profile."""
+    own: Any = {name: str(chosen) for name, chosen in robot_choices(profile).items()}
+    return SweepSimulator([WalkSpec(dataclasses.replace(WALKS, **own), Run(cycles=_CYCLES), {}, {})], engine)
 
 
 class Candidates:
-    """Walks candidates in batches of one size, and remembers each batch in a file of JSON lines.
-
-    The file's first line describes the search. A killed search loses at most one batch: a truncated line was being
-    written.
+    """Walks candidates in batches of one size. Each batch is stored, a row for each walk, and not walked again.
 
     Args:
-        workers: simulate; they begin `Walking`.
+        workers: simulate; they begin `walking`.
         cases: parameters of `CASES`, (cases,) each; those outside the space that is searched keep these values.
         batch: number of candidates simulated together; one shape compiles once.
         report: called after each batch.
-        path: the file; created if it does not exist. None writes none.
-        about: settings of the search and the robot, which determine the candidates.
-        code: short name of the code that adds candidates, see `nermo_mjx.runs.code`.
+        runs: where walks are stored, and were; None stores nothing.
+        code: what walks.
 
     Raises:
-        ParameterError: the file belongs to another search.
-        DirectoryError: it cannot be read or written.
+        DirectoryError: what is stored cannot be read.
     """
 
     def __init__(
@@ -181,26 +154,18 @@ class Candidates:
         cases: Mapping[str, np.ndarray],
         batch: int,
         report: Callable[[], None],
-        path: Path | None,
-        about: dict[str, object],
-        code: str,
+        runs: Runs | None,
+        code: CodeStamp,
     ) -> None:
         self._workers, self._cases, self._batch, self._report = workers, cases, batch, report
-        self._path, self._code = path, code
-        #: Points (batch, d) as bytes -> speed, and whether the walk was completed, (batch, cases) each.
-        self._known: dict[bytes, tuple[np.ndarray, np.ndarray]] = {}
-        if path is None:
-            return
-        with clear_errors(path.parent):
-            first, rows = (found := _rows_of(path))[:1], found[1:]
-        if not first:
-            self._append(about)
-        elif first[0] != json.loads(json.dumps(about)):
-            raise ParameterError(f"{path} belongs to a search with other settings: choose another directory.")
-        for row in rows:
-            if {"points", "speed", "walked"} <= set(row):
-                walks = np.array(row["speed"], float), np.array(row["walked"], bool)
-                self._known[np.array(row["points"], float).tobytes()] = walks
+        self._runs, self._code = runs, code
+        #: Key of a walk -> its speed [m/s], and whether it was completed.
+        self._known: dict[bytes, tuple[float, bool]] = {}
+        for part in runs.parts if runs else ():
+            with opened(part.path) as file:
+                table = file.read(["key", "speed", "status"])
+            keys = table["key"].to_numpy(zero_copy_only=False).astype("S32")
+            self._note(keys, table["speed"].to_numpy(), np.array(table["status"].to_pylist()))
 
     def walk(self, points: np.ndarray, space: Mapping[str, ensemble.Free]) -> tuple[dict[str, np.ndarray], np.ndarray]:
         """The figures and the objective of points (n, d) of the unit cube, whose axes are a space; (n,) each.
@@ -209,49 +174,61 @@ class Candidates:
             WorkersLost: no worker is left; finished walks are kept.
         """
         blocks = np.array_split(points, -(-len(points) // self._batch))
-        # A batch that is not full is padded with its own points.
-        batches = [np.resize(block, (self._batch, len(space))) for block in blocks]
-        missing = [k for k, batch in enumerate(batches) if batch.tobytes() not in self._known]
-        for _ in range(len(batches) - len(missing)):
+        named = [_of_each_case(block, space) for block in blocks]
+        keys = [keys_of("", each, len(block) * len(CASES)) for each, block in zip(named, blocks, strict=True)]
+        missing = [k for k, own in enumerate(keys) if not self._known.keys() >= set(own.tolist())]
+        for _ in range(len(blocks) - len(missing)):
             self._report()
 
-        def tasks() -> Iterator[tuple[int, dict[str, np.ndarray]]]:
-            for k in missing:
-                values = {name: np.tile(column, self._batch) for name, column in self._cases.items()}
-                own = ensemble.parameters_of(batches[k], space)
-                yield k, values | {name: np.repeat(column, len(CASES)) for name, column in own.items()}
+        def tasks() -> Iterator[tuple[int, tuple[int, dict[str, np.ndarray]]]]:
+            for k in missing:  # a batch that is not full is padded with its own points
+                own = _of_each_case(np.resize(blocks[k], (self._batch, len(space))), space)
+                del own["case"]
+                yield k, (0, {name: np.tile(column, self._batch) for name, column in self._cases.items()} | own)
 
         try:
-            for k, columns in self._workers.results(tasks(), lambda key, share: None):
-                speed, walked = (column.reshape(self._batch, -1) for column in columns)
-                self._known[batches[k].tobytes()] = speed, walked
-                row = {"points": batches[k].tolist(), "speed": speed.tolist(), "walked": walked.tolist()}
-                self._append({"code": self._code, **row})
+            for k, result in self._workers.results(tasks(), lambda key, share: None):
+                self._store(keys[k], named[k], result)
                 self._report()
         except TaskFailed as failed:
             raise failed.error from None
-        walks = [self._known[batch.tobytes()] for batch in batches]
-        speed, walked = (
-            np.concatenate([walk[i][: len(block)] for walk, block in zip(walks, blocks, strict=True)]) for i in (0, 1)
-        )
-        found = figures(speed)
+        walks = np.array([self._known[key] for own in keys for key in own.tolist()])
+        speed, walked = (column.reshape(len(points), -1) for column in walks.T)
+        found = figures(speed * self._cases.get("tracking.clock_ratio", 1.0))
         return found, objective(found, np.logical_not(walked.all(axis=1)))
 
-    def _append(self, row: dict[str, object]) -> None:
-        if self._path is not None:
-            with clear_errors(self._path.parent):
-                append_line(self._path, json.dumps(row))
+    def _store(self, keys: np.ndarray, named: Mapping[str, np.ndarray], found: Simulated) -> None:
+        count = len(keys)
+        metrics = {name: column[:count] for name, column in found.metrics.items()}
+        self._note(keys, metrics["speed"], found.status[:count])
+        if self._runs is None:
+            return
+        labels = {name: np.array([case.labels[name] for case in CASES])[named["case"]] for name in CASES[0].labels}
+        columns = {"row": len(self._runs.numbers) + np.arange(count), **named, **labels, REPEAT: np.zeros(count, int)}
+        units = {name: Column(about.unit, about.doc) for name, about in quantities(ModelParameters)}
+        units |= {"row": Column("1", "position among the walks"), "case": Column("1", "which of a candidate's walks")}
+        outcome = Outcome(
+            "identification",
+            columns | metrics | {"status": found.status[:count]},
+            columns_about("straight-line") | units,
+            {},
+        )
+        about = {
+            "engine": self._code.engine,
+            "code": self._code.id,
+            "steps": found.steps,
+            "wall_seconds": found.seconds,
+        }
+        self._runs.add(keys, table_of(outcome, about, self._code.id))
+
+    def _note(self, keys: np.ndarray, speed: np.ndarray, status: np.ndarray) -> None:
+        self._known |= zip(keys.tolist(), zip(speed.tolist(), (status == "ok").tolist(), strict=True), strict=True)
 
 
-def _rows_of(path: Path) -> list[dict[str, Any]]:
-    """The lines of a file of candidates; a truncated one is empty."""
-    rows = []
-    for line in read_bytes(path, MOST_ARRAYS).splitlines() if path.exists() else []:
-        try:
-            rows.append(json_of(line, dict[str, Any], path))
-        except FileError:
-            rows.append({})
-    return rows
+def _of_each_case(points: np.ndarray, space: Mapping[str, ensemble.Free]) -> dict[str, np.ndarray]:
+    """What tells the walks of points (n, d) apart: parameter or `case` -> (n x cases,)."""
+    own = {name: np.repeat(column, len(CASES)) for name, column in ensemble.parameters_of(points, space).items()}
+    return own | {"case": np.tile(np.arange(len(CASES)), len(points))}
 
 
 # --- search
@@ -313,11 +290,16 @@ class Search:
         if not self.tolerance > 0:
             raise ParameterError(f"tolerance is {self.tolerance:g}: allowed is more than 0.")
 
+    def digest(self) -> str:
+        """A hash of what determines the candidates; the ensemble's settings decide only their number."""
+        begun = {name: getattr(self, name) for name in ("samples", "generations", "population", "seed", "profile")}
+        return digest_of(begun, WALKS.defaults())
+
 
 def identify(
     wanted: Search,
     engine: str = "auto",
-    memory: Path | None = None,
+    runs: Runs | None = None,
     watch: Watch = SILENT,
     workers: Workers | None = None,
 ) -> Identified:
@@ -325,19 +307,18 @@ def identify(
 
     Args:
         engine: of the simulations.
-        memory: file of the candidates, which are not simulated again; see `Candidates`.
+        runs: what is stored in it is not simulated again; see `Candidates`.
         watch: is told the share done.
         workers: what simulates; by default this process. The numbers are the same: a task is a batch, and results are
             processed in the order of the batches.
 
     Raises:
-        ParameterError, DirectoryError: as for `Candidates`.
+        DirectoryError: as for `Candidates`.
         WorkersLost: no worker is left.
     """
     population, bodies, seed, free = wanted.population, wanted.bodies, wanted.seed, ensemble.FREE_IN[wanted.profile]
-    walking = Walking(resolve_engine(engine), wanted.profile)
-    workers, robot = workers or LocalWorkers(), WALKS.defaults()
-    defaults = robot | body_values(wanted.profile)
+    computer, workers = walking(resolve_engine(engine), wanted.profile), workers or LocalWorkers()
+    defaults = WALKS.defaults() | body_values(wanted.profile)
     cases = worlds(CASES, defaults, Settings((wanted.profile,), repeats=1, seed=seed)).values
     batches = -(-(wanted.samples + 1) // population) + wanted.generations
     batches, done = batches + (wanted.sweeps + 1) * -(-bodies // population), 0
@@ -347,11 +328,8 @@ def identify(
         done += 1
         watch.progress(Progress(done / batches))
 
-    # The ensemble's settings do not determine the candidates, only their number.
-    begun = {name: getattr(wanted, name) for name in ("samples", "generations", "population", "seed", "profile")}
-    code = walking.stamp().id if memory else ""
-    candidates = Candidates(workers, cases, population, report, memory, begun | {"defaults": robot}, code)
-    workers.begin(walking)
+    candidates = Candidates(workers, cases, population, report, runs, computer.stamp())
+    workers.begin(computer)
     tried: list[tuple[np.ndarray, dict[str, np.ndarray], np.ndarray]] = []
 
     def evaluate(points: np.ndarray) -> np.ndarray:
@@ -465,12 +443,17 @@ def run_identification(
             return _publish(written, content, watch)
         if engine == "auto":
             engine = engine_of(folder) or engine
-        code, defaults = Walking(resolve_engine(engine), search.profile).stamp(), WALKS.defaults()
-        held.take_code(code, holds_rows=(folder / FILE).exists(), accept=accept_new_code)
+        if (folder / "candidates.jsonl").exists():
+            raise DirectoryError(f"{folder} holds candidates of an earlier version: choose another directory.")
+        code, defaults = walking(resolve_engine(engine), search.profile).stamp(), WALKS.defaults()
+        runs = Runs(folder, search.digest(), warn=watch.warn, held=held)
+        if runs.others:
+            raise ParameterError(f"{folder} belongs to a search with other settings: choose another directory.")
+        runs.take_codes([code], accept=accept_new_code)
         about = session(settings=settings, engine=code.engine)
         held.note_session(about)
         started = time.monotonic()
-        identified = identify(search, code.engine, folder / FILE, watch, workers)
+        identified = identify(search, code.engine, runs, watch, workers)
         made = {"model": code.model, "defaults": defaults, "codes": list(codes_of(folder))}
         content = {**_content(identified, search.profile), **made, **about, "wall_seconds": time.monotonic() - started}
         # The result first: whatever happens to the plots, the search is not lost.
@@ -567,13 +550,18 @@ def parameter_rows(content: Mapping[str, Any]) -> list[list[str]]:
 
 def status(out: Path) -> Status:
     """Number of candidates that an identification has simulated."""
-    # A batch that was padded contains some of its points twice.
-    done = len({tuple(point) for row in _rows_of(out / FILE)[1:] for point in row.get("points", ())})
-    content = stored_json(out / RESULT, _Content) or {}
+    notes, content = list[str](), stored_json(out / RESULT, _Content) or {}
     complete = "plots" in content  # comes last
+    if complete:
+        drawn = content["ensemble"] or {}
+        done = len(content["costs"]) + sum(int(each["candidates"]) for each in drawn.get("sweeps", ()))
+    else:
+        parts = [metadata_of(path, notes, "its candidates will be walked again.") for path in part_files(out)]
+        done = sum(about.num_rows for about in parts if about is not None) // len(CASES)
     command = f"nermo-mjx plot {shlex.quote(str(out))}" if complete else last_command(out)
     sessions = [content] if content else []
-    return Status("candidates", done, done if complete else None, complete, command, engine_of(out), sessions=sessions)
+    total = done if complete else None
+    return Status("candidates", done, total, complete, command, engine_of(out), sessions=sessions, notes=tuple(notes))
 
 
 # --- figures
@@ -627,6 +615,7 @@ class _Ensemble(BaseModel, extra="allow"):
     size: int
     tolerance: FiniteFloat
     parameters: dict[str, _Drawn]
+    sweeps: list[dict[str, float | None]] = Field(default_factory=list)
     bodies: dict[str, list[FiniteFloat]] = Field(default_factory=dict)
 
 

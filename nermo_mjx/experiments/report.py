@@ -36,7 +36,7 @@ def table_of(outcome: Outcome, about: Mapping[str, Any], code: str) -> pa.Table:
     """
     columns, cases = Columns(), case_columns(outcome)
     for name, values in outcome.columns.items():
-        role = "case" if name in cases else {REPEAT: "index", "status": "status"}.get(name, "metric")
+        role = {REPEAT: "index", "row": "index", "status": "status"}.get(name, "case" if name in cases else "metric")
         column = outcome.about.get(name, Column("1", name.replace("_", " ")))
         columns.add(name, np.asarray(values), role, column.unit or "1", column.doc)
     columns.add(CODE, np.full(len(outcome), code), CODE, "1", "the code that made the row, see run.json")

@@ -77,24 +77,6 @@ def create_file(path: Path, content: bytes) -> None:
     sync_folder(path.parent)
 
 
-def append_line(path: Path, line: str) -> None:
-    """Append a line durably to a text file written by one process; a truncated last line is terminated first.
-
-    Raises:
-        OSError: it cannot be written.
-    """
-    new = not path.exists()
-    with open(path, "ab+") as file:
-        if not new and file.tell():
-            file.seek(-1, os.SEEK_END)
-            line = line if file.read(1) == b"\n" else f"\n{line}"
-        file.write(f"{line}\n".encode())
-        file.flush()
-        os.fsync(file.fileno())
-    if new:
-        sync_folder(path.parent)
-
-
 def parquet_bytes(table: pa.Table) -> bytes:
     """The table as a Parquet file whose pages carry checksums."""
     import pyarrow as pa  # here and below: not all users of this module write tables
