@@ -266,6 +266,7 @@ def test_candidates_of_an_earlier_version_are_refused(tmp_path):
     (tmp_path / "candidates.jsonl").write_text("{}\n")
     with pytest.raises(DirectoryError, match="holds candidates of an earlier version: choose another directory"):
         identification.run_identification(tmp_path, engine="c")
+    assert identification.status(tmp_path).notes == ("Its candidates are of an earlier version.",)
 
 
 def test_candidates_of_other_code_are_refused_until_they_are_accepted(pretended, tmp_path, monkeypatch):

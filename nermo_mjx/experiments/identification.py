@@ -123,8 +123,8 @@ def objective(found: Mapping[str, np.ndarray], failed: np.ndarray) -> np.ndarray
 #: The walk of the candidates.
 WALKS: Final = Setup(pilot="straight", spine="stride_extension")
 _CYCLES: Final = 8.0
-#: Result of a finished search.
-RESULT: Final = "identification.json"
+#: Result of a finished search; and where an earlier version kept candidates.
+RESULT, FORMER_CANDIDATES = "identification.json", "candidates.jsonl"
 
 
 def walking(engine: str, profile: str) -> SweepSimulator:
@@ -443,7 +443,7 @@ def run_identification(
             return _publish(written, content, watch)
         if engine == "auto":
             engine = engine_of(folder) or engine
-        if (folder / "candidates.jsonl").exists():
+        if (folder / FORMER_CANDIDATES).exists():
             raise DirectoryError(f"{folder} holds candidates of an earlier version: choose another directory.")
         code, defaults = walking(resolve_engine(engine), search.profile).stamp(), WALKS.defaults()
         runs = Runs(folder, search.digest(), warn=watch.warn, held=held)
@@ -558,6 +558,7 @@ def status(out: Path) -> Status:
     else:
         parts = [metadata_of(path, notes, "its candidates will be walked again.") for path in part_files(out)]
         done = sum(about.num_rows for about in parts if about is not None) // len(CASES)
+        notes += ["Its candidates are of an earlier version."] if (out / FORMER_CANDIDATES).exists() else []
     command = f"nermo-mjx plot {shlex.quote(str(out))}" if complete else last_command(out)
     sessions = [content] if content else []
     total = done if complete else None
