@@ -739,7 +739,7 @@ NOT_READ_FOR_A_PERSON = {
     "robot/scene.py": 1,  # MuJoCo, after all files of the scene were read here
     "runs/code.py": 2,
     "runs/directory.py": 1,  # a lock
-    "runs/files.py": 3,  # one that writes; Parquet, of what was opened here
+    "runs/files.py": 2,  # Parquet, of what was opened here
     "runtime.py": 1,
     "view/page.py": 1,
 }

@@ -554,7 +554,7 @@ def status(out: Path) -> Status:
     complete = "plots" in content  # comes last
     if complete:
         drawn = content["ensemble"] or {}
-        done = len(content["costs"]) + sum(int(each["candidates"]) for each in drawn.get("sweeps", ()))
+        done = len(content["costs"]) + sum(each["candidates"] for each in drawn.get("sweeps", ()))
     else:
         parts = [metadata_of(path, notes, "its candidates will be walked again.") for path in part_files(out)]
         done = sum(about.num_rows for about in parts if about is not None) // len(CASES)
@@ -612,11 +612,15 @@ class _Drawn(BaseModel, extra="allow"):
     quantiles: Annotated[list[FiniteFloat], Field(min_length=1)] | None = None
 
 
+class _Round(BaseModel, extra="allow"):
+    candidates: int
+
+
 class _Ensemble(BaseModel, extra="allow"):
     size: int
     tolerance: FiniteFloat
     parameters: dict[str, _Drawn]
-    sweeps: list[dict[str, float | None]] = Field(default_factory=list)
+    sweeps: list[_Round] = Field(default_factory=list)
     bodies: dict[str, list[FiniteFloat]] = Field(default_factory=dict)
 
 
