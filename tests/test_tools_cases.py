@@ -24,7 +24,7 @@ from sweep_fake import FakeSimulator
 
 from nermo_mjx import Run, Setup, Simulator, all_metrics, all_parameters, load_robot
 from nermo_mjx.optimize import Tuning, run_search
-from nermo_mjx.optimize.run import costs_of
+from nermo_mjx.optimize.run import tuning_forecasts
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.rollout.setup import TAKEN
 from nermo_mjx.runs import JobFailed
@@ -457,7 +457,7 @@ def test_a_dry_run_refuses_the_recording_that_the_run_refuses(tmp_path: Path) ->
             "run": {"duration": 1.0},
             "tune": {"stride": {"bounds": [0.5, 1.0]}},
         }
-        refused(lambda given=tuning: costs_of(Tuning.from_dict(given)), message)
+        refused(lambda given=tuning: tuning_forecasts(Tuning.from_dict(given)), message)
 
 
 @pytest.mark.compiles

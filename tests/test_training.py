@@ -584,7 +584,7 @@ def test_a_dry_run_says_what_it_would_take_and_writes_nothing(tmp_path):
     spec.write_text("algorithm: short_horizon\nworlds: 4\nsteps: 1000\ntask: {decimation: 2}\n")
     ran = CliRunner().invoke(main, ["train", str(spec), "--out", str(out), "--dry-run"])
     assert ran.exit_code == 0, ran.output
-    assert re.search("16 iterations of 64 control steps, 1,024 in all", ran.stdout)
+    assert re.search("16 iterations, 64 steps per iteration, 1,024 steps; ", ran.stdout)
     assert not out.exists()
 
 

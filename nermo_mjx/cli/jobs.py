@@ -31,14 +31,10 @@ from nermo_mjx.cli.progress import Stages, duration
 
 if TYPE_CHECKING:
     from nermo_mjx.experiments.run import ExperimentsResult
-    from nermo_mjx.learn.run import Cost as TrainingCost
     from nermo_mjx.learn.run import TrainingResult
     from nermo_mjx.optimize import LandscapeResult, Search, SearchResult, Tuning, TuningResult
-    from nermo_mjx.optimize.run import Cost as SearchCost
-    from nermo_mjx.optimize.run import MethodCost
-    from nermo_mjx.runs.job import Progress
+    from nermo_mjx.runs.job import Forecast, Progress
     from nermo_mjx.sweep import SweepResult
-    from nermo_mjx.sweep.run import Forecast
 
 
 #: Arguments and options that several jobs have.
@@ -152,13 +148,13 @@ def sweep_command(
     if dry_run and how["workers"] != "local":
         raise click.UsageError("--dry-run estimates for this machine: leave out --workers.")
     from nermo_mjx.sweep import Sweep, run_sweep
-    from nermo_mjx.sweep.run import forecast
+    from nermo_mjx.sweep.run import sweep_forecast
 
     sweep = Sweep.from_rows(rows, spec) if rows is not None else Sweep.from_file(str(spec))
     sweep = dataclasses.replace(sweep, **_fields(how, "seed"))
     if dry_run or out is None:
-        cost = forecast(sweep, out, **{name: how[name] for name in ("engine", "chunk", "shard", "extend", "use")})
-        return Outcome(dataclasses.asdict(cost), lambda: _print_forecast(cost))
+        cost = sweep_forecast(sweep, out, **{name: how[name] for name in ("engine", "chunk", "shard", "extend", "use")})
+        return Outcome(cost.content, lambda: _print_forecast(cost))
     for name, places in {} if is_given("quiet") else sweep.partly_read().items():
         read = f"{len(places)} of {len(sweep.structures)} structures"
         say(f"{name} is varied in {read}: the others do not read it.")
@@ -167,21 +163,21 @@ def sweep_command(
     return Outcome(_sweep_content(out, result), lambda: _print_sweep(result))
 
 
-def _print_forecast(cost: Forecast) -> None:
-    rate = f"{cost.steps_per_second:,.0f} steps/s; " if math.isfinite(cost.steps_per_second) else ""
-    left = f", of which {cost.rows_left:,} are left to be run" if cost.rows_left < cost.rows else ""
-    took = "not known" if math.isnan(cost.seconds) else f"{duration(cost.seconds)}, and what compiling takes"
-    print_pairs(
-        [
-            ("rows", f"{cost.rows:,}{left}"),
-            ("chunks", f"{cost.chunks:,}; {cost.batches:,} batches to be run, of {cost.structures:,} structures"),
-            ("engine", cost.engine),
-            ("rate", f"{rate}{cost.rate_from}"),
-            ("time", took if cost.rows_left else "none: all rows are there"),
-            ("disk", f"{cost.disk_bytes / 1e6:,.1f} MB for the table; {cost.disk_free / 1e9:,.1f} GB are free"),
-            ("memory", f"about {cost.memory_bytes / 1e9:.1f} GB"),
-            *(("note", note) for note in cost.notes),
-        ]
+def _print_forecast(forecast: Forecast) -> None:
+    click.echo("\n".join([_forecast_in_short(forecast), forecast.rate_from, *forecast.notes]))
+
+
+def _forecast_in_short(forecast: Forecast) -> str:
+    """What it is made of, and the time it takes."""
+    counts = ", ".join(f"{count:,} {name.replace('_', ' ')}" for name, count in forecast.counts.items())
+    method = f"method {forecast.method}: " if forecast.method else ""
+    known = math.isfinite(forecast.wall_seconds)
+    time = f"about {duration(forecast.wall_seconds)} here" if known else "for a time that is not known"
+    disk = "" if forecast.disk_bytes is None else f", {forecast.disk_bytes / 1e6:.3g} MB on disk"
+    compiles = ", and minutes to compile, once per machine" if forecast.method == "gradient" else ""
+    return (
+        f"{method}{counts}; {duration(forecast.simulated_seconds)} simulated, {time} on the engine {forecast.engine}"
+        f"{compiles}{disk}"
     )
 
 
@@ -308,7 +304,7 @@ def search_command(spec: Path, out: Path, budget: int | None, seed: int | None, 
       nermo-mjx search sweeps/atlas.yaml --out runs/atlas --budget 10000
     """
     from nermo_mjx.optimize import Search, run_search
-    from nermo_mjx.optimize.run import cost_of
+    from nermo_mjx.optimize.run import search_forecast
 
     search = dataclasses.replace(Search.from_file(spec), **_fields(how, "batch", "plots"))
     if budget is not None:
@@ -316,8 +312,8 @@ def search_command(spec: Path, out: Path, budget: int | None, seed: int | None, 
     if seed is not None:
         search = dataclasses.replace(search, sweep=dataclasses.replace(search.sweep, seed=seed))
     if dry_run:
-        cost = cost_of(search, how["engine"])
-        return Outcome({"cost": dataclasses.asdict(cost)}, lambda: _print_search_cost(cost))
+        cost = search_forecast(search, how["engine"])
+        return Outcome({"cost": cost.content}, lambda: _print_forecast(cost))
     with _working("evaluations", how, details=functools.partial(_search_so_far, search)) as given:
         result = run_search(search, out, **given)
     content = _content(result, "out", "best", "evaluations_run", "recordings", "plots")
@@ -361,14 +357,6 @@ def _print_search(result: SearchResult) -> None:
     print_places(result.out, **places, plots=result.plots and "plots")
 
 
-def _print_search_cost(cost: SearchCost) -> None:
-    click.echo(f"{cost.evaluations:,} evaluations in {cost.batches:,} batches of {cost.batch}, {cost.runs:,} runs")
-    click.echo(
-        f"{duration(cost.simulated_seconds)} simulated; about {duration(cost.wall_seconds)} here on the engine "
-        f"{cost.engine}, and {cost.disk_bytes / 1e6:.3g} MB on disk"
-    )
-
-
 @command("tune")
 @options.out
 @_spec
@@ -400,7 +388,7 @@ def tune_command(spec: Path, out: Path, dry_run: bool, **how: Any) -> Outcome:
       nermo-mjx tune sweeps/tune_roll.yaml --out runs/roll --dry-run
     """
     from nermo_mjx.optimize import Tuning, run_tuning
-    from nermo_mjx.optimize.run import costs_of
+    from nermo_mjx.optimize.run import tuning_forecasts
 
     tuning = Tuning.from_file(spec)
     if how["starts"] is not None and tuning.method.name == "cma":
@@ -408,10 +396,10 @@ def tune_command(spec: Path, out: Path, dry_run: bool, **how: Any) -> Outcome:
     tuning = dataclasses.replace(tuning, **_fields(how, "iterations", "starts", "seed", "plots", "video"))
     # A resumed tuning keeps the method with which it started.
     begins = not (is_given("as_json") or is_given("quiet") or (out / "history.parquet").exists())
-    costs = costs_of(tuning) if dry_run or begins else []
-    sentences = [_cost_of_method(each, "instead of it, " if i else "") for i, each in enumerate(costs)]
+    costs = tuning_forecasts(tuning) if dry_run or begins else []
+    sentences = [f"{'instead of it, ' if i else ''}{_forecast_in_short(each)}" for i, each in enumerate(costs)]
     if dry_run:
-        content = {"costs": [dataclasses.asdict(each) for each in costs]}
+        content = {"costs": [each.content for each in costs]}
         return Outcome(content, lambda: click.echo("\n".join(sentences)))
     for sentence in sentences:
         say(sentence)
@@ -422,13 +410,6 @@ def tune_command(spec: Path, out: Path, dry_run: bool, **how: Any) -> Outcome:
             given["watch"].warn(note)
     content = _content(result, "out", "iterations_run", "start", "best")
     return Outcome(content | _content(result.pictures, "plots", "video", "notes"), lambda: _print_tuning(result))
-
-
-def _cost_of_method(cost: MethodCost, begin: str) -> str:
-    compiles = ", and minutes to compile, once per machine" if cost.method == "gradient" else ""
-    wall = "" if cost.wall_seconds is None else f", about {duration(cost.wall_seconds)} here"
-    walks = f"{cost.evaluations:,} evaluations, {duration(cost.simulated_seconds)} simulated"
-    return f"{begin}method {cost.method}: {walks}{wall}{compiles}"
 
 
 def _tuning_so_far(tuning: Tuning, done: Progress) -> str:
@@ -568,10 +549,10 @@ def train_command(spec: Path, out: Path, onnx: bool, dry_run: bool, **how: Any) 
 
         check_onnx()
     if dry_run:
-        from nermo_mjx.learn.run import cost_of
+        from nermo_mjx.learn.run import training_forecast
 
-        cost = cost_of(training, how["engine"])
-        return Outcome({"cost": dataclasses.asdict(cost)}, lambda: _print_training_cost(cost))
+        cost = training_forecast(training, how["engine"])
+        return Outcome({"cost": cost.content}, lambda: _print_forecast(cost))
 
     def details(done: Progress) -> str:
         """The results of the last episodes."""
@@ -614,18 +595,6 @@ def _print_training(result: TrainingResult, exported: Path | None) -> None:
         click.echo(f"policy after {summary['policy_steps']:,} steps, the best of all checkpoints in its walks")
     places = {"policy": result.policy, "onnx": exported, "history": "history.parquet"}
     print_places(result.out, **places, plots=result.plots and "plots")
-
-
-def _print_training_cost(cost: TrainingCost) -> None:
-    click.echo(f"{cost.iterations:,} iterations of {cost.steps_per_iteration:,} control steps, {cost.steps:,} in all")
-    finite = math.isfinite(cost.wall_seconds)
-    time = f"about {duration(cost.wall_seconds)} here with compiling" if finite else "for an unknown time"
-    click.echo(
-        f"{duration(cost.simulated_seconds)} simulated; {time} on the engine {cost.engine}, and "
-        f"{cost.disk_bytes / 1e6:.3g} MB on disk; then the evaluation simulates "
-        f"{duration(cost.evaluated_seconds)}, and compiles, on top"
-    )
-    click.echo(cost.rate_from)
 
 
 @command("experiment")

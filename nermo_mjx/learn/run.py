@@ -36,7 +36,16 @@ from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.runs import RunDirectory, session
 from nermo_mjx.runs.checkpoints import KEPT
 from nermo_mjx.runs.files import content_of, parquet_bytes, parquet_table, to_json
-from nermo_mjx.runs.job import SILENT, Interruption, Progress, TensorBoard, Watch, require_tensorboard, resumable
+from nermo_mjx.runs.job import (
+    SILENT,
+    Forecast,
+    Interruption,
+    Progress,
+    TensorBoard,
+    Watch,
+    require_tensorboard,
+    resumable,
+)
 from nermo_mjx.runtime import compiler_options
 
 #: The table of what was tried: one row per checkpoint.
@@ -357,38 +366,16 @@ def _summary(
 _TIMED: Final = 2
 
 
-@dataclasses.dataclass(frozen=True)
-class Cost:
-    """The cost of a training.
+def training_forecast(training: Training, engine: str = "auto") -> Forecast:
+    """The cost of a training from the start; raises `ParameterError` for an unknown engine.
 
-    Attributes:
-        engine: that it will run on.
-        iterations, steps_per_iteration, steps: whole iterations, and control steps of all worlds.
-        simulated_seconds: of all worlds [s].
-        wall_seconds: of the iterations at this machine's current speed, with their compiling, measured now [s]; NaN on
-            `mjx`, which compiles for minutes.
-        evaluated_seconds: of the evaluation's walks, simulated on top of that [s].
-        rate_from: source of the rate, in words.
-        disk_bytes: of the directory.
+    The counts are whole `iterations`, and control steps of all worlds in one and in all. Its pace on `mjx`, which
+    compiles for minutes, is not known.
     """
-
-    engine: str
-    iterations: int
-    steps_per_iteration: int
-    steps: int
-    simulated_seconds: float
-    wall_seconds: float
-    rate_from: str
-    disk_bytes: int
-    evaluated_seconds: float
-
-
-def cost_of(training: Training, engine: str = "auto") -> Cost:
-    """The cost of a training from the start; raises `ParameterError` for an unknown engine."""
     name, wall = engine_for(training, engine), math.nan
     steps = training.iterations * training.steps_per_iteration
     said = "its pace is not known before its program is compiled, which takes minutes, once per machine"
-    worlds = training.environment(name)
+    worlds, notes = training.environment(name), []
     if not worlds.pure:
         iterate = training.algorithm.iteration(worlds)
         compiles = time.perf_counter()
@@ -400,7 +387,8 @@ def cost_of(training: Training, engine: str = "auto") -> Cost:
             learned, state, *_ = iterate(learned, state)
         float(learned.steps)
         rate = _TIMED * training.steps_per_iteration / (time.perf_counter() - began)
-        wall, said = began - compiles + steps / rate, f"{rate:,.0f} control steps/s, measured now"
+        wall, said = steps / rate, f"{rate:,.0f} control steps/s, measured now"
+        notes.append(f"Compiling takes {began - compiles:.0f} s on top.")
     seen = worlds.observation_size + worlds.privileged_size
     units = [seen, *training.algorithm.hidden]
     weights = 2 * sum(a * b for a, b in itertools.pairwise(units))
@@ -408,14 +396,6 @@ def cost_of(training: Training, engine: str = "auto") -> Cost:
     disk = KEPT * 16 * weights + 40 * 8 * training.iterations
     walks = 2 * training.evaluation.bodies  # by the policy, and by the controller alone
     evaluated = sum(walks * float(training.run.seconds(setup.cycle_rate({}))[1]) for setup, _ in training.evaluated())
-    return Cost(
-        engine=name,
-        iterations=training.iterations,
-        steps_per_iteration=training.steps_per_iteration,
-        steps=steps,
-        simulated_seconds=steps * worlds.step_seconds,
-        wall_seconds=wall,
-        rate_from=said,
-        disk_bytes=disk,
-        evaluated_seconds=evaluated,
-    )
+    notes.append(f"Then the evaluation simulates {evaluated:,.0f} s, and compiles, on top.")
+    counts = {"iterations": training.iterations, "steps_per_iteration": training.steps_per_iteration, "steps": steps}
+    return Forecast(name, counts, steps * worlds.step_seconds, wall, said, disk, notes=tuple(notes))

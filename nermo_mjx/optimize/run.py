@@ -54,7 +54,7 @@ from nermo_mjx.rollout.run import START_SPREAD
 from nermo_mjx.runs import RunDirectory, session, stamp
 from nermo_mjx.runs.directory import engine_of
 from nermo_mjx.runs.files import to_json
-from nermo_mjx.runs.job import SILENT, JobFailed, Progress, Watch, resumable
+from nermo_mjx.runs.job import SILENT, Forecast, JobFailed, Progress, Watch, resumable
 from nermo_mjx.runs.rows import part_files
 from nermo_mjx.runs.workers import LocalWorkers, TaskFailed, Workers
 from nermo_mjx.runtime import cpu_count
@@ -482,25 +482,8 @@ MJX_SLOWER: Final = 10.0
 MJX_WORLDS: Final = 4
 
 
-@dataclasses.dataclass(frozen=True)
-class MethodCost:
-    """The cost of a tuning by one method.
-
-    Attributes:
-        method: its name.
-        evaluations: walks; in MJX with their derivatives.
-        simulated_seconds: of all walks, gradients at their cost in forward runs [s].
-        wall_seconds: at this machine's speed, without compiling [s]; None if unknown, as for MJX on a GPU.
-    """
-
-    method: str
-    evaluations: int
-    simulated_seconds: float
-    wall_seconds: float | None
-
-
-def costs_of(tuning: Tuning) -> list[MethodCost]:
-    """The cost of all iterations by each method, that of the tuning first.
+def tuning_forecasts(tuning: Tuning) -> list[Forecast]:
+    """The cost of all iterations by each method, that of the tuning first; `evaluations` are walks.
 
     Raises:
         ParameterError: the tuning's recording cannot be compared with its walk.
@@ -508,25 +491,25 @@ def costs_of(tuning: Tuning) -> list[MethodCost]:
     seconds = tuning.seconds({each.name: each.low for each in tuning.tuned})
     if tuning.recording is not None:
         load_reference(tuning.recording, Rollout(tuning.setup, tuning.run), seconds)
-    here = pace_here(tuning)
-    methods = [tuning.method, *(each() for each in TUNING_METHODS.values() if not isinstance(tuning.method, each))]
-    return [_cost(dataclasses.replace(tuning, method=each), seconds, here) for each in methods]
+    here, forecasts = pace_here(tuning), []
+    others = (each() for each in TUNING_METHODS.values() if not isinstance(tuning.method, each))
+    for method in (tuning.method, *others):
+        engine, points = method.engine_for(len(tuning.names)), tuning.iterations + 1
+        points *= method.population if isinstance(method, Generations) else tuning.starts
+        walks = points * method.gradient_cost(len(tuning.names))
+        wall = walks * seconds / here
+        if engine != "c":
+            slower = MJX_SLOWER * max(1.0, MJX_WORLDS / tuning.starts)
+            wall = wall * slower if jax.default_backend() == "cpu" else math.nan
+        counts = {"evaluations": round(walks) if engine == "c" else points}
+        rate = f"{here:,.0f} simulated seconds/s on the engine c, measured now"
+        forecasts.append(Forecast(engine, counts, walks * seconds, wall, rate, method=method.name))
+    return forecasts
 
 
 def pace_here(tuning: Tuning) -> float:
     """Simulated seconds per second on the engine `c`, measured now."""
     return pace(Simulator(tuning.setup, "c"), tuning.setup, _WORLDS)
-
-
-def _cost(tuning: Tuning, seconds: float, here: float) -> MethodCost:
-    method, rounds = tuning.method, tuning.iterations + 1
-    points = rounds * (method.population if isinstance(method, Generations) else tuning.starts)
-    walks = points * method.gradient_cost(len(tuning.names))
-    if tuning.engine == "c":
-        return MethodCost(method.name, round(walks), walks * seconds, walks * seconds / here)
-    slower = MJX_SLOWER * max(1.0, MJX_WORLDS / tuning.starts)
-    wall = walks * slower * seconds / here if jax.default_backend() == "cpu" else None
-    return MethodCost(method.name, points, walks * seconds, wall)
 
 
 #: Points whose mean length of a run stands for all.
@@ -535,31 +518,10 @@ _TRIED = 256
 _ROW_BYTES = 700
 
 
-@dataclasses.dataclass(frozen=True)
-class Cost:
-    """The cost of a search.
+def search_forecast(search: Search, engine: str = "auto", simulator: SimulatorLike | None = None) -> Forecast:
+    """The cost of a search from the start, a run's length being its mean over the bounds.
 
-    Attributes:
-        engine: that it will run on.
-        batch: points of a batch.
-        batches, evaluations, runs: whole batches, and what is in them.
-        simulated_seconds: of all runs [s], by the mean over the bounds.
-        wall_seconds: at this machine's current speed, measured now [s].
-        disk_bytes: of the table.
-    """
-
-    engine: str
-    batch: int
-    batches: int
-    evaluations: int
-    runs: int
-    simulated_seconds: float
-    wall_seconds: float
-    disk_bytes: int
-
-
-def cost_of(search: Search, engine: str = "auto", simulator: SimulatorLike | None = None) -> Cost:
-    """The cost of a search from the start.
+    The counts are whole `batches`, the `evaluations` and `runs` in them, and `evaluations_per_batch`.
 
     Args:
         engine: of the simulator.
@@ -578,7 +540,7 @@ def cost_of(search: Search, engine: str = "auto", simulator: SimulatorLike | Non
     batches = math.ceil(wanted / batch)
     evaluations = batches * batch
     simulator = simulator or Simulator(search.setup, engine)
-    simulated = evaluations * point
-    wall = simulated / pace(simulator, search.setup, batch * search.repeats)
-    runs = evaluations * search.repeats
-    return Cost(engine, batch, batches, evaluations, runs, simulated, wall, runs * _ROW_BYTES)
+    rate, runs = pace(simulator, search.setup, batch * search.repeats), evaluations * search.repeats
+    counts = {"evaluations": evaluations, "batches": batches, "evaluations_per_batch": batch, "runs": runs}
+    said = f"{rate:,.0f} simulated seconds/s, measured now"
+    return Forecast(engine, counts, evaluations * point, evaluations * point / rate, said, runs * _ROW_BYTES)

@@ -29,7 +29,7 @@ from nermo_mjx.rollout.run import too_many
 from nermo_mjx.runs.code import session
 from nermo_mjx.runs.directory import RunDirectory, engine_of
 from nermo_mjx.runs.files import DirectoryError, WrongDirectory, parquet_bytes, parquet_table, to_json
-from nermo_mjx.runs.job import SILENT, JobFailed, Progress, TensorBoard, Watch, require_tensorboard, resumable
+from nermo_mjx.runs.job import SILENT, Forecast, JobFailed, Progress, TensorBoard, Watch, require_tensorboard, resumable
 from nermo_mjx.runs.rows import Runs
 from nermo_mjx.runs.workers import LocalWorkers, TaskFailed, Workers
 from nermo_mjx.specs.reading import SpecError
@@ -632,43 +632,7 @@ C_WORLD_BYTES: Final = 100_000
 _WORLDS: Final = 64
 
 
-@dataclasses.dataclass(frozen=True)
-class Forecast:
-    """What a sweep would cost.
-
-    Attributes:
-        rows, chunks: of the sweep, and the batches in which it would be simulated in one go.
-        rows_left: to be simulated; the others are in the directory, or known from other directories.
-        batches: that would be simulated.
-        structures: setups that are compiled and simulated, one after the other.
-        engine: that would run.
-        steps: physics steps that would be simulated, all worlds together.
-        steps_per_second: at that rate; NaN if it is not known.
-        rate_from: source of the rate, in words.
-        seconds: time for the steps [s]; NaN if the rate is unknown. Compilation comes in addition.
-        disk_bytes: that the missing part of the table will take, without figures.
-        disk_free: free space at the directory's location [bytes].
-        memory_bytes: of this process; on a GPU, that of the batch is the device's.
-        notes: sentences.
-    """
-
-    rows: int
-    chunks: int
-    rows_left: int
-    batches: int
-    structures: int
-    engine: str
-    steps: float
-    steps_per_second: float
-    rate_from: str
-    seconds: float
-    disk_bytes: int
-    disk_free: int
-    memory_bytes: int
-    notes: tuple[str, ...]
-
-
-def forecast(
+def sweep_forecast(
     sweep: Sweep,
     out: str | os.PathLike[str] | None = None,
     *,
@@ -684,7 +648,9 @@ def forecast(
 
     The rate is that of the directory's rows, if it has any; otherwise 64 worlds of the engine `c` are simulated for
     half a second, which takes some seconds in all. For other engines it is then not known, since they compile for
-    minutes.
+    minutes. The counts are `rows` and `chunks` of the sweep in one go, the `rows_left` to be simulated (the others are
+    in the directory, or known from other directories), their `batches`, the `structures` that are compiled, one after
+    the other, and physics `steps`.
 
     Args:
         out: the directory, which need not be there.
@@ -715,22 +681,18 @@ def forecast(
     left = unfinished[np.isin(unfinished, left)]
     batches = work.batches(left, len(unfinished) - len(left))
     # Each batch lasts as long as its longest row, in all of its worlds.
-    steps = sum(
-        batch.worlds * float(work.seconds[batch.rows].max()) / float(sweep.structures[batch.structure].setup.timestep)
-        for batch in batches
-    )
+    seconds = np.array([batch.worlds * float(work.seconds[batch.rows].max()) for batch in batches])
+    steps = sum(seconds / [float(sweep.structures[batch.structure].setup.timestep) for batch in batches])
     rate, rate_from = math.nan, "not needed: nothing is left to be simulated"
     there = [part for part in (*work.runs.parts, *work.runs.others) if folder is not None and part.directory == folder]
     done = np.array([(part.steps, part.seconds) for part in there if part.engine == runs and part.seconds > 0])
     if len(done):
-        rate, rate_from = (
-            float(done[:, 0].sum() / done[:, 1].sum()),
-            f"measured: {len(done):,} chunks of the directory",
-        )
+        rate = float(done[:, 0].sum() / done[:, 1].sum())
+        rate_from = f"{rate:,.0f} steps/s, measured: {len(done):,} chunks of the directory"
     elif steps and runs == "c":
         setup = sweep.setup
         rate = measure(sweep, runs) if measure else pace(Simulator(setup, runs), setup, _WORLDS) / setup.timestep
-        rate_from = f"measured now: {_WORLDS} worlds for {PROBE:g} simulated s"
+        rate_from = f"{rate:,.0f} steps/s, measured now: {_WORLDS} worlds for {PROBE:g} simulated s"
     elif steps:
         rate_from = f"not known: no chunk of the engine {runs} has been measured in the directory"
     if there:  # as much per row as those take
@@ -744,29 +706,18 @@ def forecast(
         disk = math.ceil(len(left) * len(parquet_bytes(table.append_column("key", key))) / len(index))
     above = (folder or Path.cwd()).absolute()
     free = shutil.disk_usage(next(each for each in (above, *above.parents) if each.is_dir())).free
-    if disk > free:
-        notes.append(f"There is no room for it: {free / 1e9:.1f} GB are free.")
+    notes.append(f"{'There is no room for it: ' if disk > free else ''}{free / 1e9:,.1f} GB are free.")
     worlds = max((batch.worlds for batch in batches), default=0)
     points = 0 if sweep.sampler in ("grid", "rows") else sweep.variants * len(sweep.axes) * 8
     summary = min(len(work.rows) * 8 * (len(METRICS) + len(sweep.axes)), HELD * 8) * 2
+    memory = PROCESS_BYTES + worlds * C_WORLD_BYTES * (runs == "c") + len(work.rows) * 24 + points + summary
+    notes.append(f"The process takes about {memory / 1e9:.1f} GB of memory.")
     if runs != "c" and worlds:
         notes.append(
             f"The batch of {worlds:,} worlds takes about {worlds * WORLD_BYTES[runs] / 1e9:.2g} GB of the devices' "
             "memory, besides."
         )
-    return Forecast(
-        rows=len(work.rows),
-        chunks=len(work.layout),
-        rows_left=len(left),
-        batches=len(batches),
-        structures=len({batch.structure for batch in batches}),
-        engine=runs,
-        steps=steps,
-        steps_per_second=rate,
-        rate_from=rate_from,
-        seconds=steps / rate if rate > 0 else 0.0 if not steps else math.nan,
-        disk_bytes=disk,
-        disk_free=free,
-        memory_bytes=PROCESS_BYTES + worlds * C_WORLD_BYTES * (runs == "c") + len(work.rows) * 24 + points + summary,
-        notes=tuple(notes),
-    )
+    counts = {"rows": len(work.rows), "rows_left": len(left), "chunks": len(work.layout), "batches": len(batches)}
+    counts |= {"structures": len({batch.structure for batch in batches}), "steps": round(steps)}
+    wall = steps / rate if rate > 0 else math.nan if steps else 0.0
+    return Forecast(runs, counts, float(seconds.sum()), wall, rate_from, disk, notes=tuple(notes))
