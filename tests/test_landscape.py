@@ -151,9 +151,9 @@ def test_points_once_found_are_kept(tmp_path, monkeypatch):
         measure(tmp_path)
     assert (tmp_path / "landscape.parquet").exists()
     monkeypatch.undo()
-    assert not landscape.status(tmp_path).complete
+    assert not landscape.landscape_status(tmp_path).complete
     result, problem = measure(tmp_path)
-    assert (result.evaluated, problem.batches, landscape.status(tmp_path).complete) == (0, [], True)
+    assert (result.evaluated, problem.batches, landscape.landscape_status(tmp_path).complete) == (0, [], True)
     assert len(result.plots) == 4
     other, problem = measure(tmp_path, change={"optimizer": "sgd", "seed": 5, "starts": 7})
     assert other.evaluated == 0, "how a tuner would go does not matter"
@@ -317,6 +317,6 @@ def test_a_landscape_of_a_recording_can_be_moved(tmp_path):
     measure(tmp_path / "here", change=compared, points=5)
     (tmp_path / "here").rename(tmp_path / "there")
     (tmp_path / "walk.npz").unlink()
-    assert len(list(landscape.figures(tmp_path / "there"))) == 2
+    assert len(list(landscape.landscape_figures(tmp_path / "there"))) == 2
     own = Tuning.from_file(tmp_path / "there" / "landscape.yaml")
     assert run_landscape(own, tmp_path / "there", problem=FakeProblem(own), points=5).evaluated == 0

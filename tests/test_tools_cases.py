@@ -338,7 +338,7 @@ def test_a_bridge_that_goes_away_is_noticed() -> None:
     from websockets.sync.server import serve
 
     from nermo_mjx import servo_table
-    from nermo_mjx.hardware import connected, play
+    from nermo_mjx.hardware import connected, send_table
 
     def leave(peer: Any) -> None:
         for _ in range(6):
@@ -352,7 +352,7 @@ def test_a_bridge_that_goes_away_is_noticed() -> None:
             pytest.raises(ParameterError, match=r"server is gone: \d+ messages were sent, \d+ were not"),
             connected(address) as send,
         ):
-            play(servo_table(channels="published"), send, 2.0)
+            send_table(servo_table(channels="published"), send, 2.0)
         server.shutdown()
         thread.join(10)
 

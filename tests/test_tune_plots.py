@@ -13,7 +13,7 @@ from matplotlib.image import imread
 from tune_fake import SPEC, FakeProblem, FakeWalker, speed
 
 from nermo_mjx.optimize import Tuning, figures, run_tuning
-from nermo_mjx.optimize.directory import History
+from nermo_mjx.optimize.directory import TuningHistory
 from nermo_mjx.optimize.figures import MOST_STARTS, Background, Traces, path_figure
 from nermo_mjx.optimize.methods import Tuner, initial_state
 from nermo_mjx.plotting.style import STYLE
@@ -41,7 +41,7 @@ def traces_of(change=None, **of_problem):
     """The traces of a tuning that needs no directory."""
     tuning = Tuning.from_dict(SPEC | (change or {}))
     tuner, state = Tuner(tuning, FakeProblem(tuning, **of_problem)), initial_state(tuning)
-    history = History(tuning)
+    history = TuningHistory(tuning)
     for _ in range(tuning.iterations + 1):
         state, found = tuner.step(state)
         history = history.extended(found, 0.1, "a")
@@ -253,7 +253,7 @@ def test_other_parameters_stand_where_they_are_told_to():
     table = figures.simulate(tuning, {"duty": 0.6}, Watched())
     assert set(seen[0]["duty"]) == {0.6}
     assert set(seen[0]) == {"spine.amplitude", "spine.phase", "duty", "frequency"}
-    assert figures.key(tuning, {"duty": 0.6}) != figures.key(tuning, {"duty": 0.5})
+    assert figures.grid_key(tuning, {"duty": 0.6}) != figures.grid_key(tuning, {"duty": 0.5})
     assert figures.background_of(tuning, table).value.shape == (17, 17)
 
 
@@ -355,7 +355,7 @@ def test_the_video_shows_the_walk_after_its_warm_up(finished, monkeypatch, tmp_p
 
     monkeypatch.setattr(figures, "render", take)
     best = finished.best
-    figures.render_video(finished.tuning, finished.start, best, FakeWalker(), tmp_path / "v.mp4")
+    figures.render_tuning(finished.tuning, finished.start, best, FakeWalker(), tmp_path / "v.mp4")
     start, shown = asked["panes"]
     assert (start.title, shown.title) == ("Start", f"Best, iteration {best['iteration']}, start {best['start']}")
     assert start.recording.time[[0, -1]] == pytest.approx([1.25, 3.75]), "one cycle of warm-up and two more, at 0.8 Hz"
@@ -365,7 +365,7 @@ def test_the_video_shows_the_walk_after_its_warm_up(finished, monkeypatch, tmp_p
     assert f"speed {1e3 * best['metrics']['speed']:.3g} mm/s" in shown.caption[0]
     assert asked["options"]["speed"] == 0.5
     fallen = finished.start | {"metrics": {"speed": np.nan, "roll_std": np.nan}}
-    figures.render_video(finished.tuning, fallen, best, FakeWalker(), tmp_path / "v.mp4")
+    figures.render_tuning(finished.tuning, fallen, best, FakeWalker(), tmp_path / "v.mp4")
     assert asked["panes"][0].caption[0] == "speed – mm/s, roll_std – deg"
 
 

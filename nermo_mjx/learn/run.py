@@ -25,10 +25,10 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from nermo_mjx.learn.directory import EVALUATION, POLICY_FILE, SPEC, SUMMARY, Curves, Directory
+from nermo_mjx.learn.directory import EVALUATION, POLICY_FILE, SPEC, SUMMARY, Curves, TrainingDirectory
 from nermo_mjx.learn.environment import Environment, Mixture
-from nermo_mjx.learn.evaluation import POLICY, Draws, Evaluator, summary_of
-from nermo_mjx.learn.experience import RESET, EnvironmentLike, Learned, Scores
+from nermo_mjx.learn.evaluation import POLICY, Draws, PolicyEvaluator, summary_of
+from nermo_mjx.learn.experience import RESET, EnvironmentLike, EpisodeScores, Learned
 from nermo_mjx.learn.policy import Policy, judged_in, load_policy
 from nermo_mjx.learn.spec import Training, Until
 from nermo_mjx.physics import resolve_engine
@@ -67,7 +67,7 @@ class _Tried(NamedTuple):
         return min(shares), float(np.mean(shares))
 
 
-class Choice:
+class BestPolicy:
     """The best policy of a training's directory so far, which is what its policy file holds.
 
     The file is written before the table that names it, so a killed training tries its last policy again and comes to
@@ -110,7 +110,7 @@ class Choice:
         )
 
 
-def successes(evaluator: Evaluator, policy: Policy) -> dict[str, float]:
+def successes(evaluator: PolicyEvaluator, policy: Policy) -> dict[str, float]:
     """The share of a policy's walks on each scene of the evaluation that succeed, and are as fast as `until` asks for:
     `validation` of them."""
     training = evaluator.training
@@ -183,18 +183,18 @@ def run_training(
     training = Training.of(spec)
     if tensorboard:
         require_tensorboard()
-    name = engine_for(training, engine)
+    name = training_engine(training, engine)
     with (
-        Directory(out, training, name, watch.warn) as directory,
+        TrainingDirectory(out, training, name, watch.warn) as directory,
         resumable(directory.out, f"train {directory.out / SPEC}") as interruption,
         contextlib.ExitStack() as stack,
     ):
         worlds = environment or training.environment(name)
         learned, curves = directory.restore(training.algorithm.begin(worlds, training.seed), accept=accept_new_code)
         begun = len(curves)
-        evaluator, choice = Evaluator(training), None
+        evaluator, choice = PolicyEvaluator(training), None
         if training.validation:
-            choice = Choice(directory.held, functools.partial(successes, evaluator), watch.warn)
+            choice = BestPolicy(directory.held, functools.partial(successes, evaluator), watch.warn)
         goes_on = not _ended(training, learned, curves, choice)
         code = directory.take_code(curves, accept=accept_new_code) if goes_on else ""
         directory.claim()
@@ -210,17 +210,17 @@ def run_training(
         directory.held.write(SUMMARY, to_json(summary))
         plots: list[Path] = []
         if training.plots:  # imported at the end: Matplotlib takes as long as the first control steps
-            from nermo_mjx.learn.plots import figures_of
+            from nermo_mjx.learn.plots import figures_of_training
             from nermo_mjx.plotting.files import write_figures
 
-            plots = write_figures(figures_of(training, curves, table), directory.out / "plots")
+            plots = write_figures(figures_of_training(training, curves, table), directory.out / "plots")
         path = None if policy is None else directory.out / POLICY_FILE
         return TrainingResult(
             directory.out, directory.training, path, summary, learned, curves, len(curves) - begun, plots
         )
 
 
-def engine_for(training: Training, engine: str) -> str:
+def training_engine(training: Training, engine: str) -> str:
     """Name of the engine on which a training runs: `c` or `mjx`.
 
     Raises:
@@ -234,7 +234,7 @@ def engine_for(training: Training, engine: str) -> str:
     return name
 
 
-def _ended(training: Training, learned: Learned, curves: Curves, choice: Choice | None) -> bool:
+def _ended(training: Training, learned: Learned, curves: Curves, choice: BestPolicy | None) -> bool:
     """Whether all iterations are done, or a checkpoint was good enough."""
     done = len(curves) >= training.iterations
     return done or (choice is not None and choice.enough(training.until, int(learned.steps)))
@@ -244,13 +244,13 @@ def _ended(training: Training, learned: Learned, curves: Curves, choice: Choice 
 class _Learning:
     """The iterations of a training, and their progress messages."""
 
-    directory: Directory
+    directory: TrainingDirectory
     environment: EnvironmentLike
     interruption: Interruption
     watch: Watch
     board: TensorBoard | None
     code: str
-    choice: Choice | None
+    choice: BestPolicy | None
 
     def learn(self, learned: Learned, curves: Curves) -> tuple[Learned, Curves]:
         """Section by section, to the end."""
@@ -261,7 +261,7 @@ class _Learning:
         self._tell(int(learned.steps), {})
         self._chosen(learned)
         while not _ended(training, learned, curves, self.choice):
-            state, scores = reset(learned.random(RESET)), Scores.none(training.worlds)
+            state, scores = reset(learned.random(RESET)), EpisodeScores.none(training.worlds)
             # Sections are counted from the beginning of the training.
             end = min((len(curves) // training.section + 1) * training.section, training.iterations)
             while len(curves) < end:
@@ -322,7 +322,7 @@ class _Learning:
         self.watch.progress(Progress(min(1.0, done / total), done, total, numbers=numbers))
 
 
-def _evaluated(directory: Directory, policy: Policy, evaluator: Evaluator, watch: Watch) -> pa.Table:
+def _evaluated(directory: TrainingDirectory, policy: Policy, evaluator: PolicyEvaluator, watch: Watch) -> pa.Table:
     """The evaluation of this policy, which is made once."""
     content = content_of(directory.out / EVALUATION)
     known = None if content is None else parquet_table(content)
@@ -372,7 +372,7 @@ def training_forecast(training: Training, engine: str = "auto") -> Forecast:
     The counts are whole `iterations`, and control steps of all worlds in one and in all. Its pace on `mjx`, which
     compiles for minutes, is not known.
     """
-    name, wall = engine_for(training, engine), math.nan
+    name, wall = training_engine(training, engine), math.nan
     steps = training.iterations * training.steps_per_iteration
     said = "its pace is not known before its program is compiled, which takes minutes, once per machine"
     worlds, notes = training.environment(name), []

@@ -34,7 +34,7 @@ from nermo_mjx.optimize.directory import (
     read_history,
 )
 from nermo_mjx.optimize.methods import cells_of, elites_of
-from nermo_mjx.optimize.objective import FURTHEST, TRAJECTORY_ERROR, Term
+from nermo_mjx.optimize.objective import FURTHEST, TRAJECTORY_ERROR, ObjectiveTerm
 from nermo_mjx.optimize.spec import Generations, Measure, Search, Tuned, Tuning
 from nermo_mjx.plotting.charts import (
     around,
@@ -418,7 +418,7 @@ def simulate(
         table.add(name, np.asarray(result.metrics[name]), "metric", tuning.metrics[name].unit, tuning.metrics[name].doc)
     table.add("status", status, "status", "1", "ok, or how the run ended")
     made_by = stamp(tuning.setup.load().fingerprint, result.engine)
-    about = {"landscape": key(tuning, best), "engine": result.engine, "code": json.dumps(made_by.fields())}
+    about = {"landscape": grid_key(tuning, best), "engine": result.engine, "code": json.dumps(made_by.fields())}
     return table.table(about)
 
 
@@ -438,7 +438,7 @@ def stored_background(out: Path, tuning: Tuning, best: Mapping[str, float]) -> p
     """The table in a directory, if it is the right one; raises `DirectoryError` if it cannot be read now."""
     content = content_of(out / LANDSCAPE)
     table = None if content is None else parquet_table(content)
-    right = table is not None and (table.schema.metadata or {}).get(b"landscape") == key(tuning, best).encode()
+    right = table is not None and (table.schema.metadata or {}).get(b"landscape") == grid_key(tuning, best).encode()
     return table if right else None
 
 
@@ -447,7 +447,7 @@ def has_background(tuning: Tuning) -> bool:
     return TRAJECTORY_ERROR not in tuning.objective.metrics
 
 
-def key(tuning: Tuning, best: Mapping[str, float]) -> str:
+def grid_key(tuning: Tuning, best: Mapping[str, float]) -> str:
     """A hash of all that determines the grid: not the path over it, so not optimizer, starts and seed."""
     axes = grid_axes(tuning)
     others = {name: best[name] for name in tuning.names if name not in axes}
@@ -687,7 +687,7 @@ def make_pictures(
         try:
             check_video(tuning.setup.load().model, video, camera=CAMERA)  # before anything walks for it
             drawing("video")
-            render_video(tuning, start, best, simulator(), video, lambda share: drawing("video", share))
+            render_tuning(tuning, start, best, simulator(), video, lambda share: drawing("video", share))
         except (VideoError, RecordingError) as error:
             video, notes = None, [*notes, f"There is no video. {error}"]
     return Pictures(tuple(plots), video, tuple(notes))
@@ -706,7 +706,7 @@ FPS, WIDTH, HEIGHT = 25, 480, 360
 CAMERA: Final = "high"
 
 
-def render_video(
+def render_tuning(
     tuning: Tuning,
     start: Mapping[str, Any],
     best: Mapping[str, Any],
@@ -774,7 +774,7 @@ def search_figures_of(search: Search, results: Results) -> Figures:
         yield "atlas", atlas(found)
         yield "coverage", coverage(found)
     elif search.aim.pareto:
-        yield "front", front(found)
+        yield "front", front_figure(found)
         yield "hypervolume", hypervolume(found)
     else:
         yield "convergence", convergence(found)
@@ -837,7 +837,7 @@ def convergence(found: Evaluations) -> Figure:
     return figure
 
 
-def front(found: Evaluations) -> Figure:
+def front_figure(found: Evaluations) -> Figure:
     """The first two objectives against each other, with the front of these two or of all."""
     terms, best = found.search.aim.objective.terms, found.front()
     allowed = np.flatnonzero(found.scores.allowed)
@@ -979,7 +979,7 @@ def _term_values(found: Evaluations, place: int) -> ShownValues:
     return _quantity(found, term.metric, _as_metric(term, cost))
 
 
-def _as_metric(term: Term, cost: np.ndarray | float) -> np.ndarray | float:
+def _as_metric(term: ObjectiveTerm, cost: np.ndarray | float) -> np.ndarray | float:
     """The metric of a cost, of a term that maximizes or minimizes it."""
     return cost if term.aim == "hold" else cost * term.scale / term.weight * (-1.0 if term.aim == "maximize" else 1.0)
 

@@ -123,7 +123,7 @@ _WINDOW: Final = 7
 
 
 @dataclasses.dataclass(frozen=True)
-class Line:
+class Slice:
     """One parameter's line through the start.
 
     Attributes:
@@ -155,7 +155,7 @@ class Line:
         }
 
 
-def lines_of(tuning: Tuning, table: pa.Table) -> list[Line]:
+def lines_of(tuning: Tuning, table: pa.Table) -> list[Slice]:
     """The lines of a landscape's table, one a tuned parameter."""
     lines = []
     for tuned in tuning.tuned:
@@ -175,7 +175,7 @@ def lines_of(tuning: Tuning, table: pa.Table) -> list[Line]:
                 residual = _residual(np.append(at[near], x[middle]), np.append(objective[near], value[middle]))
                 complete.append((x[middle], secant, slope[middle], residual))
             secants[share] = np.array(complete, float).reshape(-1, 4)
-        lines.append(Line(tuned, x, value, slope, secants))
+        lines.append(Slice(tuned, x, value, slope, secants))
     return lines
 
 
@@ -214,7 +214,7 @@ def batch_size(count: int) -> int:
     return math.ceil(count / math.ceil(count / most))
 
 
-def points_of(runs: Runs) -> pa.Table:
+def stored_points(runs: Runs) -> pa.Table:
     """The table of all points, which are there; its metadata is of the batches, `session` of the last one."""
     parts = [stored_table(part.path, "points that can be read any more") for part in runs.parts]
     notes = [{key.decode(): text.decode() for key, text in part.schema.metadata.items()} for part in parts]
@@ -317,7 +317,7 @@ _NUMBERS: Final = ("width", "of the bounds", "secants", "median error", "same si
 HEADINGS: Final = (("parameter", "left"), *((heading, "right") for heading in _NUMBERS))
 
 
-def landscape_content(tuning: Tuning, points: pa.Table, lines: Sequence[Line]) -> dict[str, Any]:
+def landscape_content(tuning: Tuning, points: pa.Table, lines: Sequence[Slice]) -> dict[str, Any]:
     """Content of landscape.json, in SI units and radians.
 
     `parameters`: by name `bounds`, `start`, the line `from` and `to`, the lowest and highest objective on it and where
@@ -537,13 +537,13 @@ def run_landscape(
             except KeyboardInterrupt:
                 kept = f"{len(runs.numbers)} of {total} walks are kept in {held.out}"
                 raise Interrupted(f"stopped; {kept}: run the same command again to resume.") from None
-        measured = points_of(runs)
+        measured = stored_points(runs)
         held.write(TABLE, parquet_bytes(measured))  # before anything that can still fail
         tuning = keep_recording(held, tuning, watch.warn)
         write_described(held, TUNING, tuning, read_stored, watch.warn)
         with Written(held) as files:  # landscape.json comes last, and marks completion
             lines = lines_of(tuning, measured)
-            plots = write_figures(figures_of(tuning, lines), held.out / "plots", files.write)
+            plots = write_figures(figures_of_lines(tuning, lines), held.out / "plots", files.write)
             content = landscape_content(tuning, measured, lines) | {"plots": [files.name(path) for path in plots]}
             files.write(held.out / "report.md", report_text(content).encode())
             files.write(held.out / "landscape.json", to_json(content))
@@ -564,14 +564,14 @@ _TANGENT: Final = 0.8
 _CUT: Final = 2.5
 
 
-def figures_of(tuning: Tuning, lines: Sequence[Line]) -> Iterator[tuple[str, Figure]]:
+def figures_of_lines(tuning: Tuning, lines: Sequence[Slice]) -> Iterator[tuple[str, Figure]]:
     """A figure for each line; one on which the robot nowhere walks has none."""
     for line in lines:
         if np.isfinite(line.value).any():
             yield f"line-{line.tuned.name}", line_figure(tuning, line)
 
 
-def figures(out: Path) -> Figures:
+def landscape_figures(out: Path) -> Figures:
     """The figures of a landscape's directory, from its table.
 
     Raises:
@@ -584,10 +584,10 @@ def figures(out: Path) -> Figures:
         raise DirectoryError(
             f"{out / TABLE} is missing, damaged, or another landscape's: run nermo-mjx landscape again."
         )
-    return figures_of(tuning, lines_of(tuning, points))
+    return figures_of_lines(tuning, lines_of(tuning, points))
 
 
-def line_figure(tuning: Tuning, line: Line) -> Figure:
+def line_figure(tuning: Tuning, line: Slice) -> Figure:
     """One line: the objective with a tangent at each point; below it the slope, and each secant over its width."""
     parameters = tuning.parameters
     starts = {each.name: shown(each.name, parameters[each.name].unit, np.array(each.start)) for each in tuning.tuned}
@@ -609,7 +609,7 @@ def line_figure(tuning: Tuning, line: Line) -> Figure:
     return figure
 
 
-def _draw_objective(ax: Axes, line: Line, x: ShownValues, per_shown: float) -> None:
+def _draw_objective(ax: Axes, line: Slice, x: ShownValues, per_shown: float) -> None:
     """Points with tangents, their lowest a star, and a cross where the robot fell."""
     half = 0.5 * _TANGENT * np.ptp(x.values) / (len(line.x) - 1)
     rise = half * line.slope * per_shown
@@ -630,7 +630,7 @@ def _draw_objective(ax: Axes, line: Line, x: ShownValues, per_shown: float) -> N
         legend(ax)
 
 
-def _draw_slopes(ax: Axes, line: Line, x: ShownValues, per_shown: float) -> None:
+def _draw_slopes(ax: Axes, line: Slice, x: ShownValues, per_shown: float) -> None:
     """Exact slopes as a line, each secant as a bar over its width."""
     slope = line.slope * per_shown
     ax.plot(x.values, slope, "-o", color=LINE, lw=1.4, ms=2.8, mec="white", mew=0.4, zorder=2, label="exact slope")
@@ -655,7 +655,7 @@ def _draw_slopes(ax: Axes, line: Line, x: ShownValues, per_shown: float) -> None
     legend(ax)
 
 
-def status(out: Path) -> Status:
+def landscape_status(out: Path) -> Status:
     """How many points of a landscape a directory holds."""
     notes, points = list[str](), out / TABLE
     about = metadata_of(points, notes, "it is made again of the points.")

@@ -21,8 +21,8 @@ from nermo_mjx.optimize.directory import (
     TUNING,
     VIDEO,
     Batches,
-    History,
     TuningDirectory,
+    TuningHistory,
     keep_recordings,
     publish,
 )
@@ -75,8 +75,8 @@ class TuningResult:
     Attributes:
         out: its directory.
         tuning: what was tuned.
-        start: the given start as first evaluated (`History.start`).
-        best: content of best.json (`History.best`).
+        start: the given start as first evaluated (`TuningHistory.start`).
+        best: content of best.json (`TuningHistory.best`).
         history: the history's table (`nermo_mjx.optimize.directory`).
         state: after the last iteration.
         iterations_run: evaluations that this call made.
@@ -106,7 +106,7 @@ def run_tuning(
     """Tune parameters by gradient, or by another method, into a directory, or resume what it contains.
 
     A tuning evaluates its starts `iterations` + 1 times, the last time where its last step led, or stops when nothing
-    more is gained (`History.stalled`); every evaluation is one batch. After each, the
+    more is gained (`TuningHistory.stalled`); every evaluation is one batch. After each, the
     state is stored: killing the process loses the iteration in flight, and the resumed tuning ends with the same
     numbers, bit for bit, on the same machine. The best point is verified on the engine `c`, from starts that the tuning
     has not seen (`verified`).
@@ -195,7 +195,7 @@ def run_tuning(
         return TuningResult(directory.out, tuning, start, best, table, state, len(history) - resumed, pictures)
 
 
-def tuner_of(tuning: Tuning, problem: Problem, history: History | None = None) -> Tuner:
+def tuner_of(tuning: Tuning, problem: Problem, history: TuningHistory | None = None) -> Tuner:
     """What steps a tuning, after a history so far."""
     if not tuning.method.has_gradient:
         values = history.column("objective") if history else np.empty((0, tuning.starts))

@@ -35,7 +35,7 @@ from nermo_mjx.runs.workers import LocalWorkers, TaskFailed, Workers
 from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.specs.walk import unread
 from nermo_mjx.sweep.counting import counts
-from nermo_mjx.sweep.plots import figures_of, findings
+from nermo_mjx.sweep.plots import figures_of_results, findings
 from nermo_mjx.sweep.simulating import (
     PROBE,
     WORLD_BYTES,
@@ -53,13 +53,13 @@ from nermo_mjx.sweep.store import (
     check_source,
     chunk_with_series,
     claim,
-    differences,
+    first_few,
     fixed_differences,
     keys_of_rows,
-    listed,
     refusal,
     series_table,
     simulated_seconds,
+    sweep_differences,
     sweep_in,
 )
 from nermo_mjx.sweep.table import HELD, Results, better, chunk_table, columns_of, read_table, summarize
@@ -75,7 +75,7 @@ _NO_MEMORY = re.compile("RESOURCE_EXHAUSTED|out of memory|failed to allocate", r
 _TAKEN: Final = 65_536
 
 
-class Batch(NamedTuple):
+class RowBatch(NamedTuple):
     """Rows that are simulated together (n,), all of one structure, in so many worlds, n or more."""
 
     structure: int
@@ -178,7 +178,7 @@ class Work:
             if (places >= 0).any():
                 yield index[places >= 0], places[places >= 0]
 
-    def batches(self, rows: np.ndarray, reused: int = 0) -> list[Batch]:
+    def batches(self, rows: np.ndarray, reused: int = 0) -> list[RowBatch]:
         """The batches for some rows, of few shapes, so that no engine compiles again.
 
         Args:
@@ -194,7 +194,7 @@ class Work:
             own = rows[self._structure[rows] == at]
             split = np.array_split(own, math.ceil(len(own) / whole[at]))
             worlds = len(split[0]) if reused else whole[at]
-            batches += [Batch(at, index, worlds) for index in split]
+            batches += [RowBatch(at, index, worlds) for index in split]
         return batches
 
     def reuse(self, accept_new_code: bool) -> None:
@@ -267,7 +267,7 @@ class Work:
                 if written is not None:
                     written.result()
         except TaskFailed as failed:
-            rows, error = f"rows {listed(batches[failed.key].rows)}", failed.__cause__
+            rows, error = f"rows {first_few(batches[failed.key].rows)}", failed.__cause__
             if isinstance(error, ParameterError):
                 raise SpecError(f"{rows} are refused: {error}") from error
             reason = (str(error).strip().splitlines() or [""])[0].rstrip(".")[:300]
@@ -285,7 +285,7 @@ class Work:
         fraction = 1.0 if self._finished == count else 1.0 - (self._left - current) / whole
         self._watch.progress(Progress(fraction, self._finished, count, self._resumed + self.reused))
 
-    def _write(self, batch: Batch, result: Simulated, stamps: Mapping[int, Any]) -> None:
+    def _write(self, batch: RowBatch, result: Simulated, stamps: Mapping[int, Any]) -> None:
         stamp, count = stamps[batch.structure], len(batch.rows)
         about = {"engine": stamp.engine, "code": stamp.id, "steps": result.steps, "wall_seconds": result.seconds}
         metrics = {name: column[:count] for name, column in result.metrics.items()}
@@ -492,7 +492,7 @@ def run_sweep(
         done, recordings, summary, plots = work.done, list[Path](), dict[str, Any](), list[Path]()
         if done.all():
             results = Results([part.path for part in work.runs.parts])
-            summary, figures = {**summarize(results), **work.effort()}, figures_of(results)
+            summary, figures = {**summarize(results), **work.effort()}, figures_of_results(results)
             compared = None if sweep.compare is None else sweep.compare.written()
             for name, table, about, drawn in findings(results, compared, notify=watch.warn):
                 held.write(f"{name}.parquet", parquet_bytes(table))
@@ -669,7 +669,7 @@ def sweep_forecast(
     if folder is not None and (folder / "sweep.yaml").exists():
         begun = Sweep.from_directory(folder)
         if begun.digest() != sweep.digest() and ((why := refusal(begun, sweep)) or not extend):
-            hint = why or f"{differences(begun, sweep)}; --extend would extend it"
+            hint = why or f"{sweep_differences(begun, sweep)}; --extend would extend it"
             raise WrongDirectory(f"{folder} holds the results of another sweep: {hint}.")
     wanted = engine if engine != "auto" else (engine_of(folder) if folder is not None else None) or "auto"
     runs = resolve_engine(wanted)
