@@ -176,9 +176,7 @@ def run_training(
         tensorboard: write scalars of each iteration to DIR/tensorboard; needs the extra of this name.
 
     Raises:
-        SpecError: the training is wrong; nothing has been written.
-        DirectoryError: the directory holds something else, is in use, or cannot be read or written.
-        Interrupted: Ctrl-C or SIGTERM; the same call resumes.
+        SpecError, DirectoryError, OtherCode, Interrupted: see "Errors of jobs" in docs/reference/python.md.
     """
     training = Training.of(spec)
     if tensorboard:

@@ -508,11 +508,8 @@ def run_landscape(
         accept_new_code: reuse points that other code evaluated.
 
     Raises:
-        SpecError: the tuning is wrong; nothing has been written.
-        ParameterError: points or span is not allowed.
-        DirectoryError: the directory holds another landscape, is in use, or cannot be written; `OtherCode` if other
-            code began it.
-        Interrupted: Ctrl-C; the same call resumes.
+        SpecError, ParameterError, DirectoryError, OtherCode, Interrupted: see "Errors of jobs" in
+            docs/reference/python.md.
     """
     tuning = dataclasses.replace(Tuning.of(spec), method=Gradient())  # slopes are exact ones, however it is tuned
     if points < 5:

@@ -124,11 +124,7 @@ def run_tuning(
             several workers numbers differ in their last digits from those of one.
 
     Raises:
-        SpecError: the tuning is wrong; nothing has been written.
-        DirectoryError: the directory holds something else, is in use, or cannot be read or written; `OtherCode` if
-            other code, or other defaults, made what it holds.
-        JobFailed: no robot walks to the end, or all workers are lost.
-        Interrupted: Ctrl-C or SIGTERM; the same call resumes.
+        SpecError, DirectoryError, OtherCode, JobFailed, Interrupted: see "Errors of jobs" in docs/reference/python.md.
     """
     tuning = Tuning.of(spec)
     with (
@@ -151,48 +147,55 @@ def run_tuning(
             shared = SharedProblem(tuning, problem or WalkProblem(tuning), workers or LocalWorkers())
             tuner = tuner_of(tuning, shared, history)
         directory.claim(history)
-        tuning = directory.tuning
         if goes_on:
             directory.held.note_session(session(begun_at=resumed))
             directory.held.set_aside("of another best point", [VIDEO], watch.warn)
         while not history.done:
             began = time.perf_counter()
-            state, found = tuner.step(state)
-            if not found.ok.any() and not np.isfinite(state.best_value).any():
+            state, iterate = tuner.step(state)
+            if not iterate.ok.any() and not np.isfinite(state.best_value).any():
                 raise JobFailed(
                     f"{directory.out}: no world of iteration {len(history)} walked to its end, nor did one before: "
                     "choose other starts or bounds."
                 )
-            history = history.extended(found, time.perf_counter() - began, made_by.id)
+            history = history.extended(iterate, time.perf_counter() - began, made_by.id)
             with interruption.shielded():
                 best = directory.keep(state, history)
             numbers: dict[str, float] = {}
-            if np.isfinite(found.value).any():
-                columns = found.metrics | {"objective": found.value}
-                numbers = {name: float(column[np.nanargmin(found.value)]) for name, column in columns.items()}
+            if np.isfinite(iterate.value).any():
+                columns = iterate.metrics | {"objective": iterate.value}
+                numbers = {name: float(column[np.nanargmin(iterate.value)]) for name, column in columns.items()}
             if best is not None:
                 numbers["simulated_seconds"] = best["simulated_seconds"]
             report(None if best is None else best["objective"], numbers)
-        best = directory.publish(history)
-        if best is None:
-            raise JobFailed(
-                f"{directory.out}: the robot walked to the end at no point of this tuning: choose other starts or "
-                "bounds."
-            )
-        start, table, notes = history.start(), history.table(), tuple[str, ...]()
         walker: Callable[[], SimulatorLike] | None = None  # nothing is simulated beside a given problem
         if simulator is not None or problem is None:
-            walker = functools.cache(lambda: simulator or Simulator(tuning.setup, "c"))
-            watch.progress(Progress(0.0, what="engine c"))
-            points = {"start": start["parameters"], "best": best["parameters"]}
-            try:
-                best |= {"verified": verified(tuning, points, walker())}
-                directory.held.write(BEST, to_json(best))
-            except ParameterError as error:
-                notes = (f"Start and best are not verified: {error}",)
-        pictures = make_pictures(directory, walker, watch, table, start, best)
-        pictures = dataclasses.replace(pictures, notes=(*notes, *pictures.notes))
-        return TuningResult(directory.out, tuning, start, best, table, state, len(history) - resumed, pictures)
+            walker = functools.cache(lambda: simulator or Simulator(directory.tuning.setup, "c"))
+        best, pictures = _publish(directory, history, walker, watch)
+        start, table = history.start(), history.table()
+        run = len(history) - resumed
+        return TuningResult(directory.out, directory.tuning, start, best, table, state, run, pictures)
+
+
+def _publish(
+    directory: TuningDirectory, history: TuningHistory, walker: Callable[[], SimulatorLike] | None, watch: Watch
+) -> tuple[dict[str, Any], Pictures]:
+    """Write what is made of a complete history; the content of best.json, and the pictures."""
+    best, start, notes = directory.publish(history), history.start(), tuple[str, ...]()
+    if best is None:
+        raise JobFailed(
+            f"{directory.out}: the robot walked to the end at no point of this tuning: choose other starts or bounds."
+        )
+    if walker is not None:
+        watch.progress(Progress(0.0, what="engine c"))
+        points = {"start": start["parameters"], "best": best["parameters"]}
+        try:
+            best |= {"verified": verified(directory.tuning, points, walker())}
+            directory.held.write(BEST, to_json(best))
+        except ParameterError as error:
+            notes = (f"Start and best are not verified: {error}",)
+    pictures = make_pictures(directory, walker, watch, history.table(), start, best)
+    return best, dataclasses.replace(pictures, notes=(*notes, *pictures.notes))
 
 
 def tuner_of(tuning: Tuning, problem: Problem, history: TuningHistory | None = None) -> Tuner:
@@ -339,11 +342,7 @@ def run_search(
         simulator: replaces `Simulator(search.setup, engine)`.
 
     Raises:
-        SpecError: the search is wrong; nothing has been written.
-        DirectoryError: the directory holds something else, is in use, or cannot be written; `OtherCode` if other code
-            made what it holds.
-        JobFailed: a simulation failed, all workers are lost, or nothing walked; what is finished is kept.
-        Interrupted: Ctrl-C or SIGTERM; the same call resumes.
+        SpecError, DirectoryError, OtherCode, JobFailed, Interrupted: see "Errors of jobs" in docs/reference/python.md.
     """
     search = Search.of(spec)
     check_library(search.method)

@@ -73,6 +73,8 @@ from nermo_mjx.trust import only_reading
 _NO_MEMORY = re.compile("RESOURCE_EXHAUSTED|out of memory|failed to allocate", re.IGNORECASE)
 #: Rows that are taken from other directories at once, if they have no time series.
 _TAKEN: Final = 65_536
+#: How often rows are simulated again that are damaged each time they are read back.
+ATTEMPTS: Final = 2
 
 
 class RowBatch(NamedTuple):
@@ -221,6 +223,17 @@ class Work:
             self._add(index, metrics, status, code, about | {"code": str(code[0])}, series)
             self.reused += len(index)
 
+    def finish(self, computer: SweepSimulator, workers: Workers, accept_new_code: bool) -> None:
+        """Simulate what is missing, and once more what was damaged on its way to the disk; see `simulate`."""
+        for _ in range(ATTEMPTS):
+            self.simulate(computer, workers, accept_new_code)
+            if not self.simulated:
+                return
+            self.runs.survey()
+            if not len(self.unfinished):
+                return
+        raise DirectoryError(f"{self.out} loses what is written to it: it is damaged again and again.")
+
     def simulate(self, simulator: SweepSimulator, workers: Workers, accept_new_code: bool) -> None:
         """Simulate what is unfinished; each batch is written while the next one is simulated.
 
@@ -355,10 +368,6 @@ class BatchLog:
 # Running a sweep.
 
 
-#: How often rows are simulated again that are damaged each time they are read back.
-ATTEMPTS = 2
-
-
 @dataclasses.dataclass(frozen=True)
 class SweepResult:
     """A sweep's outcome.
@@ -435,11 +444,7 @@ def run_sweep(
         simulator: replaces `Simulator(spec.setup, engine)`.
 
     Raises:
-        SpecError: the sweep is wrong; nothing has been written.
-        OtherCode: other code, another model or another engine made rows of the directory.
-        DirectoryError: the directory holds something else, is in use, or cannot be written.
-        JobFailed: a simulation failed, or all workers are lost; what is finished is kept.
-        Interrupted: Ctrl-C or SIGTERM; the same call resumes.
+        SpecError, OtherCode, DirectoryError, JobFailed, Interrupted: see "Errors of jobs" in docs/reference/python.md.
     """
     sweep = Sweep.of(spec)
     if extend and shard is not None:
@@ -463,60 +468,50 @@ def run_sweep(
     if simulate and (wrong := too_many(min(size, sweep.variants * sweep.repeats))):
         raise SpecError(f"chunk is {size:,}: {wrong}")
     with (
-        RunDirectory(out, "sweep", shard) as held,
-        resumable(held.out, f"sweep {held.out / 'sweep.yaml'}") as interruption,
+        RunDirectory(out, "sweep", shard) as directory,
+        resumable(directory.out, f"sweep {directory.out / 'sweep.yaml'}") as interruption,
         contextlib.ExitStack() as stack,
     ):
         watch = interruption.watched(watch)
-        sweep = claim(held, dataclasses.replace(sweep, chunk=size), extend=extend)
+        sweep = claim(directory, dataclasses.replace(sweep, chunk=size), extend=extend)
         board = None
         if tensorboard:
             part = "" if shard is None else "shard-{}-of-{}".format(*shard)
-            board = stack.enter_context(TensorBoard(held.out, part))
-        work = Work(sweep, held.out, sweep.chunk or size, sources, shard, watch, held, board)
-        check_room(sweep, held.out, work.seconds[work.unfinished])
-        begun = engine_of(held.out) or next((part.engine for part in work.runs.parts), None)
-        ran = engine_name(engine, simulator, begun)
-        simulates = SweepSimulator(sweep.structures, ran, simulator, watch.notify, sweep.save)
+            board = stack.enter_context(TensorBoard(directory.out, part))
+        work = Work(sweep, directory.out, sweep.chunk or size, sources, shard, watch, directory, board)
+        check_room(sweep, directory.out, work.seconds[work.unfinished])
+        begun_on = engine_of(directory.out) or next((part.engine for part in work.runs.parts), None)
+        name = engine_name(engine, simulator, begun_on)
+        computer = SweepSimulator(sweep.structures, name, simulator, watch.notify, sweep.save)
         work.reuse(accept_new_code)
-        for _ in range(ATTEMPTS if simulate else 0):
-            work.simulate(simulates, workers, accept_new_code)
-            if not work.simulated:
-                break
-            work.runs.survey()
-            if not len(work.unfinished):
-                break
-        else:
-            if simulate:
-                raise DirectoryError(f"{held.out} loses what is written to it: it is damaged again and again.")
-        done, recordings, summary, plots = work.done, list[Path](), dict[str, Any](), list[Path]()
+        if simulate:
+            work.finish(computer, workers, accept_new_code)
+        done, summary, plots, recordings = work.done, dict[str, Any](), list[Path](), list[Path]()
         if done.all():
             results = Results([part.path for part in work.runs.parts])
-            summary, figures = {**summarize(results), **work.effort()}, figures_of_results(results)
-            compared = None if sweep.compare is None else sweep.compare.written()
-            for name, table, about, drawn in findings(results, compared, notify=watch.warn):
-                held.write(f"{name}.parquet", parquet_bytes(table))
-                summary[name] = about
-                figures = itertools.chain(figures, drawn)
-            held.write("summary.json", to_json(summary))
-            plots = write_figures(figures, held.out / "plots") if sweep.plots else plots
+            summary, plots = _publish(directory, sweep, results, work.effort(), watch)
             if sweep.keep is not None:
                 from nermo_mjx.sweep.replay import record_rows
 
                 recordings = record_rows(
-                    held, sweep.digest(), results, sweep.keep, simulates.used, interruption.check, watch.warn
+                    directory, sweep.digest(), results, sweep.keep, computer.used, interruption.check, watch.warn
                 )
-        return SweepResult(
-            out=held.out,
-            summary=summary,
-            plots=plots,
-            recordings=recordings,
-            complete=bool(done.all()),
-            chunks_run=work.simulated,
-            rows_done=int(done.sum()),
-            rows=len(done),
-            missing=work.missing(),
-        )
+        rows: dict[str, Any] = {"rows_done": int(done.sum()), "rows": len(done), "missing": work.missing()}
+        return SweepResult(directory.out, summary, plots, recordings, bool(done.all()), work.simulated, **rows)
+
+
+def _publish(
+    directory: RunDirectory, sweep: Sweep, results: Results, effort: Mapping[str, Any], watch: Watch
+) -> tuple[dict[str, Any], list[Path]]:
+    """Write what is made of a complete table; the content of summary.json, and the files of the figures."""
+    summary, figures = {**summarize(results), **effort}, figures_of_results(results)
+    comparison = None if sweep.compare is None else sweep.compare.written()
+    for name, table, about, drawn in findings(results, comparison, notify=watch.warn):
+        directory.write(f"{name}.parquet", parquet_bytes(table))
+        summary[name] = about
+        figures = itertools.chain(figures, drawn)
+    directory.write("summary.json", to_json(summary))
+    return summary, write_figures(figures, directory.out / "plots") if sweep.plots else []
 
 
 # ---
