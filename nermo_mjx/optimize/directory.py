@@ -5,6 +5,7 @@ DIR/tuning.yaml       the resolved tuning
 DIR/recording.npz     a copy of its reference recording, if any, so that the directory can be moved
 DIR/checkpoints/      Orbax checkpoints, the latest few, with state and history
 DIR/history.parquet   one row per iteration and start
+DIR/results/          the landscape behind the paths, see `nermo_mjx.runs.rows`; that of another best in DIR/former/
 DIR/best.json, DIR/tuned.yaml, DIR/plots/, DIR/video.mp4   made from the history
 
 A search:

@@ -370,15 +370,15 @@ class Tuning(WalkSpec, Described):
     kind: ClassVar = "tuning"
     tuned: tuple[Tuned, ...]
     objective: Objective
-    recording: Path | None = None
-    optimizer: Optimizer = dataclasses.field(default_factory=Optimizer)
-    starts: int = 1
-    iterations: int = 40
-    patience: int = 6
-    seed: int = 0
-    plots: bool = True
-    video: bool = False
-    method: TuningMethod = dataclasses.field(default_factory=Gradient)
+    recording: Path | None
+    optimizer: Optimizer
+    starts: int
+    iterations: int
+    patience: int
+    seed: int
+    plots: bool
+    video: bool
+    method: TuningMethod
 
     @classmethod
     def from_file(cls, path: str | os.PathLike[str], *, recorded: bool = True) -> Tuning:
@@ -789,11 +789,11 @@ class Search(Described):
     sweep: Sweep
     aim: Aim
     method: SearchMethod
-    evaluations: int | None = None
-    simulated_seconds: float | None = None
-    batch: int | None = None
-    keep: int = 0
-    plots: bool = True
+    evaluations: int | None
+    simulated_seconds: float | None
+    batch: int | None
+    keep: int
+    plots: bool
 
     @classmethod
     def of_document(cls, doc: Document) -> Search:
