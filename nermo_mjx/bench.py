@@ -71,7 +71,7 @@ def run_bench(
         lines += [{"case": case, "engine": engine, "worlds": size, **apart(CASES[case], engine, size)}]
     if progress:
         progress(len(planned), len(planned))
-    return {"hardware": apart(describe), "cases": lines}
+    return {"hardware": apart(machine_description), "cases": lines}
 
 
 def apart(measure: Callable[..., dict[str, Any]], *options: Any) -> dict[str, Any]:
@@ -85,7 +85,7 @@ def apart(measure: Callable[..., dict[str, Any]], *options: Any) -> dict[str, An
             return {"error": f"{type(error).__name__}: {error}".strip().split("\n")[0]}
 
 
-def table_of(lines: Sequence[Mapping[str, Any]]) -> tuple[list[str], list[list[str]]]:
+def measurement_table(lines: Sequence[Mapping[str, Any]]) -> tuple[list[str], list[list[str]]]:
     """Headings and rows of measurements of one case; a start has a row for each state of the cache, a failure none.
 
     Headings end with > where texts are on the right.
@@ -215,7 +215,7 @@ def startup(engine: str, worlds: int) -> dict[str, Any]:
 CASES: Final[dict[str, Callable[[str, int], dict[str, Any]]]] = {"throughput": throughput, "startup": startup}
 
 
-def describe() -> dict[str, Any]:
+def machine_description() -> dict[str, Any]:
     """Name of the processor and accelerator, and versions of the numerical packages."""
     devices = jax.devices()
     versions = {name: importlib.metadata.version(name) for name in ("mujoco", "mujoco-mjx", "jax", "jaxlib")}

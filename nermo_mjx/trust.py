@@ -21,7 +21,7 @@ class FileError(Exception):
 _CONTROL: Final = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028\u2029\u202a-\u202e\u2066-\u2069]")
 
 
-def shown(text: str) -> str:
+def printable(text: str) -> str:
     r"""A text as it can be shown: control characters are escaped, as in JSON.
 
     >>> print(shown("speed\x1b[2J"))
@@ -32,7 +32,7 @@ def shown(text: str) -> str:
 
 def one_line(text: str) -> str:
     """The same for a text that has one line."""
-    return shown(text).replace("\n", "\\n").replace("\t", "\\t")
+    return printable(text).replace("\n", "\\n").replace("\t", "\\t")
 
 
 # ---

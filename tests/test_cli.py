@@ -24,9 +24,9 @@ from experiment_fake import Fake, pretend
 
 from nermo_mjx import Recording, load_robot
 from nermo_mjx.cli import choices, main
-from nermo_mjx.cli.progress import COMPILING, Progress, duration
+from nermo_mjx.cli.progress import COMPILING, ProgressBar, duration
 from nermo_mjx.runs import RunDirectory
-from nermo_mjx.runs.files import plain
+from nermo_mjx.runs.files import plain_json
 from nermo_mjx.version import __version__
 
 pytestmark = pytest.mark.usefixtures("shared_simulators")
@@ -193,7 +193,7 @@ def test_a_failure_is_exit_code_1_and_one_sentence(tmp_path: Path, monkeypatch: 
     result = call("model", "--xml", tmp_path / "missing" / "robot.xml")
     assert (result.exit_code, result.stderr.count("\n")) == (1, 1)
     assert "cannot be written" in result.stderr
-    monkeypatch.setattr("nermo_mjx.cli.walk.plan", Mock(side_effect=KeyboardInterrupt))
+    monkeypatch.setattr("nermo_mjx.cli.walk.planned_walk", Mock(side_effect=KeyboardInterrupt))
     result = call("walk")
     assert result.exit_code == 1
     assert result.stderr.startswith("nermo-mjx: stopped; ")
@@ -461,7 +461,7 @@ def test_what_libraries_print_does_not_reach_json(monkeypatch: pytest.MonkeyPatc
 
 def test_json_values_are_plain_and_finite_and_durations_are_in_words() -> None:
     value = {"a": np.float32(math.inf), "b": np.arange(2), "c": [math.nan, Path("x")], "d": np.bool_(True), 1: None}
-    assert plain(value) == {"a": None, "b": [0, 1], "c": [None, "x"], "d": True, "1": None}
+    assert plain_json(value) == {"a": None, "b": [0, 1], "c": [None, "x"], "d": True, "1": None}
     assert [duration(s) for s in (0.4, 59.6, 200, 7500)] == ["0 s", "1 min 0 s", "3 min 20 s", "2 h 5 min"]
 
 
@@ -473,7 +473,7 @@ class Terminal(io.StringIO):
 def test_progress_without_a_terminal_is_a_line_now_and_then() -> None:
     often, seldom = io.StringIO(), io.StringIO()
     for every, stream in ((0.0, often), (60.0, seldom)):
-        with Progress("sweep", "runs", every=every, stream=stream) as progress:
+        with ProgressBar("sweep", "runs", every=every, stream=stream) as progress:
             for done in (50, 75, 100):
                 progress.count(done, 100)
     lines = often.getvalue().splitlines()
@@ -485,7 +485,7 @@ def test_progress_without_a_terminal_is_a_line_now_and_then() -> None:
 def test_progress_on_a_terminal_is_a_bar_and_quiet_is_nothing() -> None:
     for quiet in (False, True):
         stream = Terminal()
-        with Progress("sweep", "runs", quiet=quiet, stream=stream) as progress:
+        with ProgressBar("sweep", "runs", quiet=quiet, stream=stream) as progress:
             progress.share(0.5, 50, 100)
         assert ("sweep" in stream.getvalue()) is not quiet
 
@@ -494,7 +494,7 @@ def test_compilation_is_named_only_while_nothing_moves(monkeypatch: pytest.Monke
     monkeypatch.setattr("nermo_mjx.cli.progress.PATIENCE", 0.05)
     slow, quick = io.StringIO(), io.StringIO()
     for stream, moves in ((slow, False), (quick, True)):
-        with Progress("walk", compiles=True, stream=stream) as progress:
+        with ProgressBar("walk", compiles=True, stream=stream) as progress:
             progress.share(0.0)
             progress.share(0.1 * moves)
             time.sleep(0.3)
@@ -503,7 +503,7 @@ def test_compilation_is_named_only_while_nothing_moves(monkeypatch: pytest.Monke
 
 def test_a_narrow_terminal_cuts_the_detail_and_not_the_time_left() -> None:
     stream = Terminal()
-    with Progress("tune", "evaluations", stream=stream) as progress:
+    with ProgressBar("tune", "evaluations", stream=stream) as progress:
         progress.share(0.0, 0, 10)
         progress.share(0.5, 5, 10, "best -0.5, " + "speed 80 mm/s, " * 10)
     text = re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", stream.getvalue())
@@ -520,7 +520,7 @@ def test_the_pace_leaves_compilation_out(monkeypatch: pytest.MonkeyPatch, second
     clock = iter([0.0, 0.0, 60.0, 60.0 + second])
     monkeypatch.setattr("nermo_mjx.cli.progress.time.monotonic", lambda: next(clock))
     stream = io.StringIO()
-    progress = Progress("tune", "evaluations", every=0.0, stream=stream)
+    progress = ProgressBar("tune", "evaluations", every=0.0, stream=stream)
     progress.share(0.0, 0, 10)
     progress._name_compilation()
     progress.share(0.1, 1, 10)

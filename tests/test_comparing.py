@@ -19,7 +19,7 @@ from sweep_fake import FakeSimulator
 from nermo_mjx import ParameterError, compare, read_table, run_sweep
 from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.sweep import Sweep
-from nermo_mjx.sweep.comparing import figures_of
+from nermo_mjx.sweep.comparing import figures_of_comparison
 from nermo_mjx.sweep.counting import two_stage
 from nermo_mjx.sweep.table import Columns
 
@@ -431,7 +431,7 @@ def test_the_command_prints_and_writes(tmp_path: Path, monkeypatch: pytest.Monke
 def test_figures_mark_what_is_beyond_noise(drawing) -> None:
     """Filled marks as many as the table has findings, for each gait a line, and the runs that fell below."""
     found = compare(table(fell=("lat",)), by="spine", groups=["gait", "frequency"])
-    figures = dict(figures_of(found.table))
+    figures = dict(figures_of_comparison(found.table))
     assert list(figures) == ["differences", "speed-gain-by-gait-and-frequency"]
     figure = figures["speed-gain-by-gait-and-frequency"]
     filled = sum(
@@ -452,7 +452,7 @@ def test_a_difference_names_its_profiles(drawing, tmp_path: Path) -> None:
 
     def named(found) -> set[str]:
         """What the figures' notes say of profiles."""
-        texts = [each.get_text() for _, figure in figures_of(found.table) for each in figure.findobj(Text)]
+        texts = [each.get_text() for _, figure in figures_of_comparison(found.table) for each in figure.findobj(Text)]
         return {name for text in texts for name in re.findall(r"^(profile.*?);", text, re.MULTILINE)}
 
     run_sweep(RANDOM, tmp_path / "exact", simulator=FakeSimulator())
@@ -479,7 +479,7 @@ def test_a_gain_in_speed_stands_beside_both_costs(drawing) -> None:
         field = pa.field(name, pa.float64(), metadata={"role": "metric", "unit": "1", "description": name})
         data = data.append_column(field, pa.array(cost * (1 + 0.001 * np.arange(len(cost)) / len(cost))))
     found = compare(data, by="spine", groups=["gait", "frequency"])
-    figures = dict(figures_of(found.table))
+    figures = dict(figures_of_comparison(found.table))
     assert list(figures) == ["differences", "gains-by-gait-and-frequency"]
     titles = [ax.get_title() for ax in figures["gains-by-gait-and-frequency"].axes]
     assert titles == ["Speed", "Mechanical cost of transport", "Electrical cost of transport"]
@@ -499,7 +499,7 @@ def test_a_panel_may_lack_a_line_of_the_others(drawing) -> None:
     scene = pa.array(np.where(there, "planks", "flat").tolist())
     data = data.append_column(pa.field("scene", pa.string(), metadata=about), scene)
     found = compare(data, by="spine", groups=["gait", "frequency", "scene"])
-    figure = dict(figures_of(found.table))["speed-gain-by-gait-and-frequency-and-scene"]
+    figure = dict(figures_of_comparison(found.table))["speed-gain-by-gait-and-frequency-and-scene"]
     lines = [sum(len(line.get_xdata()) == 3 for line in ax.get_lines()) for ax in figure.axes]
     assert sorted(lines) == [2, 3]
 

@@ -28,7 +28,7 @@ from websockets.sync.client import connect
 from nermo_mjx.control.controller import published_controller
 from nermo_mjx.control.schedule import Switch
 from nermo_mjx.live.driving import Driving, difference, replayed
-from nermo_mjx.live.server import CONNECTIONS, REPLACED, Drive, free
+from nermo_mjx.live.server import CONNECTIONS, REPLACED, LiveDrive, free
 from nermo_mjx.recording import Recording, RecordingError
 from nermo_mjx.robot import ParameterError
 from nermo_mjx.robot.quantity import values_of
@@ -142,9 +142,11 @@ def test_a_command_that_is_refused_changes_nothing(running, switch, sentence):
 
 
 @pytest.fixture(scope="module")
-def drive(tmp_path_factory) -> Iterator[Drive]:
+def drive(tmp_path_factory) -> Iterator[LiveDrive]:
     """One that runs in a thread."""
-    made = Drive(Driving(Setup(pilot="open_loop"), {"frequency": 0.8}), tmp_path_factory.mktemp("drive") / "drive.npz")
+    made = LiveDrive(
+        Driving(Setup(pilot="open_loop"), {"frequency": 0.8}), tmp_path_factory.mktemp("drive") / "drive.npz"
+    )
     thread = threading.Thread(target=made.run)
     thread.start()
     yield made
@@ -164,7 +166,7 @@ def page(drive):
         yield opened
 
 
-def socket(drive: Drive, **headers):
+def socket(drive: LiveDrive, **headers):
     address = drive.address.replace("http", "ws") + "socket"
     origin = headers.pop("origin", drive.address.rpartition("/")[0].rpartition("/")[0])
     return connect(address, origin=origin, compression=None, additional_headers=headers)
@@ -241,7 +243,7 @@ def closed(page) -> int:
         return end.rcvd.code
 
 
-def paused(drive: Drive) -> bool:
+def paused(drive: LiveDrive) -> bool:
     """Whether it pauses soon, and stands still then."""
     deadline = time.monotonic() + 10
     while not drive.paused and time.monotonic() < deadline:
@@ -452,7 +454,7 @@ def test_the_token_is_not_in_the_process_list(tmp_path, monkeypatch):
 def recorded(tmp_path, running):
     """A drive that runs with a page and a file."""
     running.reset()
-    made = Drive(running, tmp_path / "d.npz")
+    made = LiveDrive(running, tmp_path / "d.npz")
     thread = threading.Thread(target=made.run)
     thread.start()
     with socket(made) as page:
@@ -547,7 +549,7 @@ def test_a_file_that_exists_is_never_replaced(tmp_path, running):
     assert free(tmp_path / "d.npz", first=False).name == "d-3.npz"
     assert free(tmp_path / "f.npz").name == "f.npz"
     running.reset()
-    made = Drive(running, tmp_path / "f.npz")
+    made = LiveDrive(running, tmp_path / "f.npz")
     made._began = True
     (tmp_path / "f.npz").write_text("mine")  # meanwhile
     made.driving.tick()

@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 from sweep_fake import SPEC, FakeSimulator
 
 from nermo_mjx import Recording, Run, load_robot, show
-from nermo_mjx.cli.walk import plan
+from nermo_mjx.cli.walk import planned_walk
 from nermo_mjx.cli.walk import walk_command as walk
 from nermo_mjx.runs import DirectoryError
 from nermo_mjx.sweep import Sweep, run_sweep
@@ -226,7 +226,7 @@ def test_the_walk_command_does_what_the_row_did(swept: Path, tmp_path: Path) -> 
         words += ["--set", f"{name}={runs.columns[name].values[place]}"]
     context = walk.make_context("walk", words[2:])
     other = ("engine", "record", "video", "camera", "as_json", "quiet")
-    wanted = plan(**{name: value for name, value in context.params.items() if name not in other})
+    wanted = planned_walk(**{name: value for name, value in context.params.items() if name not in other})
     assert wanted.run == Run(duration=4.0, warmup=1.5)
     setup = wanted.setup
     assert (setup.gait, setup.spine, setup.steering) == ("lat", "stride_extension", "mix")

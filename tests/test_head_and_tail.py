@@ -52,7 +52,7 @@ def test_the_head_looks_along_the_course_whatever_the_torso_does(torso: Rotation
     """Torso, neck and tilt one after the other, by SciPy: the gaze is level, and `pan` beside the course."""
     params = params_with(head_lead=0.0, head_pan=pan)
     course = torso.as_euler("ZXY")[0] + 0.2
-    begun = head_and_tail.Course(jnp.asarray(course, jnp.float32), jnp.zeros(()))
+    begun = head_and_tail.CourseEstimate(jnp.asarray(course, jnp.float32), jnp.zeros(()))
     _, angles = named_head("gaze").update(params, begun, sensors_at(torso), PACE, 1e-9)
     looks = torso * Rotation.from_euler("z", float(angles.neck)) * Rotation.from_euler("x", float(angles.tilt))
     wanted = [np.sin(course + pan), -np.cos(course + pan), 0.0]
@@ -64,7 +64,7 @@ def test_the_gaze_is_where_the_torso_will_be_when_the_servos_have_followed() -> 
     rate, lead = np.array([0.5, -0.7, 2.0]), 0.02
     torso = TILTED[0]
     then = torso * Rotation.from_rotvec(rate * lead)
-    course = head_and_tail.Course(jnp.asarray(0.3, jnp.float32), jnp.zeros(()))
+    course = head_and_tail.CourseEstimate(jnp.asarray(0.3, jnp.float32), jnp.zeros(()))
     angles = [
         np.array(named_head("gaze").update(params_with(head_lead=ahead), course, seen, PACE, 1e-9)[1])
         for ahead, seen in ((lead, sensors_at(torso, tuple(rate))), (0.0, sensors_at(then)), (0.0, sensors_at(torso)))
@@ -82,15 +82,17 @@ def test_the_course_goes_along_with_a_steady_turn_and_leaves_sway_out() -> None:
     torso = headings + 0.5 * np.asarray(yaw(joint_angle(servo, ROBOT)))
     still = sensors_at(Rotation.identity())
 
-    def tick(course: head_and_tail.Course, seen: tuple[jax.Array, jax.Array]) -> tuple[head_and_tail.Course, jax.Array]:
+    def tick(
+        course: head_and_tail.CourseEstimate, seen: tuple[jax.Array, jax.Array]
+    ) -> tuple[head_and_tail.CourseEstimate, jax.Array]:
         half, none = 0.5 * seen[0], jnp.zeros(())
         turned = jnp.stack([jnp.cos(half), none, none, jnp.sin(half)])
         bent = still.servo_angle.at[SERVOS.index("spine")].set(seen[1])
         sensors = dataclasses.replace(still, orientation=turned, servo_angle=bent)
-        after = head_and_tail.observe(course, sensors, bandwidth, dt, ROBOT)
+        after = head_and_tail.observe_course(course, sensors, bandwidth, dt, ROBOT)
         return after, after.heading
 
-    begun = head_and_tail.Course(jnp.asarray(2.5), jnp.asarray(0.2))
+    begun = head_and_tail.CourseEstimate(jnp.asarray(2.5), jnp.asarray(0.2))
     found = np.asarray(jax.lax.scan(tick, begun, (jnp.asarray(torso), jnp.asarray(servo)))[1], float)[-5000:]
     left = found - (2.5 + 0.2 * times[-5000:])
     s = 1j * omega
@@ -133,7 +135,7 @@ def test_the_tail_swings_as_in_the_authors_software(speed: float, amplitude: flo
 def test_the_tail_turns_with_the_body_and_props_it() -> None:
     """Torso 0.1 rad to the left of its course: tip to the right. Torso leaning 0.1 rad to the left: tip to the left."""
     params = params_with(tail_yaw_gain=3.0, tail_roll_gain=3.0)
-    course = head_and_tail.Course(jnp.zeros(()), jnp.zeros(()))
+    course = head_and_tail.CourseEstimate(jnp.zeros(()), jnp.zeros(()))
     turned, leaning = (sensors_at(Rotation.from_euler(axis, 0.1)) for axis in "zy")
     _, against_yaw = named_tail("counter_yaw").update(params, course, turned, PACE, 1e-9)
     _, against_roll = named_tail("counter_roll").update(params, (), leaning, PACE, 1e-9)

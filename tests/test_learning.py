@@ -13,7 +13,15 @@ import pytest
 from learn_toy import PointMass
 
 from nermo_mjx.learn.algorithms import PPO, ShortHorizon
-from nermo_mjx.learn.experience import RESET, Experience, Scores, Statistics, advantages, finite_backwards, scanned
+from nermo_mjx.learn.experience import (
+    RESET,
+    EpisodeScores,
+    Experience,
+    Statistics,
+    advantages,
+    finite_backwards,
+    scanned,
+)
 
 pytestmark = pytest.mark.compiles
 QUICK = PPO(hidden=(16, 16))
@@ -22,7 +30,7 @@ QUICK = PPO(hidden=(16, 16))
 def trained(algorithm, environment, iterations, seed=0):
     """What was learned, and the numbers of each iteration."""
     iterate, learned = algorithm.iteration(environment), algorithm.begin(environment, seed)
-    state, scores, rows = environment.reset(learned.random(RESET)), Scores.none(environment.worlds), []
+    state, scores, rows = environment.reset(learned.random(RESET)), EpisodeScores.none(environment.worlds), []
     for _ in range(iterations):
         learned, state, experience, numbers = iterate(learned, state)
         rows.append(scores.tally(experience) | {name: float(value) for name, value in numbers.items()})
@@ -62,7 +70,7 @@ def test_the_tally_leaves_out_each_worlds_first_episode():
     falls = np.array([[0, 0, 0, 0, 0, 0], [1, 0, 0, 0, 0, 1]], bool).T
     reward, nothing = np.stack([steps, 10 * steps], axis=1), np.zeros((6, 2, 1))
     found = Experience(nothing, nothing, reward, {"near": reward}, falls, ends & ~falls, nothing)
-    numbers = Scores.none(2).tally(found)
+    numbers = EpisodeScores.none(2).tally(found)
     assert numbers["episodes"] == 3
     np.testing.assert_allclose(numbers["return"], ((3 + 4 + 5) + (20 + 30 + 40) + (50 + 60)) / 3)
     np.testing.assert_allclose(numbers["length"], (3 + 3 + 2) / 3)

@@ -14,7 +14,7 @@ import wires
 from command import json_of
 
 from nermo_mjx import Setup, servo_table
-from nermo_mjx.hardware import connected, play
+from nermo_mjx.hardware import connected, send_table
 from nermo_mjx.hardware.live import SendError
 from nermo_mjx.robot import LIMBS, ParameterError
 
@@ -61,7 +61,7 @@ def test_the_rigid_tail_is_given_what_is_missing() -> None:
 def test_rows_are_sent_at_their_times_again_and_again(published) -> None:
     """Three cycles: each row at its time, and after the last one the first."""
     clock, seen = wires.Clock(), []
-    sent = play(
+    sent = send_table(
         published, lambda angles, given: seen.append((clock.now - 100.0, given)), 3 / 0.8, clock=clock, wait=clock.wait
     )
     rows = len(published.time)
@@ -73,7 +73,7 @@ def test_rows_are_sent_at_their_times_again_and_again(published) -> None:
 def test_what_is_late_is_left_out(published) -> None:
     """After half a second in which nothing could be sent the gait is where it would be without."""
     clock, seen = wires.Clock(jump_at=0.5, jump=0.5), []
-    sent = play(
+    sent = send_table(
         published, lambda angles, given: seen.append((clock.now - 100.0, given)), 2.0, clock=clock, wait=clock.wait
     )
     assert sent.skipped == pytest.approx(0.5 * published.rate, abs=1)
@@ -103,7 +103,7 @@ def test_a_broker_passes_on_what_the_author_sent(published, broker) -> None:
     listener.subscribe("q_values")
     assert listening.wait(10)
     with connected(f"mqtt://127.0.0.1:{broker}") as send:
-        sent = play(published, send, 0.5)
+        sent = send_table(published, send, 0.5)
     deadline = time.monotonic() + 10
     while len(seen) < sent.messages and time.monotonic() < deadline:
         time.sleep(0.02)
@@ -125,7 +125,7 @@ def test_a_bridge_gets_radians(published) -> None:
         thread = threading.Thread(target=server.serve_forever)
         thread.start()
         with connected(f"ws://127.0.0.1:{server.socket.getsockname()[1]}", "nermo/q_values") as send:
-            play(published, send, 0.2)
+            send_table(published, send, 0.2)
         server.shutdown()
         thread.join(10)
     topic = "/nermo/q_values"

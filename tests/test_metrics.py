@@ -287,8 +287,8 @@ def test_the_back_emf_takes_torque_and_current():
     full, half = np.full((STEPS, 1), 0.157), np.full((STEPS, 1), 0.5 * 6.0 / 0.4)
     supply = electrical.Supply(servo, ModelParameters().battery, ModelParameters().damping)
     for speed, current in ((half, 0.008 + 0.5 * (0.8 - 0.008)), (3.0 * half, 0.008)):  # and above its no-load speed
-        drawn = electrical.drawn(full - servo.brake * speed, speed, servo)
-        assert electrical.result(drawn, 1.0, supply)["servo_current"] == pytest.approx(current)
+        drawn = electrical.power_sums(full - servo.brake * speed, speed, servo)
+        assert electrical.electrical_result(drawn, 1.0, supply)["servo_current"] == pytest.approx(current)
 
 
 @pytest.mark.parametrize("limit", [0.01, 0.157, 2.0])
@@ -299,8 +299,8 @@ def test_power_is_at_least_work_whatever_the_motor(limit, stall, back_emf):
     random = np.random.default_rng(0)
     servo = dataclasses.replace(ModelParameters().servo, torque_limit=limit, stall_current=stall, back_emf=back_emf)
     torque, speed = limit * random.uniform(-1.0, 1.0, (STEPS, 40)), random.uniform(-20.0, 20.0, (STEPS, 40))
-    drawn = electrical.drawn(torque, speed, servo)
-    power = electrical.result(
+    drawn = electrical.power_sums(torque, speed, servo)
+    power = electrical.electrical_result(
         drawn, 1.0, electrical.Supply(servo, ModelParameters().battery, ModelParameters().damping)
     )["electrical_power"]
     assert power >= np.maximum(torque * speed, 0.0).sum(axis=1).mean()

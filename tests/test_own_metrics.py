@@ -26,7 +26,7 @@ from nermo_mjx.rollout import metrics as measures
 from nermo_mjx.rollout.own_metrics import REDUCTIONS, OwnMetric, load_metrics
 from nermo_mjx.rollout.setup import Window
 from nermo_mjx.sweep import Sweep, read_table, run_sweep
-from nermo_mjx.sweep.plots import figures
+from nermo_mjx.sweep.plots import sweep_figures
 from nermo_mjx.sweep.table import meta
 from nermo_mjx.view.recorded import details_of
 
@@ -244,7 +244,7 @@ def test_summary_and_figures_know_which_side_is_better(shake: Path, tmp_path: Pa
     assert (best["yaw_shake"]["side"], best["yaw_shake"]["parameters"]) == ("min", {"frequency": 0.7})
     assert "hardest_step" not in best
     for name, star in (("yaw_shake", "star: best, .* at 0.7 Hz"), ("hardest_step", "star: highest, .* at 0.9 Hz")):
-        texts = [text.get_text() for _, figure in figures(tmp_path, color=name) for text in figure.texts]
+        texts = [text.get_text() for _, figure in sweep_figures(tmp_path, color=name) for text in figure.texts]
         assert any(re.search(star, text) for text in texts), texts
 
 

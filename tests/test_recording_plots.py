@@ -19,16 +19,16 @@ from nermo_mjx.robot import LIMBS, load_robot
 from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.view import Recording, model_hash
 from nermo_mjx.view.figures import (
-    Walk,
+    RecordedGait,
     commanded_feet,
-    figures_of,
+    figures_of_recording,
     gait_diagram,
     ground_path,
     in_leg_frame,
     leg_paths,
     orientation,
     over_ground,
-    servo_angles,
+    servo_angles_figure,
 )
 from nermo_mjx.view.recorded import spans
 
@@ -41,7 +41,7 @@ pytestmark = pytest.mark.draws
 def drawn_of(recording: Recording, folder: Path, formats: Sequence[str] = FORMATS) -> tuple[list[Path], list[str]]:
     """The files of a recording's figures, and the notes on those that there are not."""
     notes: list[str] = []
-    return write_figures(figures_of(recording, notes.append), folder, formats=formats), notes
+    return write_figures(figures_of_recording(recording, notes.append), folder, formats=formats), notes
 
 
 NAMES = ("gait-diagram", "orientation", "foot-paths", "foot-paths-over-ground", "servo-angles", "ground-path")
@@ -110,7 +110,7 @@ def bars(figure: matplotlib.figure.Figure) -> list[list[tuple[float, float]]]:
 
 def test_the_gait_diagram_shows_planned_and_measured_contact(recording: Recording) -> None:
     """Each planned stance begins where phase equals the limb's offset; each measured one 0.05 s later."""
-    figure = gait_diagram(Walk(recording))
+    figure = gait_diagram(RecordedGait(recording))
     assert figure is not None
     rows = bars(figure)
     for i, (limb, offset) in enumerate(OFFSETS.items()):
@@ -128,7 +128,7 @@ def test_the_gait_diagram_shows_planned_and_measured_contact(recording: Recordin
 
 
 def test_a_recording_that_does_not_say_its_gait_shows_what_was_measured(recording: Recording) -> None:
-    figure = gait_diagram(Walk(dataclasses.replace(recording, metadata={})))
+    figure = gait_diagram(RecordedGait(dataclasses.replace(recording, metadata={})))
     assert figure is not None
     assert len(bars(figure)) == 4
     assert "the whole recording" in texts(figure)
@@ -142,7 +142,7 @@ def test_stretches_of_contact() -> None:
 
 
 def test_orientation_is_in_degrees(recording: Recording) -> None:
-    figure = orientation(Walk(recording))
+    figure = orientation(RecordedGait(recording))
     assert figure is not None
     roll, pitch, yaw = (ax.lines[0].get_ydata() for ax in figure.axes)
     np.testing.assert_allclose(roll, 5.0 * np.sin(2 * np.pi * recording.time), atol=1e-3)
@@ -152,7 +152,7 @@ def test_orientation_is_in_degrees(recording: Recording) -> None:
 
 
 def test_the_way_on_the_ground_and_its_mean(recording: Recording) -> None:
-    figure = ground_path(Walk(recording))
+    figure = ground_path(RecordedGait(recording))
     assert figure is not None
     torso, mean = figure.axes[0].lines[:2]
     np.testing.assert_allclose(torso.get_xdata(), 100.0 * (recording.time - recording.time[0]), atol=1e-6)
@@ -162,7 +162,7 @@ def test_the_way_on_the_ground_and_its_mean(recording: Recording) -> None:
 
 
 def test_feet_over_the_ground_are_thick_where_they_bear_a_load(recording: Recording) -> None:
-    figure = over_ground(Walk(recording))
+    figure = over_ground(RecordedGait(recording))
     assert figure is not None
     for i, ax in enumerate(figure.axes):
         way, loaded = ax.lines[:2]
@@ -185,14 +185,14 @@ def test_the_leg_frame_is_that_of_the_leg_kinematics(recording: Recording) -> No
         np.testing.assert_allclose(found, np.asarray(pose.foot), atol=4e-4)
     ctrl = np.concatenate([servo[:, 0], servo[:, 1], [0.0, 0.0]])[None]
     np.testing.assert_allclose(commanded_feet(ctrl, "type3", ROBOT)[0], np.asarray(pose.foot), atol=1e-6)
-    figure = leg_paths(Walk(recording), robot)
+    figure = leg_paths(RecordedGait(recording), robot)
     assert figure is not None
     assert "ahead of the axis [mm]" in texts(figure)
 
 
 def test_servo_angles_are_commanded_and_measured(recording: Recording) -> None:
     """A servo that stands still is left out, unless it is a leg's."""
-    figure = servo_angles(Walk(recording))
+    figure = servo_angles_figure(RecordedGait(recording))
     assert figure is not None
     assert len(figure.axes) == 4
     measured, commanded = figure.axes[0].lines[:2]

@@ -134,7 +134,9 @@ def test_the_time_to_the_new_speed_is_half_a_ramp_and_the_constant_of_an_approac
         return transitions.integrals(within, time, 0.01, jnp.where(time > 7.0, 9.0, 0.06), 3.0, speed)
 
     ticks = jax.vmap(jax.vmap(tick), (None, 0))(jnp.asarray(time), speed)
-    found = jax.vmap(transitions.result, (0, None))({name: each.sum(axis=1) for name, each in ticks.items()}, 0.2)
+    found = jax.vmap(transitions.transition_result, (0, None))(
+        {name: each.sum(axis=1) for name, each in ticks.items()}, 0.2
+    )
     np.testing.assert_allclose(found["transition_time"], [1.5, 0.5, np.nan], atol=0.02)
     np.testing.assert_allclose(found["transition_slip"], 0.02, rtol=1e-3)
 

@@ -12,7 +12,7 @@ from search_fake import ATLAS, FRONT, SPEED, FakeSimulator
 from nermo_mjx.cli import main
 from nermo_mjx.optimize import Search, run_search
 from nermo_mjx.optimize.methods import Scores, Space, ranked_cost, scores_of, searcher
-from nermo_mjx.optimize.run import cost_of
+from nermo_mjx.optimize.run import search_forecast
 from nermo_mjx.recording import Recording
 from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.sweep.simulating import PROBE
@@ -61,8 +61,8 @@ def test_what_a_search_costs_is_counted_by_hand(monkeypatch):
     """120 evaluations of two seconds in batches of 12, by a simulator that makes 50 simulated seconds a second."""
     clock = iter([3.0, 3.0 + 12 * PROBE / 50.0])
     monkeypatch.setattr("nermo_mjx.sweep.simulating.time", types.SimpleNamespace(perf_counter=lambda: next(clock)))
-    cost = cost_of(Search.from_dict(SPEED), "c", simulator=FakeSimulator())
-    assert (cost.batch, cost.batches, cost.evaluations, cost.runs) == (12, 10, 120, 120)
+    cost = search_forecast(Search.from_dict(SPEED), "c", simulator=FakeSimulator())
+    assert cost.counts == {"evaluations": 120, "batches": 10, "evaluations_per_batch": 12, "runs": 120}
     assert cost.simulated_seconds == pytest.approx(240.0)
     assert cost.wall_seconds == pytest.approx(240.0 / 50.0)
 
@@ -159,7 +159,7 @@ def test_the_command_searches_keeps_and_draws(tmp_path):
     assert (tmp_path / "plots/convergence.svg").read_bytes() == (out / "plots/convergence.svg").read_bytes()
     assert len(files) >= 2
     call("plot", out, "--x", "frequency", "--y", "speed", "--out", tmp_path / "chosen")
-    assert "batches of 4" in call("search", path, "--out", out, "--engine", "c", "--dry-run")
+    assert "4 evaluations per batch" in call("search", path, "--out", out, "--engine", "c", "--dry-run")
 
 
 @pytest.mark.draws

@@ -16,7 +16,7 @@ from mujoco.mjx._src.collision_types import GeomInfo
 from nermo_mjx.dynamics import collision, differentiable, jacobians, solver, step
 from nermo_mjx.dynamics.integration import positions
 from nermo_mjx.dynamics.mjx_import import mjx
-from nermo_mjx.dynamics.rows import Layout, Problem
+from nermo_mjx.dynamics.rows import ConstraintProblem, Layout
 from nermo_mjx.rollout import Run, Setup
 from nermo_mjx.rollout.differentiable import Rollout
 from nermo_mjx.runtime import compiler_options
@@ -74,13 +74,13 @@ KINDS = {
 }
 
 
-def _problems(kind: str) -> tuple[Layout, Callable[[Any], Problem]]:
+def _problems(kind: str) -> tuple[Layout, Callable[[Any], ConstraintProblem]]:
     """A layout, and a random problem all of whose arrays depend on some numbers."""
     equality, dry, pushes, cones = KINDS[kind]
     rows, random = equality + dry + pushes + sum(dim * count for dim, count in cones), np.random.default_rng(3)
     lower = random.normal(size=(SIZE, SIZE))
     among = (np.arange(rows) >= equality) & (np.arange(rows) < equality + dry)
-    first = Problem(
+    first = ConstraintProblem(
         lower @ lower.T + np.eye(SIZE),
         random.normal(size=SIZE),
         random.normal(size=(rows, SIZE)),
@@ -91,7 +91,7 @@ def _problems(kind: str) -> tuple[Layout, Callable[[Any], Problem]]:
     )
     ways = jax.tree.map(lambda leaf: random.normal(size=(NUMBERS, *leaf.shape)), first)
 
-    def problem(numbers: Any) -> Problem:
+    def problem(numbers: Any) -> ConstraintProblem:
         changes = jax.tree.map(lambda way: jnp.tensordot(0.1 * jnp.sin(numbers), way, 1), ways)
         turned = changes.inertia @ changes.inertia.T
         changed = jax.tree.map(lambda leaf, change: leaf * jnp.exp(change), first, changes)
@@ -108,7 +108,7 @@ def test_second_derivatives_of_the_rows(kind: str) -> None:
 
     def value(numbers: Any) -> Any:
         given = problem(numbers)
-        found = solver.solve(layout, *jax.lax.stop_gradient((given, jnp.zeros(SIZE))))
+        found = solver.minimum(layout, *jax.lax.stop_gradient((given, jnp.zeros(SIZE))))
         last = differentiable._newton(layout, found.qacc, jax.lax.stop_gradient(given))
         return jnp.sum(jnp.sin(differentiable._solution(layout, last.qacc, last.residual, given)))
 
@@ -156,7 +156,7 @@ def test_second_derivatives_of_a_tendon_inside_a_ring() -> None:
     """By both ends and the radius: of the point that it touches."""
 
     def value(numbers: Any) -> Any:
-        length, points = jacobians.inside(numbers[:4], numbers[4], 20, 1e-12, 1.0 - 1e-7)
+        length, points = jacobians.wrap_inside(numbers[:4], numbers[4], 20, 1e-12, 1.0 - 1e-7)
         return jnp.sum(jnp.sin(3.0 * points)) + length[0]
 
     found = errors(value, np.array([2.0, 1.5, -2.0, 1.7, 1.0]))

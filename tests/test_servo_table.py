@@ -16,7 +16,7 @@ import pytest
 from command import call, json_of
 
 from nermo_mjx import SERVOS, Run, ServoTable, Setup, Simulator, load_robot, servo_table
-from nermo_mjx.hardware import play, recorded_table
+from nermo_mjx.hardware import recorded_table, send_table
 from nermo_mjx.kinematics.leg import four_legs, inverse
 from nermo_mjx.robot import ParameterError
 from nermo_mjx.robot.geometry import Geometry
@@ -184,7 +184,7 @@ def test_a_recorded_walk_gives_what_was_commanded(tmp_path: Path) -> None:
     middle = 0.5 * (ticks.angles[:-1] + ticks.angles[1:])
     np.testing.assert_allclose(between.angles[1::2], middle, atol=1e-4)
     sent, clock = [], iter(np.arange(10_000) * 0.001)
-    play(ticks, lambda angles, given: sent.append(angles), clock=lambda: next(clock), wait=lambda seconds: None)
+    send_table(ticks, lambda angles, given: sent.append(angles), clock=lambda: next(clock), wait=lambda seconds: None)
     assert len(sent) == len(ticks.time)  # once, and not in a loop
 
     path, out = tmp_path / "walk.npz", tmp_path / "walk.csv"

@@ -12,7 +12,7 @@ import pytest
 
 from nermo_mjx.dynamics import solver
 from nermo_mjx.dynamics.differentiable import _newton
-from nermo_mjx.dynamics.rows import Layout, Problem
+from nermo_mjx.dynamics.rows import ConstraintProblem, Layout
 from nermo_mjx.physics import Variation
 from nermo_mjx.robot import ModelParameters, load_robot
 from nermo_mjx.robot.quantity import replace_quantities
@@ -39,7 +39,7 @@ DAMPED = {"damping.knee": 0.02531, "damping.ankle": 0.02531, "damping.spine": 0.
 
 
 @functools.cache
-def problems(kind: str, worlds: int = WORLDS) -> tuple[Layout, Problem, np.ndarray, np.ndarray]:
+def problems(kind: str, worlds: int = WORLDS) -> tuple[Layout, ConstraintProblem, np.ndarray, np.ndarray]:
     """(layout, problems, warm starts, C's solutions) of robots that are thrown onto the ground and move their servos.
 
     Args:
@@ -91,7 +91,7 @@ def problems(kind: str, worlds: int = WORLDS) -> tuple[Layout, Problem, np.ndarr
             cone = np.ones((CONTACTS, 6))
             cone[:contacts] = np.column_stack([data.contact.mu, data.contact.friction])[:contacts]
             jacobian, aref, stiffness = arrays
-            problem = Problem(
+            problem = ConstraintProblem(
                 inertia,
                 data.qfrc_smooth.copy(),
                 jacobian,
@@ -105,11 +105,11 @@ def problems(kind: str, worlds: int = WORLDS) -> tuple[Layout, Problem, np.ndarr
     return Layout(0, 0, ((3, CONTACTS),) if elliptic else ()), stacked, warm, right
 
 
-def solve(layout: Layout, problem: Problem, warm: np.ndarray, real: type) -> tuple[np.ndarray, np.ndarray]:
+def solve(layout: Layout, problem: ConstraintProblem, warm: np.ndarray, real: type) -> tuple[np.ndarray, np.ndarray]:
     """(solutions, rounds) in a precision, with the last step of `differentiable`."""
 
-    def one(problem: Problem, warm: Any) -> Any:
-        found = solver.solve(layout, problem, warm)
+    def one(problem: ConstraintProblem, warm: Any) -> Any:
+        found = solver.minimum(layout, problem, warm)
         return _newton(layout, found.qacc, problem).qacc, found.needed
 
     with jax.enable_x64(real is np.float64):
@@ -118,7 +118,7 @@ def solve(layout: Layout, problem: Problem, warm: np.ndarray, real: type) -> tup
     return np.asarray(qacc, float), np.asarray(rounds)
 
 
-def error(found: np.ndarray, right: np.ndarray, problem: Problem) -> np.ndarray:
+def error(found: np.ndarray, right: np.ndarray, problem: ConstraintProblem) -> np.ndarray:
     """Size of the difference as a share of the solution's, both weighed by the inertia."""
     size = [np.einsum("ni,nij,nj->n", each, problem.inertia, each) for each in (found - right, right)]
     return np.sqrt(size[0] / size[1])
@@ -169,6 +169,6 @@ def test_accelerators_know_the_length_of_every_loop() -> None:
     """Only on a CPU is there a loop that ends when all worlds have: XLA's `while` without a number of rounds."""
     layout, problem, warm, _ = problems("elliptic")
     one = jax.tree.map(lambda leaf: np.asarray(leaf[0], np.float32), (problem, warm))
-    program = str(jax.make_jaxpr(lambda *given: solver.solve(layout, *given))(*one))
+    program = str(jax.make_jaxpr(lambda *given: solver.minimum(layout, *given))(*one))
     on_cpu, elsewhere = program.count("while["), program.count(f"length={solver.FIXED}")
     assert (on_cpu, elsewhere) == (1, 1)

@@ -206,8 +206,8 @@ def sections(kind: type[Fields]) -> Iterator[type[Fields]]:
 def test_no_odd_value_leads_to_anything_but_a_sentence():
     """At each field of each file, and at each field of what stands there."""
     from nermo_mjx.learn import PPO, Modulation, Residual, Task
-    from nermo_mjx.learn.spec import Evaluation, TrainingFile
-    from nermo_mjx.optimize.objective import Term
+    from nermo_mjx.learn.spec import EvaluationSpec, TrainingFile
+    from nermo_mjx.optimize.objective import ObjectiveTerm
     from nermo_mjx.optimize.spec import CmaMe, Differences, Generations, Limit, SearchFile, Tuned, TuningFile
     from nermo_mjx.specs.fields import read
     from nermo_mjx.specs.reading import SpecError, read_mapping
@@ -222,11 +222,11 @@ def test_no_odd_value_leads_to_anything_but_a_sentence():
                     messages.append(str(error))
     places = {
         Task: (TrainingFile, lambda given: {"task": given}),
-        Evaluation: (TrainingFile, lambda given: {"evaluate": given}),
+        EvaluationSpec: (TrainingFile, lambda given: {"evaluate": given}),
         PPO: (TrainingFile, lambda given: {"algorithm": {"ppo": given}}),
         Residual: (TrainingFile, lambda given: {"task": {"action": {"residual": given}}}),
         Modulation: (TrainingFile, lambda given: {"task": {"action": {"modulation": given}}}),
-        Term: (TuningFile, lambda given: {"objective": [given]}),
+        ObjectiveTerm: (TuningFile, lambda given: {"objective": [given]}),
         Tuned: (TuningFile, lambda given: {"tune": {"duty": given}}),
         Generations: (TuningFile, lambda given: {"method": {"cma": given}}),
         Differences: (TuningFile, lambda given: {"method": {"differences": given}}),

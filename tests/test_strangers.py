@@ -52,14 +52,14 @@ from nermo_mjx.robot.scene import resolve_scene
 from nermo_mjx.rollout import Setup, own_metrics
 from nermo_mjx.runs.directory import codes_of, digest, read_record
 from nermo_mjx.runs.files import content_of, parquet_bytes, parquet_table, stored_json
-from nermo_mjx.runs.rows import opened
+from nermo_mjx.runs.rows import opened_part
 from nermo_mjx.runs.status import last_command
 from nermo_mjx.specs import reading
 from nermo_mjx.specs.reading import SpecError, read_file, read_mapping
 from nermo_mjx.sweep import DirectoryError, Sweep, merge_sweeps, read_table, run_sweep
 from nermo_mjx.sweep.comparing import two_tables
 from nermo_mjx.sweep.structures import read_row_table
-from nermo_mjx.sweep.table import RECORD, Results, SweepRecord, meta, status
+from nermo_mjx.sweep.table import RECORD, Results, SweepRecord, meta, sweep_status
 from nermo_mjx.view.explore import runs_of
 from nermo_mjx.view.recorded import robot_of
 
@@ -443,7 +443,7 @@ def kinds_of_files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[
             lambda: (identification.status(identified), identification.drawn(identified)),
         ),
         "experiment": (experiments.path(name), table_like, kind("experiments", experiments.out)),
-        "part": (part, table_like, lambda: (read_table(sweep), Results([part]), status(sweep), runs_of(sweep))),
+        "part": (part, table_like, lambda: (read_table(sweep), Results([part]), sweep_status(sweep), runs_of(sweep))),
         "rows.csv": (_text(top / "rows.csv", ROWS), [mutated_bytes], rows(top / "rows.csv")),
         "rows.parquet": (top / "rows.parquet", table_like, rows(top / "rows.parquet")),
         "sweep.yaml": (_file(top / "s.yaml", SWEEP), text, lambda: Sweep.from_file(top / "s.yaml")),
@@ -658,7 +658,7 @@ SPECIAL = pytest.mark.parametrize("kind", ["pipe", "device"])
         stored_json,
         replayed,
         lambda path: protocol.Source.named("metrics has", str(path.with_suffix(".py")), "a file").content(),
-        lambda path: opened(path).__enter__(),
+        lambda path: opened_part(path).__enter__(),
     ],
 )
 def test_a_file_that_is_none_is_refused(load: Any, kind: str, tmp_path: Path) -> None:

@@ -22,7 +22,7 @@ from nermo_mjx.sweep.plots import (
     MOST_LINES,
     chosen_figure,
     chosen_lines,
-    figures_of,
+    figures_of_results,
     points_of,
     survey_figures,
 )
@@ -254,7 +254,10 @@ def test_a_scatter_of_too_many_points_is_thinned(tmp_path: Path, monkeypatch: py
     data = table(1000)
     well = np.array(data.column("status").to_pylist()) == "ok"
     speed, frequency = (data.column(name).to_numpy()[well] for name in ("speed", "frequency"))
-    svg = {file.name: file.read_text() for file in write_figures(figures_of(Results(data)), tmp_path, formats=["svg"])}
+    svg = {
+        file.name: file.read_text()
+        for file in write_figures(figures_of_results(Results(data)), tmp_path, formats=["svg"])
+    }
     assert f"star: best, {1e3 * speed.max():.4g} mm/s" in svg["speed-over-pairs.svg"]
     for name in ("speed-over-each.svg", "speed-over-pairs.svg"):
         assert "20 of 941 runs" in svg[name]

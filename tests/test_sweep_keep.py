@@ -22,7 +22,7 @@ from nermo_mjx.runs.files import DirectoryError
 from nermo_mjx.sweep import SpecError, Sweep, read_table, run_sweep, store
 from nermo_mjx.sweep.replay import kept_rows, replay_row
 from nermo_mjx.sweep.spec import Keep
-from nermo_mjx.sweep.table import Results, meta, status
+from nermo_mjx.sweep.table import Results, meta, sweep_status
 
 pytestmark = pytest.mark.usefixtures("shared_simulators")
 SAVED: dict[str, Any] = {**SPEC, "save": {"sensors": ["gyro", "speed"], "rate": 20}}
@@ -265,7 +265,7 @@ def test_a_stopped_sweep_records_what_is_missing(tmp_path: Path, monkeypatch: py
             run_sweep(spec, tmp_path, engine="c")
     (file,) = (tmp_path / "recordings").iterdir()
     first = file.stat().st_mtime_ns
-    assert status(tmp_path).notes == ("1 of its runs is recorded in recordings/.",)
+    assert sweep_status(tmp_path).notes == ("1 of its runs is recorded in recordings/.",)
     assert len(run_sweep(spec, tmp_path, engine="c").recordings) == 3
     assert (file.stat().st_mtime_ns, len(list((tmp_path / "recordings").iterdir()))) == (first, 3)
 

@@ -12,7 +12,7 @@ from nermo_mjx.plotting.files import write_figures
 from nermo_mjx.plotting.shown import shown
 from nermo_mjx.plotting.style import STYLE
 from nermo_mjx.sweep import Results, run_sweep
-from nermo_mjx.sweep.plots import figures_of
+from nermo_mjx.sweep.plots import figures_of_results
 
 pytestmark = pytest.mark.draws
 
@@ -120,7 +120,7 @@ GAIN = "speed-gain-over-spine.amplitude-and-spine.phase"
 
 def gain_figure(table):
     with matplotlib.rc_context(STYLE):
-        return next(figure for name, figure in figures_of(Results(table)) if name == GAIN)
+        return next(figure for name, figure in figures_of_results(Results(table)) if name == GAIN)
 
 
 def test_gain_figure_shows_speed_relative_to_the_stiff_spine_in_percent(tmp_path):
@@ -139,7 +139,9 @@ def test_gain_figure_shows_speed_relative_to_the_stiff_spine_in_percent(tmp_path
     assert marks == [(pytest.approx((np.degrees(0.4), 0.0)), "+20 %")] * 4
     assert [ax.get_title() for ax in figure.axes[:4]] == [f"frequency = {value:g} Hz" for value in FREQUENCIES]
     svg = next(
-        path for path in write_figures(figures_of(Results(result.table)), tmp_path) if path.name == f"{GAIN}.svg"
+        path
+        for path in write_figures(figures_of_results(Results(result.table)), tmp_path)
+        if path.name == f"{GAIN}.svg"
     ).read_text()
     for text in (
         "spine amplitude [deg]",
@@ -182,7 +184,7 @@ def test_a_spine_that_only_slows_down_marks_its_least_loss(tmp_path):
 def test_no_gain_figure_without_a_stiff_spine_to_compare_with(tmp_path, vary):
     """Amplitude and phase must both vary, and amplitude 0 be among the values."""
     result = run_sweep(SPEC | {"vary": vary}, tmp_path, simulator=FakeSimulator())
-    assert GAIN not in [name for name, _ in figures_of(Results(result.table))]
+    assert GAIN not in [name for name, _ in figures_of_results(Results(result.table))]
 
 
 @pytest.mark.parametrize(
@@ -231,7 +233,7 @@ def test_each_kind_of_sweep_gets_its_figures(tmp_path, change, names, texts):
 def test_the_same_table_gives_the_same_files(tmp_path):
     """Figures are byte-equal when drawn again, and need nothing but the table."""
     result = run_sweep({"vary": {"frequency": [0.5, 0.7, 0.9]}}, tmp_path / "a", simulator=FakeSimulator())
-    again = write_figures(figures_of(Results(result.table)), tmp_path / "b")
+    again = write_figures(figures_of_results(Results(result.table)), tmp_path / "b")
     assert [path.read_bytes() for path in again] == [path.read_bytes() for path in result.plots]
 
 

@@ -16,7 +16,7 @@ from sweep_fake import FakeSimulator, part_of
 from nermo_mjx.plotting.shown import spoken
 from nermo_mjx.runs import codes_of
 from nermo_mjx.sweep import Results, SpecError, Sweep, read_table, run_sweep, sample, simulating
-from nermo_mjx.sweep.plots import figures
+from nermo_mjx.sweep.plots import sweep_figures
 from nermo_mjx.sweep.replay import find_row
 from nermo_mjx.sweep.table import columns_of, meta
 
@@ -229,7 +229,7 @@ def test_the_summary_names_structures(tmp_path):
 def test_figures_put_structures_side_by_side(tmp_path):
     """A line and a panel for each; one without the parameter is a level line; two axes may be any columns."""
     run_sweep(SPEC, tmp_path, simulator=FakeSimulator())
-    drawn = dict(figures(tmp_path))
+    drawn = dict(sweep_figures(tmp_path))
     assert list(drawn) == [
         "speed-over-structures",
         "speed-over-frequency-by-structure",
@@ -251,10 +251,10 @@ def test_figures_put_structures_side_by_side(tmp_path):
     assert [ax.get_title() for ax in panels if ax.get_title()] == [
         f"{spoken(gait)}, stride extension" for gait in GAITS
     ]
-    ((name, chosen),) = figures(tmp_path, x="gait", y="frequency")
+    ((name, chosen),) = sweep_figures(tmp_path, x="gait", y="frequency")
     assert name == "speed-over-gait-and-frequency"
     assert [label.get_text() for label in chosen.axes[0].get_xticklabels()] == [*map(spoken, GAITS)]
-    ((_, scatter),) = figures(tmp_path, x="spine", y="roll_std", color="speed")
+    ((_, scatter),) = sweep_figures(tmp_path, x="spine", y="roll_std", color="speed")
     assert [label.get_text() for label in scatter.axes[0].get_xticklabels()] == [*map(spoken, SPINES)]
 
 

@@ -24,7 +24,7 @@ from sweep_fake import FakeSimulator
 
 from nermo_mjx import Run, Setup, Simulator, all_metrics, all_parameters, load_robot
 from nermo_mjx.optimize import Tuning, run_search
-from nermo_mjx.optimize.run import costs_of
+from nermo_mjx.optimize.run import tuning_forecasts
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.rollout.setup import TAKEN
 from nermo_mjx.runs import JobFailed
@@ -338,7 +338,7 @@ def test_a_bridge_that_goes_away_is_noticed() -> None:
     from websockets.sync.server import serve
 
     from nermo_mjx import servo_table
-    from nermo_mjx.hardware import connected, play
+    from nermo_mjx.hardware import connected, send_table
 
     def leave(peer: Any) -> None:
         for _ in range(6):
@@ -352,7 +352,7 @@ def test_a_bridge_that_goes_away_is_noticed() -> None:
             pytest.raises(ParameterError, match=r"server is gone: \d+ messages were sent, \d+ were not"),
             connected(address) as send,
         ):
-            play(servo_table(channels="published"), send, 2.0)
+            send_table(servo_table(channels="published"), send, 2.0)
         server.shutdown()
         thread.join(10)
 
@@ -457,7 +457,7 @@ def test_a_dry_run_refuses_the_recording_that_the_run_refuses(tmp_path: Path) ->
             "run": {"duration": 1.0},
             "tune": {"stride": {"bounds": [0.5, 1.0]}},
         }
-        refused(lambda given=tuning: costs_of(Tuning.from_dict(given)), message)
+        refused(lambda given=tuning: tuning_forecasts(Tuning.from_dict(given)), message)
 
 
 @pytest.mark.compiles

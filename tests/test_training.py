@@ -26,12 +26,12 @@ from scipy.stats import kstest
 from nermo_mjx import ParameterError, Run, Setup, Simulator, show
 from nermo_mjx.cli import main
 from nermo_mjx.learn import PPO, Environment, Policy, Residual, Task, Training, load_policy, run_training
-from nermo_mjx.learn.directory import Directory, status
+from nermo_mjx.learn.directory import TrainingDirectory, training_status
 from nermo_mjx.learn.environment import Mixture, divided
-from nermo_mjx.learn.evaluation import UNSEEN, Draws, Evaluator, bodies, recorded, summary_of
+from nermo_mjx.learn.evaluation import UNSEEN, Draws, PolicyEvaluator, recorded, summary_of, unseen_bodies
 from nermo_mjx.learn.experience import collector
 from nermo_mjx.learn.policy import export
-from nermo_mjx.learn.run import _KEY, Choice, successes
+from nermo_mjx.learn.run import _KEY, BestPolicy, successes
 from nermo_mjx.runs import RunDirectory
 from nermo_mjx.runs.files import WrongDirectory
 from nermo_mjx.runs.job import Watch
@@ -188,7 +188,7 @@ def evaluated(policy):
     }
     narrow = [scenes[0] | {"corridor": 0.01}, scenes[1]]
     trainings = [Training.from_dict(fields | {"scenes": each}) for each in (scenes, narrow)]
-    return [Evaluator(training, "c")(policy[0]).to_pandas() for training in trainings]
+    return [PolicyEvaluator(training, "c")(policy[0]).to_pandas() for training in trainings]
 
 
 def test_an_evaluation_draws_from_ranges_of_its_own():
@@ -248,7 +248,7 @@ def choosing(policy, tmp_path):
         return dict(zip(("planks", "ramp"), shares[walked[-1]], strict=True))
 
     with RunDirectory(tmp_path, "training") as held:
-        yield (lambda warned=None: Choice(held, walks, ([] if warned is None else warned).append), after, walked)
+        yield (lambda warned=None: BestPolicy(held, walks, ([] if warned is None else warned).append), after, walked)
 
 
 def _policy_after(robot, learned):
@@ -320,10 +320,10 @@ def test_a_training_ends_when_its_validation_is_enough(tmp_path, monkeypatch):
     monkeypatch.setattr("nermo_mjx.learn.run._Learning._policy", lambda self, learned: _policy_after(robot, learned))
     whole = run_training(SPEC | fields, tmp_path / "whole", environment=point)
     assert (whole.iterations_run, whole.summary["policy_steps"], whole.summary["complete"]) == (6, 192, True)
-    assert status(tmp_path / "whole").complete
+    assert training_status(tmp_path / "whole").complete
     assert run_training(SPEC | fields, tmp_path / "whole", environment=point).iterations_run == 0
 
-    keep = Directory.keep
+    keep = TrainingDirectory.keep
 
     def stopped(self, learned, curves):
         keep(self, learned, curves)
@@ -331,7 +331,7 @@ def test_a_training_ends_when_its_validation_is_enough(tmp_path, monkeypatch):
             raise KeyboardInterrupt
 
     with monkeypatch.context() as killed:  # behind the second checkpoint, before its policy walks
-        killed.setattr(Directory, "keep", stopped)
+        killed.setattr(TrainingDirectory, "keep", stopped)
         with pytest.raises(KeyboardInterrupt):
             run_training(SPEC | fields, tmp_path / "killed", environment=point)
     again = run_training(SPEC | fields, tmp_path / "killed", environment=point)
@@ -343,11 +343,11 @@ def test_a_training_ends_when_its_validation_is_enough(tmp_path, monkeypatch):
 def test_a_walk_that_is_too_slow_is_no_success_of_the_validation(policy):
     """With `until`, and only there."""
     fields = {"run": {"duration": 0.3}, "validation": 4, "evaluate": {"bodies": 4}}
-    plain = Evaluator(Training.from_dict(fields))
+    plain = PolicyEvaluator(Training.from_dict(fields))
     speeds = plain(policy[0], draws=Draws(4, _KEY), walkers=("policy",)).to_pandas().sort_values("speed")
     assert successes(plain, policy[0]) == {"flat": 1.0}
     limit = float(speeds.speed.iloc[1:3].mean())
-    asked = Evaluator(Training.from_dict(fields | {"until": {"success": 1.0, "speed": limit}}))
+    asked = PolicyEvaluator(Training.from_dict(fields | {"until": {"success": 1.0, "speed": limit}}))
     assert speeds.success.all()
     assert limit > 0.0
     assert successes(asked, policy[0]) == {"flat": 0.5}
@@ -359,14 +359,14 @@ def test_more_unseen_walks_begin_with_those_of_fewer(key: int, identified: bool)
     """So that trainings with other counts are paired, and a page shows a walk of the evaluation."""
     randomize = {"start.yaw": [-0.3, 0.3], "start.x": [0.8, 1.6], "start.phase": [0.0, 1.0]}
     training = Training.from_dict({"randomize": randomize, "task": {"bodies": identified}})
-    many, one = (bodies(training, training.task, Draws(count, key)) for count in (200, 1))
+    many, one = (unseen_bodies(training, training.task, Draws(count, key)) for count in (200, 1))
     for count in (100, 3, 1):
-        few = bodies(training, training.task, Draws(count, key))
+        few = unseen_bodies(training, training.task, Draws(count, key))
         assert few.keys() == many.keys()
         for name, column in few.items():
             np.testing.assert_array_equal(column, many[name][:count], err_msg=name)
     assert one.keys() == many.keys() >= randomize.keys()
-    other = bodies(training, training.task, Draws(200, UNSEEN + _KEY - key))
+    other = unseen_bodies(training, training.task, Draws(200, UNSEEN + _KEY - key))
     for name, (low, high) in randomize.items():
         drawn = (many[name] - low) / (high - low)
         assert drawn.min() >= 0.0
@@ -384,7 +384,7 @@ def test_a_page_shows_the_first_walk_of_the_evaluation(policy):
         "evaluate": {"bodies": 3, "distance": 0.0, "scenes": ["flat", "planks"]},
     }
     training = Training.from_dict(fields)
-    table = Evaluator(training)(policy[0], walkers=("policy",)).to_pandas().set_index(["scene", "body"])
+    table = PolicyEvaluator(training)(policy[0], walkers=("policy",)).to_pandas().set_index(["scene", "body"])
     for scene, recording in recorded(training, policy[0]):
         first = table.loc[scene, 0]
         for name in fields["randomize"]:
@@ -584,7 +584,7 @@ def test_a_dry_run_says_what_it_would_take_and_writes_nothing(tmp_path):
     spec.write_text("algorithm: short_horizon\nworlds: 4\nsteps: 1000\ntask: {decimation: 2}\n")
     ran = CliRunner().invoke(main, ["train", str(spec), "--out", str(out), "--dry-run"])
     assert ran.exit_code == 0, ran.output
-    assert re.search("16 iterations of 64 control steps, 1,024 in all", ran.stdout)
+    assert re.search("16 iterations, 64 steps per iteration, 1,024 steps; ", ran.stdout)
     assert not out.exists()
 
 

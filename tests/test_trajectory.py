@@ -12,7 +12,7 @@ from nermo_mjx.control import trajectory
 from nermo_mjx.control.parameters import Gait, Stance, Tracking
 from nermo_mjx.robot.parameters import GAIT_PATTERNS
 
-position = jax.jit(trajectory.position, static_argnames="form")
+position = jax.jit(trajectory.foot_position, static_argnames="form")
 weights = jax.jit(trajectory.weights, static_argnames="form")
 
 KNOTS = np.array([0.0, 0.5, 1.0])

@@ -15,7 +15,7 @@ from test_tune_run import lasting, same, tune
 from tune_fake import SPEC, FakeProblem
 
 from nermo_mjx.optimize import Tuning, load_tuning, read_history, run, run_tuning
-from nermo_mjx.optimize.directory import History, TuningDirectory, history_columns
+from nermo_mjx.optimize.directory import TuningDirectory, TuningHistory, history_columns
 from nermo_mjx.optimize.figures import tuning_figures
 from nermo_mjx.optimize.methods import initial_state
 from nermo_mjx.robot import load_robot
@@ -168,10 +168,10 @@ def test_a_state_comes_back_as_it_was(tmp_path, optimizer):
     state = initial_state(tuning)
     rows = np.random.default_rng(0).standard_normal((2, 3, len(history_columns(tuning, ("speed",)))))
     rows[0, 0, 0] = np.nan
-    history = History(tuning, ("speed",), rows, ((0, "one"), (1, "other")))
+    history = TuningHistory(tuning, ("speed",), rows, ((0, "one"), (1, "other")))
     state = jax.tree.map(lambda leaf: (leaf + 1) / 3 if leaf.dtype == np.float32 else leaf + 5, state)
     with TuningDirectory(tmp_path, tuning) as directory:
-        directory.claim(History(tuning))
+        directory.claim(TuningHistory(tuning))
         directory.keep(state, history)
     with TuningDirectory(tmp_path, tuning) as directory:
         found = directory.restore()

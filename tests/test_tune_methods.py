@@ -14,7 +14,7 @@ from tune_fake import BEST, SPEC, FakeProblem, speed
 
 from nermo_mjx.optimize import Tuning, run_tuning
 from nermo_mjx.optimize.problems import WalkProblem
-from nermo_mjx.optimize.run import costs_of
+from nermo_mjx.optimize.run import tuning_forecasts
 from nermo_mjx.runs import Interrupted, codes_of
 
 PLAIN = {key: value for key, value in SPEC.items() if key not in ("optimizer", "starts")}
@@ -113,17 +113,17 @@ def test_falls_cost_a_generation_nothing_but_themselves(tmp_path: Path) -> None:
 def test_each_method_says_its_cost_before(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """At a hundred simulated seconds a second: counted by hand for two starts, six iterations, runs of five seconds."""
     monkeypatch.setattr("nermo_mjx.optimize.run.pace_here", lambda _: 100.0)
-    costs = {each.method: each for each in costs_of(Tuning.from_dict(DIFFERENCES))}
+    costs = {each.method: each for each in tuning_forecasts(Tuning.from_dict(DIFFERENCES))}
     assert list(costs) == ["differences", "gradient", "cma"]
-    assert costs["differences"].evaluations == 2 * 7 * 5
+    assert costs["differences"].counts["evaluations"] == 2 * 7 * 5
     assert costs["differences"].simulated_seconds == pytest.approx(2 * 7 * 5 * 5.0)
     assert costs["differences"].wall_seconds == pytest.approx(3.5)
     assert costs["gradient"].simulated_seconds == pytest.approx(2 * 7 * 5 * 5.0)
-    assert costs["cma"].evaluations == 16 * 7
+    assert costs["cma"].counts["evaluations"] == 16 * 7
     path = tmp_path / "tuning.yaml"
     path.write_text(Tuning.from_dict(DIFFERENCES).to_yaml())
     shown = call("tune", path, "--out", tmp_path / "out", "--dry-run").stdout
-    assert "method differences: 70 evaluations" in shown
+    assert "method differences: 70 evaluations;" in shown
     assert "instead of it, method gradient" in shown
     assert not (tmp_path / "out").exists()
 

@@ -6,14 +6,22 @@ import numpy as np
 import pytest
 
 from nermo_mjx.optimize import objective
-from nermo_mjx.optimize.objective import EDGE, FURTHEST, OBJECTIVE_METRICS, TRAJECTORY_ERROR, Bounds, Objective, Term
+from nermo_mjx.optimize.objective import (
+    EDGE,
+    FURTHEST,
+    OBJECTIVE_METRICS,
+    TRAJECTORY_ERROR,
+    Bounds,
+    Objective,
+    ObjectiveTerm,
+)
 from nermo_mjx.rollout import METRICS
 
 TERMS = Objective(
     (
-        Term(maximize="speed", scale=0.1),
-        Term(minimize="roll_std", weight=0.5, scale=0.05),
-        Term(hold="slip", weight=10, scale=0.005, at=0.05),
+        ObjectiveTerm(maximize="speed", scale=0.1),
+        ObjectiveTerm(minimize="roll_std", weight=0.5, scale=0.05),
+        ObjectiveTerm(hold="slip", weight=10, scale=0.005, at=0.05),
     )
 )
 

@@ -13,12 +13,13 @@ from matplotlib.image import imread
 from tune_fake import SPEC, FakeProblem, FakeWalker, speed
 
 from nermo_mjx.optimize import Tuning, figures, run_tuning
-from nermo_mjx.optimize.directory import History
-from nermo_mjx.optimize.figures import MOST_STARTS, Background, Traces, path_figure
+from nermo_mjx.optimize.directory import TuningHistory
+from nermo_mjx.optimize.figures import MOST_STARTS, Landscape, Traces, landscape_runs, path_figure
 from nermo_mjx.optimize.methods import Tuner, initial_state
 from nermo_mjx.plotting.style import STYLE
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.runs import Interrupted
+from nermo_mjx.runs.rows import part_files
 
 pytestmark = pytest.mark.draws
 
@@ -41,7 +42,7 @@ def traces_of(change=None, **of_problem):
     """The traces of a tuning that needs no directory."""
     tuning = Tuning.from_dict(SPEC | (change or {}))
     tuner, state = Tuner(tuning, FakeProblem(tuning, **of_problem)), initial_state(tuning)
-    history = History(tuning)
+    history = TuningHistory(tuning)
     for _ in range(tuning.iterations + 1):
         state, found = tuner.step(state)
         history = history.extended(found, 0.1, "a")
@@ -113,13 +114,13 @@ def stars(figure):
 
 
 def test_a_tuning_leaves_its_figures(drawn):
-    """PNG and SVG of each, no blank picture, and the landscape as a table."""
+    """PNG and SVG of each, and no blank picture."""
     result, _ = drawn
     names = [f"{name}.{form}" for name in ("objective", "parameters", "gradients", "path") for form in ("png", "svg")]
     assert [path.name for path in result.pictures.plots] == names
     for path in result.pictures.plots[::2]:
         assert len(np.unique(imread(path)[..., 0])) > 30
-    assert {path.name for path in (result.out / "plots").iterdir()} == {*names, "landscape.parquet"}
+    assert {path.name for path in (result.out / "plots").iterdir()} == set(names)
     assert result.pictures.notes == ()
 
 
@@ -212,13 +213,14 @@ def test_the_landscape_is_walked_once_in_one_batch(drawn):
     """17 x 16 walks of both parameters, the circle's end being its beginning; values are the objective's."""
     result, walker = drawn
     assert walker.batches == [(17 * 16, False)]
-    table = pq.read_table(result.out / "plots" / "landscape.parquet")
+    (part,) = part_files(result.out)
+    table = pq.read_table(part)
     amplitude, phase = (table.column(name).to_numpy() for name in result.tuning.names)
     np.testing.assert_allclose([amplitude.min(), amplitude.max()], [0.0004, 0.3996])
     np.testing.assert_allclose([phase.min(), phase.max()], [-np.pi, np.pi * 7 / 8], rtol=1e-6)
     expected = -np.asarray(speed(amplitude, phase)) / 0.1 + 2 * (0.1 + 0.1 * amplitude**2)
     np.testing.assert_allclose(table.column("objective").to_numpy(), expected, rtol=1e-5)
-    landscape = figures.background_of(result.tuning, table)
+    landscape = figures.landscape_of(result.tuning, table)
     assert landscape.value.shape == (17, 17)
     np.testing.assert_array_equal(landscape.value[:, 0], landscape.value[:, -1])
 
@@ -230,17 +232,17 @@ def test_a_kept_landscape_is_not_walked_again_unless_it_is_another(again, undraw
     again(walker)
     assert len(walker.batches) == 1
     np.testing.assert_array_equal(undrawn[0].value, undrawn[1].value)
-    kept = out / "plots" / "landscape.parquet"
+    (kept,) = part_files(out)
     for change, known in (({"optimizer": "sgd", "seed": 9, "starts": 3}, True), ({"set": {"frequency": 0.7}}, False)):
         other = Tuning.from_dict(SPEC | change)
-        assert (figures.stored_background(out, other, {}) is not None) is known
+        assert (figures.stored_landscape(other, landscape_runs(out, other, {})) is not None) is known
     kept.write_text("damaged")
     again(walker)
     assert len(walker.batches) == 2
-    assert (out / "plots" / "landscape.parquet.aside-1").read_text() == "damaged"
+    assert (out / "results.aside" / f"{kept.name}.aside-1").read_text() == "damaged"
 
 
-def test_other_parameters_stand_where_they_are_told_to():
+def test_other_parameters_stand_where_they_are_told_to(tmp_path):
     """With three parameters, the landscape is that of the first two, and the third has one value."""
     seen = []
 
@@ -253,14 +255,15 @@ def test_other_parameters_stand_where_they_are_told_to():
     table = figures.simulate(tuning, {"duty": 0.6}, Watched())
     assert set(seen[0]["duty"]) == {0.6}
     assert set(seen[0]) == {"spine.amplitude", "spine.phase", "duty", "frequency"}
-    assert figures.key(tuning, {"duty": 0.6}) != figures.key(tuning, {"duty": 0.5})
-    assert figures.background_of(tuning, table).value.shape == (17, 17)
+    one, other = (landscape_runs(tmp_path, tuning, {"duty": duty}).group for duty in (0.6, 0.5))
+    assert one != other
+    assert figures.landscape_of(tuning, table).value.shape == (17, 17)
 
 
 def test_one_parameter_has_a_line_for_a_landscape():
     """The objective over the only parameter, with the points that were visited on it."""
     walker, traces = FakeWalker(), traces_of({"tune": {"spine.amplitude": SPEC["tune"]["spine.amplitude"]}})
-    landscape = figures.background_of(traces.tuning, figures.simulate(traces.tuning, {}, walker))
+    landscape = figures.landscape_of(traces.tuning, figures.simulate(traces.tuning, {}, walker))
     assert walker.batches == [(37, False)]
     assert landscape.axes["spine.amplitude"][np.argmin(landscape.value)] == pytest.approx(2.5 / 10.4, abs=0.02)
     (ax,) = path_figure(traces, landscape).axes
@@ -277,15 +280,15 @@ def test_where_a_walk_falls_the_landscape_is_empty():
     fell = table.column("spine.amplitude").to_numpy() > 0.3
     assert (np.array(table.column("status").to_pylist()) == np.where(fell, "fell", "ok")).all()
     assert (np.isnan(table.column("objective").to_numpy()) == fell).all()
-    ax = path_figure(traces, figures.background_of(traces.tuning, table)).axes[0]
+    ax = path_figure(traces, figures.landscape_of(traces.tuning, table)).axes[0]
     filled = next(c for c in ax.collections if isinstance(c, QuadContourSet))
     assert max(path.vertices[:, 0].max() for path in filled.get_paths() if len(path.vertices)) < np.degrees(0.31)
     nothing = figures.simulate(traces.tuning, {}, FakeWalker(falls=lambda values: True))
-    path_figure(traces, figures.background_of(traces.tuning, nothing))
+    path_figure(traces, figures.landscape_of(traces.tuning, nothing))
 
 
 def test_a_landscape_that_cannot_be_walked_is_a_note(again, undrawn):
-    """A corner of the bounds past the legs' workspace costs the background, and nothing else."""
+    """A corner of the bounds past the legs' workspace costs the landscape, and nothing else."""
     result = again(FakeWalker(error=ParameterError("stride is 1.5: the legs cannot reach so far.")))
     first, note = result.pictures.notes
     assert first.startswith("Start and best are not verified: stride is 1.5")
@@ -300,7 +303,7 @@ def test_paths_lie_on_the_landscape_and_go_on_at_the_other_side():
     assert np.ptp(traces.column("spine.phase")) > 5.0, "it comes back at the other bound"
     axes = figures.grid_axes(traces.tuning)
     value = -np.asarray(speed(axes["spine.amplitude"][:, None], axes["spine.phase"][None]))
-    figure = path_figure(traces, Background(axes, value, "289 walks, engine c"))
+    figure = path_figure(traces, Landscape(axes, value, "289 walks, engine c"))
     ax = figure.axes[0]
     assert ax.get_ylim() == pytest.approx((-180, 180), abs=1e-3)
     filled = next(c for c in ax.collections if isinstance(c, QuadContourSet))
@@ -325,7 +328,7 @@ def test_what_is_not_asked_for_or_not_real_is_not_made(again, undrawn):
     assert not (result.out / "plots").exists()
     result = again(None, {"video": True})
     assert (result.pictures.video, undrawn) == (None, [None])
-    assert not (result.out / "plots" / "landscape.parquet").exists()
+    assert not (result.out / "results").exists()
 
 
 @pytest.mark.usefixtures("drawing")
@@ -355,7 +358,7 @@ def test_the_video_shows_the_walk_after_its_warm_up(finished, monkeypatch, tmp_p
 
     monkeypatch.setattr(figures, "render", take)
     best = finished.best
-    figures.render_video(finished.tuning, finished.start, best, FakeWalker(), tmp_path / "v.mp4")
+    figures.render_tuning(finished.tuning, finished.start, best, FakeWalker(), tmp_path / "v.mp4")
     start, shown = asked["panes"]
     assert (start.title, shown.title) == ("Start", f"Best, iteration {best['iteration']}, start {best['start']}")
     assert start.recording.time[[0, -1]] == pytest.approx([1.25, 3.75]), "one cycle of warm-up and two more, at 0.8 Hz"
@@ -365,7 +368,7 @@ def test_the_video_shows_the_walk_after_its_warm_up(finished, monkeypatch, tmp_p
     assert f"speed {1e3 * best['metrics']['speed']:.3g} mm/s" in shown.caption[0]
     assert asked["options"]["speed"] == 0.5
     fallen = finished.start | {"metrics": {"speed": np.nan, "roll_std": np.nan}}
-    figures.render_video(finished.tuning, fallen, best, FakeWalker(), tmp_path / "v.mp4")
+    figures.render_tuning(finished.tuning, fallen, best, FakeWalker(), tmp_path / "v.mp4")
     assert asked["panes"][0].caption[0] == "speed – mm/s, roll_std – deg"
 
 

@@ -23,7 +23,7 @@ from nermo_mjx import Run, Setup
 from nermo_mjx.hardware import Channels, read_channels
 from nermo_mjx.hardware.live import PATIENCE, ROS_TYPE, TOPIC, NotSentError, SendError, linked
 from nermo_mjx.live.driving import Journal, replayed
-from nermo_mjx.live.server import Drive
+from nermo_mjx.live.server import LiveDrive
 from nermo_mjx.live.wire import (
     APPROACH,
     SENSORS_TOPIC,
@@ -283,7 +283,7 @@ def test_a_page_that_is_closed_ends_the_drive_of_a_robot(driving, monkeypatch) -
     driving.reset()
     both = Together(driving)
     both.walk(0.5)
-    drive = Drive(driving)
+    drive = LiveDrive(driving)
     monkeypatch.setattr(driving, "operator", lambda: drive.away)
     drive._began = drive.paused = True
     assert drive.away == 0.0

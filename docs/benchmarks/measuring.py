@@ -16,7 +16,7 @@ import jax
 from jax.experimental.compilation_cache import compilation_cache
 from jaxtyping import Array
 
-from nermo_mjx.bench import describe
+from nermo_mjx.bench import machine_description
 from nermo_mjx.rollout.differentiable import Rollout
 from nermo_mjx.rollout.run import Run
 from nermo_mjx.rollout.setup import Setup
@@ -51,7 +51,7 @@ def with_gradient(walk: Callable[[Array], tuple[Array, Any]], mode: str) -> Call
 def run_of(lines: list[dict[str, Any]]) -> dict[str, Any]:
     """What is stored of measurements made now: date, commit, hardware and lines of figures."""
     now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
-    return {"date": now, "commit": commit(), "hardware": describe(), "cases": lines}
+    return {"date": now, "commit": commit(), "hardware": machine_description(), "cases": lines}
 
 
 def commit() -> str | None:

@@ -23,7 +23,7 @@ import numpy as np
 import pandas as pd
 
 from nermo_mjx.learn import Training, load_policy
-from nermo_mjx.learn.evaluation import ALONE, POLICY, Evaluator
+from nermo_mjx.learn.evaluation import ALONE, POLICY, PolicyEvaluator
 from nermo_mjx.learn.spec import changed
 
 
@@ -56,7 +56,7 @@ def cpu_seconds(pid: int) -> float:
     return (int(fields[11]) + int(fields[12])) / 100.0
 
 
-def judged(evaluator: Evaluator, path: Path, alone: pd.DataFrame, faster: float) -> dict[str, float]:
+def judged(evaluator: PolicyEvaluator, path: Path, alone: pd.DataFrame, faster: float) -> dict[str, float]:
     """Share of walks that count where fewest do, median speed [m/s], and how much faster it is, 5 % and median."""
     policy = load_policy(path)
     walks = evaluator(policy, walkers=(POLICY,)).to_pandas()
@@ -99,7 +99,7 @@ def main() -> None:
     rows, reached = [], []
     for seed in range(given.first, given.first + given.seeds):
         policies = trained(given.spec, seed, given.out / f"seed-{seed}")
-        evaluator = Evaluator(changed(Training.from_file(given.spec), seed=seed))
+        evaluator = PolicyEvaluator(changed(Training.from_file(given.spec), seed=seed))
         alone = evaluator(load_policy(policies[0][2]), walkers=(ALONE,)).to_pandas()
         for wall, cpu, path in policies:
             about = judged(evaluator, path, alone, given.faster)

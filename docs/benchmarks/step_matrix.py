@@ -21,8 +21,8 @@ import mujoco
 import numpy as np
 from step_models import installed_models, load, models_below, touching
 
-from nermo_mjx.bench import describe
-from nermo_mjx.dynamics.checking import WIDTHS, Trial, compared, distance, moved_entries, trial
+from nermo_mjx.bench import machine_description
+from nermo_mjx.dynamics.checking import WIDTHS, Trial, compare_gradient, distance, moved_entries, trial
 from nermo_mjx.dynamics.mjx_import import mjx
 from nermo_mjx.runtime import compiler_options
 
@@ -64,7 +64,7 @@ def _gradient(model: mujoco.MjModel, data: mujoco.MjData, _: Any, options: dict[
         run = trial(model, data, STEPS)
         program = _Program(jax.value_and_grad(run.value, has_aux=True), run, options)
         _, slopes = program(run.zero)
-        check = compared(run, slopes, lambda point: program(point)[0])
+        check = compare_gradient(run, slopes, lambda point: program(point)[0])
     return figures | {
         "finite": check.is_finite,
         "error": check.error,
@@ -243,7 +243,7 @@ def report(given: str, optimized: bool) -> None:
     try:
         figures = measure(Path(path), part, found, optimized)
         if part == "gradient":
-            figures |= describe()
+            figures |= machine_description()
     except Exception as error:  # whatever MuJoCo or MJX raise for a model
         sentence = " ".join(f"{type(error).__name__}: {error}".split())
         figures = {"failed": re.sub(r"'[^']*/([^/']+)'", r"'\1'", sentence)[:200]}  # a file's name, not its path

@@ -34,7 +34,7 @@ def of_package() -> dict[str, list[str]]:
     from nermo_mjx.robot.assembly import PRESETS, ROBOTS, TAILS
     from nermo_mjx.robot.scene import scenes
     from nermo_mjx.rollout import METRICS, all_parameters
-    from nermo_mjx.specs.walk import Pilot
+    from nermo_mjx.specs.walk import PilotFields
     from nermo_mjx.view import CAMERAS, OVERLAYS
 
     named = {
@@ -56,7 +56,7 @@ def of_package() -> dict[str, list[str]]:
         "VIEWS": CAMERAS,
         "FORMATS": FORMATS,
         # Way points are given in a sweep file or from Python, not as an option of `walk`.
-        "PILOTS": [name for name in Pilot.model_fields if name != "waypoints"],
+        "PILOTS": [name for name in PilotFields.model_fields if name != "waypoints"],
         "SCENES": scenes(),
         "METRICS": METRICS,
         "PARAMETERS": all_parameters(),

@@ -17,8 +17,8 @@ import click
 from nermo_mjx.cli import options
 from nermo_mjx.cli.choices import FORMATS, METRICS
 from nermo_mjx.cli.options import FileKind, column, flag
-from nermo_mjx.cli.output import Failure, Outcome, WrongUse, command, in_unit, print_pairs, print_table, room, say
-from nermo_mjx.cli.progress import Progress
+from nermo_mjx.cli.output import Failure, Output, WrongUse, command, in_unit, print_pairs, print_table, room, say
+from nermo_mjx.cli.progress import ProgressBar
 
 if TYPE_CHECKING:
     from nermo_mjx.plotting.files import Figures
@@ -57,19 +57,25 @@ class Kind:
 _COLUMNS: Final = ("x", "y", "color")
 _IDENTIFIED: Final = "experiments.identification"
 _KINDS: Final = (
-    Kind("sweep", "a sweep", "sweep.plots:figures", "sweep.table:status", False, (*_COLUMNS, "notify")),
+    Kind("sweep", "a sweep", "sweep.plots:sweep_figures", "sweep.table:sweep_status", False, (*_COLUMNS, "notify")),
     Kind("search", "a search", "optimize.figures:search_figures", "optimize.directory:search_status", False, _COLUMNS),
     Kind("tuning", "a tuning", "optimize.figures:tuning_figures", "optimize.directory:tuning_status"),
-    Kind("training", "a training", "learn.plots:figures", "learn.directory:status"),
-    Kind("landscape", "a landscape", "optimize.landscape:figures", "optimize.landscape:status"),
+    Kind("training", "a training", "learn.plots:training_figures", "learn.directory:training_status"),
+    Kind("landscape", "a landscape", "optimize.landscape:landscape_figures", "optimize.landscape:landscape_status"),
     Kind("experiments", "published experiments", "experiments.run:images", "experiments.run:status", True),
     Kind("identification", "an identification", f"{_IDENTIFIED}:drawn", f"{_IDENTIFIED}:status", True),
-    Kind("comparison", "a comparison", "sweep.comparing:figures", "sweep.table:report_status", True),
-    Kind("sensitivity", "a sensitivity analysis", "sweep.sensitivity:figures", "sweep.table:report_status", True),
+    Kind("comparison", "a comparison", "sweep.comparing:comparison_figures", "sweep.table:report_status", True),
+    Kind(
+        "sensitivity",
+        "a sensitivity analysis",
+        "sweep.sensitivity:sensitivity_figures",
+        "sweep.table:report_status",
+        True,
+    ),
 )
 #: Kinds of directories, by name.
 KINDS: Final = {kind.name: kind for kind in _KINDS}
-RECORDING: Final = Kind("recording", "a recording", "cli.view:figures", options=("notify",))
+RECORDING: Final = Kind("recording", "a recording", "cli.view:figures_of_file", options=("notify",))
 
 
 def kind_of_directory(path: Path) -> Kind:
@@ -94,7 +100,7 @@ def kind_of_directory(path: Path) -> Kind:
 
 @command("status", reads=True)
 @click.argument("path", metavar="DIR", type=options.PATH)
-def status_command(path: Path) -> Outcome:
+def status_command(path: Path) -> Output:
     """Show what DIR contains, its progress, what made it, and how to resume.
 
     DIR is the directory of a sweep, a search, a tuning, a training, a
@@ -124,7 +130,7 @@ def status_command(path: Path) -> Outcome:
         print_pairs([*made, *_worked(sessions), *notes, (how, again)])
 
     content = {name: getattr(status, name) for name in ("rows", "rows_done", "engine", "complete")}
-    return Outcome({"kind": kind.name, **content, "code": [*codes] or status.code}, show)
+    return Output({"kind": kind.name, **content, "code": [*codes] or status.code}, show)
 
 
 def _worked(sessions: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, str]]:
@@ -151,7 +157,7 @@ def _worked(sessions: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, str]]:
 @column("--x", "One figure of these columns: across,")
 @column("--y", "up (by default the speed),")
 @column("--color", "and as colours.")
-def plot_command(path: Path, out: Path | None, form: str | None, **chosen: str | None) -> Outcome:
+def plot_command(path: Path, out: Path | None, form: str | None, **chosen: str | None) -> Output:
     """Redraw the figures of PATH from its tables; nothing is simulated.
 
     PATH is the directory of a sweep, a search, a tuning, a training, a
@@ -188,7 +194,7 @@ def plot_command(path: Path, out: Path | None, form: str | None, **chosen: str |
         raise Failure(f"there is nothing to draw of {path}: {' '.join(notes)}")
     for note in notes:
         say(note)
-    return Outcome({"path": path, "kind": kind.name, "files": files, "notes": notes}, files=files)
+    return Output({"path": path, "kind": kind.name, "files": files, "notes": notes}, files=files)
 
 
 @contextlib.contextmanager
@@ -238,7 +244,7 @@ _report_out = options.text(
 @_report_out
 def compare_command(
     a: Path, b: Path | None, by: str | None, base: str | None, where: tuple[str, ...], out: Path | None, **chosen: Any
-) -> Outcome:
+) -> Output:
     """Compare two sweeps, A and B, or with --by the values of a column of A.
 
     Runs are paired by variant and seed; the partner of a lost run is left
@@ -262,17 +268,19 @@ def compare_command(
         if not equals:
             raise click.UsageError(f"--where {text}: expected NAME=VALUE, such as gait=trt.")
         wanted[name.strip()] = value.strip()
-    from nermo_mjx.sweep.comparing import compare, figures_of
+    from nermo_mjx.sweep.comparing import compare, figures_of_comparison
 
-    with Progress("compare") as shown:
+    with ProgressBar("compare") as shown:
         told_of = {"groups": chosen["for"], "where": wanted, "drawn": chosen["metric"]}
         found = compare(a, b, by=by, base=base, **told_of, progress=shown.share)
-    return _report("comparison", found, figures_of, out, lambda: _print_comparison(found, whole=chosen["all"]))
+    return _report(
+        "comparison", found, figures_of_comparison, out, lambda: _print_comparison(found, whole=chosen["all"])
+    )
 
 
 def _report(
     kind: str, found: Any, figures: Callable[[Any], Figures], out: Path | None, show: Callable[[], None]
-) -> Outcome:
+) -> Output:
     """The end of a command that found a table: it and its figures are written where `out` is given."""
     files = list[Path]()
     if out is not None:
@@ -281,7 +289,7 @@ def _report(
         files, moved = write_report(out, kind, found.table, found.about(), figures(found.table))
         if moved:
             say(moved)
-    return Outcome({**found.about(), "files": files}, show, files)
+    return Output({**found.about(), "files": files}, show, files)
 
 
 #: Groups of a metric that a terminal shows: those that differ most surely.
@@ -372,7 +380,7 @@ def _cells(row: Mapping[str, Any]) -> list[str]:
 @click.argument("path", metavar="DIR", type=options.PATH)
 @column("--metric", "Whose variance.", among=METRICS, default="speed", show_default=True)
 @_report_out
-def sensitivity_command(path: Path, metric: str, out: Path | None) -> Outcome:
+def sensitivity_command(path: Path, metric: str, out: Path | None) -> Output:
     """Estimate each parameter's share of a metric's variance in a sweep.
 
     Sobol indices with 95 % intervals: first order, alone; total, including
@@ -383,7 +391,7 @@ def sensitivity_command(path: Path, metric: str, out: Path | None) -> Outcome:
       nermo-mjx sensitivity runs/robustness
       nermo-mjx sensitivity runs/robustness --metric roll_std --out runs/roll
     """
-    from nermo_mjx.sweep.sensitivity import figures_of, sensitivity
+    from nermo_mjx.sweep.sensitivity import figures_of_indices, sensitivity
 
     found = sensitivity(path, metric)
 
@@ -406,4 +414,4 @@ def sensitivity_command(path: Path, metric: str, out: Path | None) -> Outcome:
         for note in found.notes:
             click.echo(note)
 
-    return _report("sensitivity", found, figures_of, out, show)
+    return _report("sensitivity", found, figures_of_indices, out, show)

@@ -17,7 +17,7 @@ from nermo_mjx.cli import options
 from nermo_mjx.cli.choices import EXPERIMENT_PROFILES, EXPERIMENTS
 from nermo_mjx.cli.options import FileKind, assigned, flag, number
 from nermo_mjx.cli.output import (
-    Outcome,
+    Output,
     WrongUse,
     command,
     in_unit,
@@ -31,14 +31,10 @@ from nermo_mjx.cli.progress import Stages, duration
 
 if TYPE_CHECKING:
     from nermo_mjx.experiments.run import ExperimentsResult
-    from nermo_mjx.learn.run import Cost as TrainingCost
     from nermo_mjx.learn.run import TrainingResult
     from nermo_mjx.optimize import LandscapeResult, Search, SearchResult, Tuning, TuningResult
-    from nermo_mjx.optimize.run import Cost as SearchCost
-    from nermo_mjx.optimize.run import MethodCost
-    from nermo_mjx.runs.job import Progress
+    from nermo_mjx.runs.job import Forecast, Progress
     from nermo_mjx.sweep import SweepResult
-    from nermo_mjx.sweep.run import Forecast
 
 
 #: Arguments and options that several jobs have.
@@ -125,7 +121,7 @@ def _shard(text: str) -> tuple[int, int]:
 @_on_engine
 def sweep_command(
     spec: Path | None, out: Path | None, rows: Path | None, dry_run: bool, list_parameters: bool, **how: Any
-) -> Outcome:
+) -> Output:
     """Run every variant of a sweep file.
 
     Writes a table of metrics (Parquet), a summary and plots to DIR. If DIR
@@ -152,36 +148,36 @@ def sweep_command(
     if dry_run and how["workers"] != "local":
         raise click.UsageError("--dry-run estimates for this machine: leave out --workers.")
     from nermo_mjx.sweep import Sweep, run_sweep
-    from nermo_mjx.sweep.run import forecast
+    from nermo_mjx.sweep.run import sweep_forecast
 
     sweep = Sweep.from_rows(rows, spec) if rows is not None else Sweep.from_file(str(spec))
     sweep = dataclasses.replace(sweep, **_fields(how, "seed"))
     if dry_run or out is None:
-        cost = forecast(sweep, out, **{name: how[name] for name in ("engine", "chunk", "shard", "extend", "use")})
-        return Outcome(dataclasses.asdict(cost), lambda: _print_forecast(cost))
+        cost = sweep_forecast(sweep, out, **{name: how[name] for name in ("engine", "chunk", "shard", "extend", "use")})
+        return Output(cost.content, lambda: _print_forecast(cost))
     for name, places in {} if is_given("quiet") else sweep.partly_read().items():
         read = f"{len(places)} of {len(sweep.structures)} structures"
         say(f"{name} is varied in {read}: the others do not read it.")
     with _working("runs", how) as given:
         result = run_sweep(sweep, out, **given)
-    return Outcome(_sweep_content(out, result), lambda: _print_sweep(result))
+    return Output(_sweep_content(out, result), lambda: _print_sweep(result))
 
 
-def _print_forecast(cost: Forecast) -> None:
-    rate = f"{cost.steps_per_second:,.0f} steps/s; " if math.isfinite(cost.steps_per_second) else ""
-    left = f", of which {cost.rows_left:,} are left to be run" if cost.rows_left < cost.rows else ""
-    took = "not known" if math.isnan(cost.seconds) else f"{duration(cost.seconds)}, and what compiling takes"
-    print_pairs(
-        [
-            ("rows", f"{cost.rows:,}{left}"),
-            ("chunks", f"{cost.chunks:,}; {cost.batches:,} batches to be run, of {cost.structures:,} structures"),
-            ("engine", cost.engine),
-            ("rate", f"{rate}{cost.rate_from}"),
-            ("time", took if cost.rows_left else "none: all rows are there"),
-            ("disk", f"{cost.disk_bytes / 1e6:,.1f} MB for the table; {cost.disk_free / 1e9:,.1f} GB are free"),
-            ("memory", f"about {cost.memory_bytes / 1e9:.1f} GB"),
-            *(("note", note) for note in cost.notes),
-        ]
+def _print_forecast(forecast: Forecast) -> None:
+    click.echo("\n".join([_forecast_in_short(forecast), forecast.rate_from, *forecast.notes]))
+
+
+def _forecast_in_short(forecast: Forecast) -> str:
+    """What it is made of, and the time it takes."""
+    counts = ", ".join(f"{count:,} {name.replace('_', ' ')}" for name, count in forecast.counts.items())
+    method = f"method {forecast.method}: " if forecast.method else ""
+    known = math.isfinite(forecast.wall_seconds)
+    time = f"about {duration(forecast.wall_seconds)} here" if known else "for a time that is not known"
+    disk = "" if forecast.disk_bytes is None else f", {forecast.disk_bytes / 1e6:.3g} MB on disk"
+    compiles = ", and minutes to compile, once per machine" if forecast.method == "gradient" else ""
+    return (
+        f"{method}{counts}; {duration(forecast.simulated_seconds)} simulated, {time} on the engine {forecast.engine}"
+        f"{compiles}{disk}"
     )
 
 
@@ -232,7 +228,7 @@ def _print_sweep(result: SweepResult) -> None:
         print_pairs([("kept", f"{len(result.recordings)} recordings in {result.recordings[0].parent}")])
 
 
-def _list_parameters(spec: Path | None) -> Outcome:
+def _list_parameters(spec: Path | None) -> Output:
     from nermo_mjx.robot.quantity import gathered
     from nermo_mjx.rollout import Setup, all_parameters
     from nermo_mjx.sweep import Sweep
@@ -252,14 +248,14 @@ def _list_parameters(spec: Path | None) -> Outcome:
         print_table("Structures, which vary and rows can name, too", headings, rows)
 
     listed = {name: _content(about, "default", "unit", "low", "high", "doc") for name, about in parameters.items()}
-    return Outcome({"parameters": listed, "structures": structures}, show)
+    return Output({"parameters": listed, "structures": structures}, show)
 
 
 @command("merge", reads=True)
 @options.out
 @click.argument("sources", metavar="DIR DIR...", nargs=-1, required=True, type=options.PATH)
 @options.accept_new_code
-def merge_command(sources: tuple[Path, ...], out: Path, **how: Any) -> Outcome:
+def merge_command(sources: tuple[Path, ...], out: Path, **how: Any) -> Output:
     """Merge the rows of several sweeps into one directory.
 
     The sweeps may differ in what they vary, and in their repeats; what is
@@ -281,7 +277,7 @@ def merge_command(sources: tuple[Path, ...], out: Path, **how: Any) -> Outcome:
             taken = " ".join(f"--use {source}" for source in sources)
             click.echo(f"To run the rest: nermo-mjx sweep {out / 'sweep.yaml'} --out {out} {taken}")
 
-    return Outcome(_sweep_content(out, result), show)
+    return Output(_sweep_content(out, result), show)
 
 
 @command("search")
@@ -293,7 +289,7 @@ def merge_command(sources: tuple[Path, ...], out: Path, **how: Any) -> Outcome:
 @_plots
 @_dry_run
 @_on_engine
-def search_command(spec: Path, out: Path, budget: int | None, seed: int | None, dry_run: bool, **how: Any) -> Outcome:
+def search_command(spec: Path, out: Path, budget: int | None, seed: int | None, dry_run: bool, **how: Any) -> Output:
     """Search for the best parameters that a search file allows.
 
     A single objective is optimized by CMA-ES, several by NSGA-II for their
@@ -308,7 +304,7 @@ def search_command(spec: Path, out: Path, budget: int | None, seed: int | None, 
       nermo-mjx search sweeps/atlas.yaml --out runs/atlas --budget 10000
     """
     from nermo_mjx.optimize import Search, run_search
-    from nermo_mjx.optimize.run import cost_of
+    from nermo_mjx.optimize.run import search_forecast
 
     search = dataclasses.replace(Search.from_file(spec), **_fields(how, "batch", "plots"))
     if budget is not None:
@@ -316,12 +312,12 @@ def search_command(spec: Path, out: Path, budget: int | None, seed: int | None, 
     if seed is not None:
         search = dataclasses.replace(search, sweep=dataclasses.replace(search.sweep, seed=seed))
     if dry_run:
-        cost = cost_of(search, how["engine"])
-        return Outcome({"cost": dataclasses.asdict(cost)}, lambda: _print_search_cost(cost))
+        cost = search_forecast(search, how["engine"])
+        return Output({"cost": cost.content}, lambda: _print_forecast(cost))
     with _working("evaluations", how, details=functools.partial(_search_so_far, search)) as given:
         result = run_search(search, out, **given)
     content = _content(result, "out", "best", "evaluations_run", "recordings", "plots")
-    return Outcome(content, lambda: _print_search(result))
+    return Output(content, lambda: _print_search(result))
 
 
 def _search_so_far(search: Search, done: Progress) -> str:
@@ -361,14 +357,6 @@ def _print_search(result: SearchResult) -> None:
     print_places(result.out, **places, plots=result.plots and "plots")
 
 
-def _print_search_cost(cost: SearchCost) -> None:
-    click.echo(f"{cost.evaluations:,} evaluations in {cost.batches:,} batches of {cost.batch}, {cost.runs:,} runs")
-    click.echo(
-        f"{duration(cost.simulated_seconds)} simulated; about {duration(cost.wall_seconds)} here on the engine "
-        f"{cost.engine}, and {cost.disk_bytes / 1e6:.3g} MB on disk"
-    )
-
-
 @command("tune")
 @options.out
 @_spec
@@ -379,7 +367,7 @@ def _print_search_cost(cost: SearchCost) -> None:
 @click.option("--video/--no-video", default=None, help="Render start and best regardless of the file.")
 @flag("--dry-run", "Estimate the cost of each method on this machine; write nothing.")
 @_on_workers
-def tune_command(spec: Path, out: Path, dry_run: bool, **how: Any) -> Outcome:
+def tune_command(spec: Path, out: Path, dry_run: bool, **how: Any) -> Output:
     """Tune the parameters that a tuning file names.
 
     The file's method says how: by exact gradients, by finite differences, or
@@ -400,7 +388,7 @@ def tune_command(spec: Path, out: Path, dry_run: bool, **how: Any) -> Outcome:
       nermo-mjx tune sweeps/tune_roll.yaml --out runs/roll --dry-run
     """
     from nermo_mjx.optimize import Tuning, run_tuning
-    from nermo_mjx.optimize.run import costs_of
+    from nermo_mjx.optimize.run import tuning_forecasts
 
     tuning = Tuning.from_file(spec)
     if how["starts"] is not None and tuning.method.name == "cma":
@@ -408,11 +396,11 @@ def tune_command(spec: Path, out: Path, dry_run: bool, **how: Any) -> Outcome:
     tuning = dataclasses.replace(tuning, **_fields(how, "iterations", "starts", "seed", "plots", "video"))
     # A resumed tuning keeps the method with which it started.
     begins = not (is_given("as_json") or is_given("quiet") or (out / "history.parquet").exists())
-    costs = costs_of(tuning) if dry_run or begins else []
-    sentences = [_cost_of_method(each, "instead of it, " if i else "") for i, each in enumerate(costs)]
+    costs = tuning_forecasts(tuning) if dry_run or begins else []
+    sentences = [f"{'instead of it, ' if i else ''}{_forecast_in_short(each)}" for i, each in enumerate(costs)]
     if dry_run:
-        content = {"costs": [dataclasses.asdict(each) for each in costs]}
-        return Outcome(content, lambda: click.echo("\n".join(sentences)))
+        content = {"costs": [each.content for each in costs]}
+        return Output(content, lambda: click.echo("\n".join(sentences)))
     for sentence in sentences:
         say(sentence)
     details = functools.partial(_tuning_so_far, tuning)
@@ -421,14 +409,7 @@ def tune_command(spec: Path, out: Path, dry_run: bool, **how: Any) -> Outcome:
         for note in result.pictures.notes:
             given["watch"].warn(note)
     content = _content(result, "out", "iterations_run", "start", "best")
-    return Outcome(content | _content(result.pictures, "plots", "video", "notes"), lambda: _print_tuning(result))
-
-
-def _cost_of_method(cost: MethodCost, begin: str) -> str:
-    compiles = ", and minutes to compile, once per machine" if cost.method == "gradient" else ""
-    wall = "" if cost.wall_seconds is None else f", about {duration(cost.wall_seconds)} here"
-    walks = f"{cost.evaluations:,} evaluations, {duration(cost.simulated_seconds)} simulated"
-    return f"{begin}method {cost.method}: {walks}{wall}{compiles}"
+    return Output(content | _content(result.pictures, "plots", "video", "notes"), lambda: _print_tuning(result))
 
 
 def _tuning_so_far(tuning: Tuning, done: Progress) -> str:
@@ -504,7 +485,7 @@ def _shortest(tuning: Tuning, name: str, change: float) -> float:
     "--span", "Length of the lines, as a fraction of the bounds.", click.FloatRange(0, 1, min_open=True), default=1.0
 )
 @options.accept_new_code
-def landscape_command(spec: Path, out: Path, **how: Any) -> Outcome:
+def landscape_command(spec: Path, out: Path, **how: Any) -> Output:
     """Measure whether the gradients of a tuning file can be trusted.
 
     Follows a line along each tuned parameter through the given start, and
@@ -520,7 +501,7 @@ def landscape_command(spec: Path, out: Path, **how: Any) -> Outcome:
     with _working("walks", how) as given:
         result = run_landscape(spec, out, **given)
     content = _content(result, "out", "evaluated") | result.content
-    return Outcome(content, lambda: _print_landscape(result))
+    return Output(content, lambda: _print_landscape(result))
 
 
 def _print_landscape(result: LandscapeResult) -> None:
@@ -547,7 +528,7 @@ def _print_landscape(result: LandscapeResult) -> None:
 @_dry_run
 @options.engine
 @options.accept_new_code
-def train_command(spec: Path, out: Path, onnx: bool, dry_run: bool, **how: Any) -> Outcome:
+def train_command(spec: Path, out: Path, onnx: bool, dry_run: bool, **how: Any) -> Output:
     """Train a policy as described in a training file.
 
     Writes the policy, which walk and sweep files accept as a controller,
@@ -568,10 +549,10 @@ def train_command(spec: Path, out: Path, onnx: bool, dry_run: bool, **how: Any) 
 
         check_onnx()
     if dry_run:
-        from nermo_mjx.learn.run import cost_of
+        from nermo_mjx.learn.run import training_forecast
 
-        cost = cost_of(training, how["engine"])
-        return Outcome({"cost": dataclasses.asdict(cost)}, lambda: _print_training_cost(cost))
+        cost = training_forecast(training, how["engine"])
+        return Output({"cost": cost.content}, lambda: _print_forecast(cost))
 
     def details(done: Progress) -> str:
         """The results of the last episodes."""
@@ -590,7 +571,7 @@ def train_command(spec: Path, out: Path, onnx: bool, dry_run: bool, **how: Any) 
             replace_file(exported, export(load_policy(result.policy)))
     content = {"out": result.out} | result.summary | _content(result, "iterations_run", "policy")
     content |= {"onnx": exported, "plots": result.plots}
-    return Outcome(content, lambda: _print_training(result, exported))
+    return Output(content, lambda: _print_training(result, exported))
 
 
 def _print_training(result: TrainingResult, exported: Path | None) -> None:
@@ -616,22 +597,10 @@ def _print_training(result: TrainingResult, exported: Path | None) -> None:
     print_places(result.out, **places, plots=result.plots and "plots")
 
 
-def _print_training_cost(cost: TrainingCost) -> None:
-    click.echo(f"{cost.iterations:,} iterations of {cost.steps_per_iteration:,} control steps, {cost.steps:,} in all")
-    finite = math.isfinite(cost.wall_seconds)
-    time = f"about {duration(cost.wall_seconds)} here with compiling" if finite else "for an unknown time"
-    click.echo(
-        f"{duration(cost.simulated_seconds)} simulated; {time} on the engine {cost.engine}, and "
-        f"{cost.disk_bytes / 1e6:.3g} MB on disk; then the evaluation simulates "
-        f"{duration(cost.evaluated_seconds)}, and compiles, on top"
-    )
-    click.echo(cost.rate_from)
-
-
 @command("experiment")
 @options.out
 @click.argument("name", type=click.Choice((*EXPERIMENTS, "all")))
-@options.choice("--profile", ("all", *EXPERIMENT_PROFILES), "Set-up: as published, as described, as built.")
+@options.choice_option("--profile", ("all", *EXPERIMENT_PROFILES), "Set-up: as published, as described, as built.")
 @number("--repeats", "Starts of each case; by default 3, or 1 with --quick.", click.IntRange(1))
 @number("--seed", "Seed of the shifts between repeats.", click.IntRange(0), default=0)
 @number("--bodies", "Also run this many identified bodies: for what share of them does a line hold?", click.IntRange(1))
@@ -647,7 +616,7 @@ def _print_training_cost(cost: TrainingCost) -> None:
 @_on_engine
 def experiment_command(
     name: str, out: Path, profile: str, no_video: bool, assignments: tuple[str, ...], **how: Any
-) -> Outcome:
+) -> Output:
     """Run a published experiment, or all of them, and compare.
 
     Writes a table of every run, a report with the published figures beside
@@ -676,7 +645,7 @@ def experiment_command(
         names = EXPERIMENTS if name == "all" else [name]
         result = run_experiments(names, out, profiles=profiles, values=values, video=not no_video, **given)
     run = {each.name: {"kept": each.kept} for each in result.results}
-    return Outcome({"out": result.out, "run": run, **result.report}, lambda: _print_experiments(result))
+    return Output({"out": result.out, "run": run, **result.report}, lambda: _print_experiments(result))
 
 
 def _print_experiments(result: ExperimentsResult) -> None:
@@ -717,9 +686,9 @@ def _counted(summary: dict[str, Any]) -> str:
 @number("--sweeps", "Sampling rounds of the ensemble, at most.", click.IntRange(1), default=5)
 @number("--tolerance", "Largest objective of a body of the ensemble.", options.POSITIVE, default=0.5)
 @number("--seed", "Seed of all searches.", click.IntRange(0), default=0)
-@options.choice("--profile", ("exact", "as_published"), "Set-up of the walks.")
+@options.choice_option("--profile", ("exact", "as_published"), "Set-up of the walks.")
 @_on_engine
-def identify_command(out: Path, **how: Any) -> Outcome:
+def identify_command(out: Path, **how: Any) -> Output:
     """Identify the body's parameters that the publication does not give.
 
     Fits servo gain and damping, and damping of the joints, within physical
@@ -740,7 +709,7 @@ def identify_command(out: Path, **how: Any) -> Outcome:
 
     with _working("", how) as given:
         content = run_identification(out, **given)
-    return Outcome({"out": out, **content}, lambda: _print_identification(content, out))
+    return Output({"out": out, **content}, lambda: _print_identification(content, out))
 
 
 def _print_identification(content: dict[str, Any], out: Path) -> None:

@@ -127,7 +127,7 @@ def flag(name: str, about: str, **more: Any) -> Callable[[F], F]:
     return click.option(name, is_flag=True, help=about, **more)
 
 
-def choice(name: str, names: tuple[str, ...], about: str | None = None, **more: Any) -> Callable[[F], F]:
+def choice_option(name: str, names: tuple[str, ...], about: str | None = None, **more: Any) -> Callable[[F], F]:
     """An option that allows some names; the first is the default unless `default` is given."""
     settings: dict[str, Any] = {"default": names[0], "show_default": True} | more
     return click.option(name, type=click.Choice(names), help=about, **settings)
@@ -186,7 +186,7 @@ threads = number(
     callback=_keep_threads,
 )
 engine = grouped(
-    choice(
+    choice_option(
         "--engine",
         choices.ENGINES,
         "c: MuJoCo C on all cores. mjx: JAX. warp: NVIDIA. auto: warp or mjx on a GPU, else c.",
@@ -195,15 +195,15 @@ engine = grouped(
 )
 #: See `jobs.working`.
 workers = grouped(
-    choice("--workers", ("local", "ray"), "Where to simulate: on this machine, or on a Ray cluster."),
+    choice_option("--workers", ("local", "ray"), "Where to simulate: on this machine, or on a Ray cluster."),
     text("--ray-address", "ADDR", "ADDRESS:PORT of a Ray cluster, or auto; by default one is started here."),
 )
 accept_new_code = flag(
     "--accept-new-code",
     "Resume a directory made by other code or another engine; the column code distinguishes its rows.",
 )
-robot = choice("--robot", choices.ROBOTS)
-tail = choice("--tail", choices.TAILS, "Default: rigid; in as_published articulated.", default=None)
+robot = choice_option("--robot", choices.ROBOTS)
+tail = choice_option("--tail", choices.TAILS, "Default: rigid; in as_published articulated.", default=None)
 scene = text(
     "--scene",
     "NAME",
@@ -212,7 +212,7 @@ scene = text(
     show_default=True,
     shell_complete=names(*choices.SCENES),
 )
-physics = choice("--physics", choices.PHYSICS, "fast: 1.6 to 2 times the speed, speeds within 1.5 %.")
+physics = choice_option("--physics", choices.PHYSICS, "fast: 1.6 to 2 times the speed, speeds within 1.5 %.")
 #: What decides the model.
 body = grouped(robot, scene, tail, physics)
 camera = text(
@@ -231,7 +231,7 @@ controller = text("--controller", "FILE", "Custom controller: FILE.py:NAME, or a
 set_any = set_option("Any parameter that `sweep --list-parameters` prints; repeatable.")
 #: What decides how the robot steps.
 gait = grouped(
-    choice("--gait", choices.GAITS, "Trot, walking trot, lateral walk, bound, rotary gallop."),
+    choice_option("--gait", choices.GAITS, "Trot, walking trot, lateral walk, bound, rotary gallop."),
     number("--frequency", "Gait cycles per second [Hz]."),
     number("--stride", "Stride length, as a fraction of the maximum."),
     text(
@@ -246,7 +246,9 @@ gait = grouped(
     number("--spine-amplitude", "Servo amplitude of the stride extension [rad]."),
     number("--spine-phase", "Phase of the stride extension [rad]."),
     number("--turn-rate", "Turn rate held without feedback, -1 right to 1 left."),
-    choice("--steering", choices.STEERINGS, "What turns the robot. Default: leg; in as_published spine.", default=None),
+    choice_option(
+        "--steering", choices.STEERINGS, "What turns the robot. Default: leg; in as_published spine.", default=None
+    ),
     number(
         "--offset-compensation",
         "Rear legs compensate the hip's rise: a fraction, or all without a number.",
@@ -254,8 +256,8 @@ gait = grouped(
         flag_value=1.0,
         metavar="[X]",
     ),
-    choice("--trajectory", choices.TRAJECTORIES, "Shape of the foot path; free: with movable points."),
-    choice("--head", choices.HEADS, "gaze: the neck keeps the image still while the torso sways."),
-    choice("--tail-motion", choices.TAIL_MOTIONS, "Motion of the articulated tail."),
-    choice("--profile", choices.PROFILES, "For design; the published simulation; the robot as built."),
+    choice_option("--trajectory", choices.TRAJECTORIES, "Shape of the foot path; free: with movable points."),
+    choice_option("--head", choices.HEADS, "gaze: the neck keeps the image still while the torso sways."),
+    choice_option("--tail-motion", choices.TAIL_MOTIONS, "Motion of the articulated tail."),
+    choice_option("--profile", choices.PROFILES, "For design; the published simulation; the robot as built."),
 )

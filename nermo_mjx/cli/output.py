@@ -23,7 +23,7 @@ from typing import IO, Any, Final, NoReturn
 
 import click
 
-from nermo_mjx.trust import TELL, FileError, one_line, only_reading, shown
+from nermo_mjx.trust import TELL, FileError, one_line, only_reading, printable
 
 #: Thresholds of Python's garbage collector while a command runs. Tracing creates millions of long-lived objects,
 #: which the collector would visit again and again by default: a fifth of the time that tracing takes.
@@ -146,7 +146,7 @@ class _Lossy:
         return getattr(self._stream, name)
 
     def write(self, text: str) -> Any:
-        return self.styled(shown(text))
+        return self.styled(printable(text))
 
     def styled(self, text: str) -> Any:
         """Write a text whose control characters are the command's own."""
@@ -193,7 +193,7 @@ def _translate(error: Exception) -> NoReturn:
 
 
 @dataclasses.dataclass(frozen=True)
-class Outcome:
+class Output:
     """What a command ends with.
 
     Attributes:
@@ -233,11 +233,11 @@ def command(name: str, *, reads: bool = False) -> Callable[[Callable[..., Any]],
         @functools.wraps(function)
         def run(as_json: bool, quiet: bool, **chosen: Any) -> None:
             with contextlib.redirect_stdout(sys.stderr):
-                outcome: Outcome = function(**chosen)
+                outcome: Output = function(**chosen)
             if as_json:
-                from nermo_mjx.runs.files import plain
+                from nermo_mjx.runs.files import plain_json
 
-                click.echo(json.dumps(plain(outcome.content), indent=2, allow_nan=False, ensure_ascii=False))
+                click.echo(json.dumps(plain_json(outcome.content), indent=2, allow_nan=False, ensure_ascii=False))
             elif not quiet or outcome.always:
                 outcome.show()
                 for file in outcome.files:

@@ -20,7 +20,7 @@ COMPILING = "compiling, once per machine"
 PATIENCE = 1.5
 
 
-class Progress:
+class ProgressBar:
     """Shows the progress of a job; a context manager.
 
     Args:
@@ -53,7 +53,7 @@ class Progress:
         self._pace_start = (0.0, 0.0)
         self._last_line = time.monotonic()
 
-    def __enter__(self) -> Progress:
+    def __enter__(self) -> ProgressBar:
         if not self._quiet and self._stream.isatty():
             self._bar = _bar(self._stream)
             self._bar.start()
@@ -135,7 +135,7 @@ class Stages:
         details: Callable[[JobProgress], str] = lambda _: "",
     ) -> None:
         self._name, self._unit, self._compiles, self._details = name, unit, compiles, details
-        self._what, self._progress = "", Progress("")
+        self._what, self._progress = "", ProgressBar("")
 
     def __enter__(self) -> Stages:
         return self
@@ -151,7 +151,7 @@ class Stages:
             self.__exit__()
             self._what = what
             unit = "" if done.what else self._unit
-            self._progress = Progress(what, unit, compiles=self._compiles(what)).__enter__()
+            self._progress = ProgressBar(what, unit, compiles=self._compiles(what)).__enter__()
         count = done.done if done.done is None or done.total is None else min(done.done, done.total)
         self._progress.share(done.fraction, count, done.total, self._details(done))
 

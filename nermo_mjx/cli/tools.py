@@ -13,8 +13,8 @@ from click.shell_completion import get_completion_class
 from nermo_mjx.cli import options
 from nermo_mjx.cli.choices import BENCH_CASES, ENGINES
 from nermo_mjx.cli.options import number
-from nermo_mjx.cli.output import Failure, Outcome, command, print_table
-from nermo_mjx.cli.progress import Progress
+from nermo_mjx.cli.output import Failure, Output, command, print_table
+from nermo_mjx.cli.progress import ProgressBar
 
 if TYPE_CHECKING:
     from nermo_mjx.robot import Robot
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 @command("model")
 @options.body
 @options.file("--xml", ".xml", "Write one self-contained MJCF file.")
-def model_command(xml: Path | None, **config: Any) -> Outcome:
+def model_command(xml: Path | None, **config: Any) -> Output:
     """Summarize the assembled robot, or write it as one MJCF file.
 
     Examples:
@@ -33,7 +33,7 @@ def model_command(xml: Path | None, **config: Any) -> Outcome:
     from nermo_mjx.robot import load_robot
 
     loaded = load_robot(**{name: value for name, value in config.items() if value is not None})
-    summary = summarize(loaded)
+    summary = robot_summary(loaded)
     if xml is not None:
         try:
             xml.write_text(loaded.to_xml(), encoding="utf-8")
@@ -52,10 +52,10 @@ def model_command(xml: Path | None, **config: Any) -> Outcome:
         rows += [["", "", ""]] + [["all", group, f"{1e3 * mass:.2f}"] for group, mass in summary["mass"].items()]
         print_table("Masses", "body, counts to, mass [g]>", rows)
 
-    return Outcome(summary, show, [] if xml is None else [xml])
+    return Output(summary, show, [] if xml is None else [xml])
 
 
-def summarize(robot: Robot) -> dict[str, Any]:
+def robot_summary(robot: Robot) -> dict[str, Any]:
     """Names of the parts, and the masses before and behind the spine."""
     from nermo_mjx.robot.scene import scene_name
 
@@ -93,7 +93,7 @@ FILES: Final = {
 @command("schema")
 @click.argument("kind", type=click.Choice(list(FILES)))
 @options.file("--out", ".json", "File for the schema, instead of standard output.")
-def schema_command(kind: str, out: Path | None) -> Outcome:
+def schema_command(kind: str, out: Path | None) -> Output:
     """Print the JSON Schema of the file that a command reads.
 
     An editor that supports it completes fields, names and parameters, with
@@ -114,17 +114,17 @@ def schema_command(kind: str, out: Path | None) -> Outcome:
     schema = schema_of(getattr(importlib.import_module(f"nermo_mjx.{module}"), name))
     text = json.dumps(schema, indent=2)
     if out is None:
-        return Outcome(schema, lambda: click.echo(text), always=True)
+        return Output(schema, lambda: click.echo(text), always=True)
     out.parent.mkdir(parents=True, exist_ok=True)
     replace_file(out, f"{text}\n".encode())
-    return Outcome(schema, files=[out])
+    return Output(schema, files=[out])
 
 
 @command("bench")
 @click.argument("cases", nargs=-1, type=click.Choice(BENCH_CASES), metavar="[CASE]...")
-@options.choice("--engine", ENGINES[1:], "Repeatable; c and mjx by default.", default=None, multiple=True)
+@options.choice_option("--engine", ENGINES[1:], "Repeatable; c and mjx by default.", default=None, multiple=True)
 @number("--worlds", "Size of the batch; repeatable; by default 64.", click.IntRange(1), multiple=True)
-def bench_command(cases: tuple[str, ...], engine: tuple[str, ...], worlds: tuple[int, ...]) -> Outcome:
+def bench_command(cases: tuple[str, ...], engine: tuple[str, ...], worlds: tuple[int, ...]) -> Output:
     """Measure throughput, start-up and memory on this machine.
 
     The default CASE is throughput.
@@ -138,9 +138,9 @@ def bench_command(cases: tuple[str, ...], engine: tuple[str, ...], worlds: tuple
       nermo-mjx bench --engine mjx --worlds 64 --worlds 1024 --json
       nermo-mjx bench throughput startup --engine c
     """
-    from nermo_mjx.bench import run_bench, table_of
+    from nermo_mjx.bench import measurement_table, run_bench
 
-    with Progress("bench", "measurements", compiles=True) as progress:
+    with ProgressBar("bench", "measurements", compiles=True) as progress:
         result = run_bench(cases or BENCH_CASES[:1], engine or ("c", "mjx"), worlds or (64,), progress.count)
 
     def show() -> None:
@@ -149,11 +149,11 @@ def bench_command(cases: tuple[str, ...], engine: tuple[str, ...], worlds: tuple
             if "error" in line:
                 click.echo(f"{line['case']} (engine {line['engine']}, worlds {line['worlds']}) failed: {line['error']}")
         for case in dict.fromkeys(line["case"] for line in result["cases"]):
-            headings, rows = table_of([line for line in result["cases"] if line["case"] == case])
+            headings, rows = measurement_table([line for line in result["cases"] if line["case"] == case])
             if rows:
                 print_table(case.capitalize(), headings, rows)
 
-    return Outcome(result, show)
+    return Output(result, show)
 
 
 SHELLS = ("bash", "zsh", "fish")
@@ -163,7 +163,7 @@ _PROGRAM, _VARIABLE = "nermo-mjx", "_NERMO_MJX_COMPLETE"
 @command("completion")
 @click.argument("shell", type=click.Choice(SHELLS))
 @click.pass_context
-def completion_command(context: click.Context, shell: str) -> Outcome:
+def completion_command(context: click.Context, shell: str) -> Output:
     """Print a script with which a shell completes commands, options, names and files.
 
     Examples:
@@ -176,4 +176,4 @@ def completion_command(context: click.Context, shell: str) -> Outcome:
     kind = get_completion_class(shell)
     assert kind is not None
     script = kind(context.find_root().command, {}, _PROGRAM, _VARIABLE).source()
-    return Outcome({"shell": shell, "script": script}, lambda: click.echo(script), always=True)
+    return Output({"shell": shell, "script": script}, lambda: click.echo(script), always=True)

@@ -16,8 +16,8 @@ from nermo_mjx.cli import options
 from nermo_mjx.cli.choices import OVERLAYS
 from nermo_mjx.cli.directories import kind_of_directory
 from nermo_mjx.cli.options import FileKind, flag, number
-from nermo_mjx.cli.output import Outcome, WrongUse, command, say
-from nermo_mjx.cli.progress import Progress
+from nermo_mjx.cli.output import Output, WrongUse, command, say
+from nermo_mjx.cli.progress import ProgressBar
 
 if TYPE_CHECKING:
     from nermo_mjx.plotting.files import Figures
@@ -45,11 +45,11 @@ def load_recording(path: Path) -> Recording:
     return recording
 
 
-def figures(path: Path, *, notify: Callable[[str], None]) -> Figures:
-    """The figures of a recording's file; errors as for `load_recording` and `view.figures.figures_of`."""
-    from nermo_mjx.view.figures import figures_of
+def figures_of_file(path: Path, *, notify: Callable[[str], None]) -> Figures:
+    """The figures of a recording's file; errors as for `load_recording` and `view.figures.figures_of_recording`."""
+    from nermo_mjx.view.figures import figures_of_recording
 
-    return figures_of(load_recording(path), notify)
+    return figures_of_recording(load_recording(path), notify)
 
 
 @command("render", reads=True)
@@ -68,7 +68,7 @@ def figures(path: Path, *, notify: Callable[[str], None]) -> Figures:
 @number("--width", "Pixels of one robot's picture.", click.IntRange(16, 7680), default=640)
 @number("--height", "Pixels of one robot's picture.", click.IntRange(16, 4320), default=480)
 @number("--speed", "1 is real time, 0.25 a quarter of it.", options.POSITIVE, default=1.0)
-def render_command(recordings: tuple[Path, ...], out: Path, **drawn: Any) -> Outcome:
+def render_command(recordings: tuple[Path, ...], out: Path, **drawn: Any) -> Output:
     """Render a recording of `walk --record` as a video; several are shown side by side, synchronized.
 
     Examples:
@@ -77,13 +77,13 @@ def render_command(recordings: tuple[Path, ...], out: Path, **drawn: Any) -> Out
       nermo-mjx render walk.npz other.npz --out both.mp4 --overlay gait
     """
     loaded = [load_recording(path) for path in recordings]
-    render_video(loaded, out, [path.stem for path in recordings], **drawn)
+    render_with_progress(loaded, out, [path.stem for path in recordings], **drawn)
     seconds = min(each.duration for each in loaded) / drawn["speed"]
     content = {"video": out, "seconds": seconds, **{name: drawn[name] for name in ("width", "height", "fps")}}
-    return Outcome(content, files=[out])
+    return Output(content, files=[out])
 
 
-def check_video(setup: Setup, video: Path | None, camera: str) -> None:
+def refuse_video(setup: Setup, video: Path | None, camera: str) -> None:
     """Refuse a video that cannot be made, before anything is simulated."""
     if video is not None:
         from nermo_mjx.view import check_video
@@ -96,10 +96,12 @@ def save_run(recording: Recording, record: Path | None, video: Path | None, came
     if record is not None:
         recording.save(record)
     if video is not None:
-        render_video([recording], video, camera=camera)
+        render_with_progress([recording], video, camera=camera)
 
 
-def render_video(recordings: Sequence[Recording], path: Path, names: Sequence[str] = ("",), **drawn: Any) -> None:
+def render_with_progress(
+    recordings: Sequence[Recording], path: Path, names: Sequence[str] = ("",), **drawn: Any
+) -> None:
     """Render with a progress bar; several side by side, each below its name, its title and its figures.
 
     Robots are built from the recordings' own setups.
@@ -110,7 +112,7 @@ def render_video(recordings: Sequence[Recording], path: Path, names: Sequence[st
 
     robots = [robot_of(each) for each in recordings]
     models = [shown_model(*each) for each in zip(recordings, robots, strict=True)]
-    with Progress("video", "frames") as progress:
+    with ProgressBar("video", "frames") as progress:
         if len(recordings) == 1:
             render(recordings[0], models[0], path, progress=progress.count, **drawn)
             return
@@ -127,7 +129,7 @@ def render_video(recordings: Sequence[Recording], path: Path, names: Sequence[st
 @flag("--once", "Stop at the end instead of looping.")
 @options.file("--xml", ".xml", "Write MJCF with the recording as keyframes instead.")
 @number("--rate", "Keyframes per second.", options.POSITIVE, default=25.0)
-def play_command(recording: Path, speed: float, once: bool, xml: Path | None, rate: float) -> Outcome:
+def play_command(recording: Path, speed: float, once: bool, xml: Path | None, rate: float) -> Output:
     """Play a recording in MuJoCo's viewer; it needs a display.
 
     With --xml, no window is opened: the file contains the robot, its scene and
@@ -147,7 +149,7 @@ def play_command(recording: Path, speed: float, once: bool, xml: Path | None, ra
     else:
         keys = write_keyframes(loaded, xml, rate=rate)
     content = {"recording": recording, "seconds": loaded.duration, "xml": xml, "keyframes": keys}
-    return Outcome(content, lambda: None if xml is None else click.echo(f"wrote {xml}, with {keys} keyframes"))
+    return Output(content, lambda: None if xml is None else click.echo(f"wrote {xml}, with {keys} keyframes"))
 
 
 @command("view", reads=True)
@@ -156,7 +158,7 @@ def play_command(recording: Path, speed: float, once: bool, xml: Path | None, ra
 @options.file("--out", ".html", "Write the page to this file.")
 @number("--recordings", "For a directory: maximum number of recordings in the page; by default 50.", click.IntRange(0))
 @flag("--no-open", "Do not open a browser.")
-def view_command(path: Path, other: Path | None, out: Path | None, recordings: int | None, no_open: bool) -> Outcome:
+def view_command(path: Path, other: Path | None, out: Path | None, recordings: int | None, no_open: bool) -> Output:
     """View a recording, a sweep, a search or a training in the browser.
 
     The page is self-contained and needs no network. For a recording FILE.npz:
@@ -189,7 +191,7 @@ def view_command(path: Path, other: Path | None, out: Path | None, recordings: i
     sentence = f"wrote {file}" + ("" if opened or no_open else "; no browser was found, open it in one")
     content = {"page": str(file), "bytes": file.stat().st_size, **amounts, "opened": opened}
     # Nobody else knows where it is.
-    return Outcome(content, lambda: click.echo(sentence), always=out is None and not opened)
+    return Output(content, lambda: click.echo(sentence), always=out is None and not opened)
 
 
 def _page(path: Path, other: Path | None, recordings: int | None, notes: list[str]) -> tuple[Page, dict[str, Any]]:

@@ -17,9 +17,9 @@ import click
 from nermo_mjx.cli import options
 from nermo_mjx.cli.choices import ENGINES, PILOTS, ROBOTS
 from nermo_mjx.cli.options import assigned, number, text
-from nermo_mjx.cli.output import Failure, Outcome, WrongUse, command, is_given, print_table, say
-from nermo_mjx.cli.progress import Progress
-from nermo_mjx.cli.view import check_video, load_recording, save_run
+from nermo_mjx.cli.output import Failure, Output, WrongUse, command, is_given, print_table, say
+from nermo_mjx.cli.progress import ProgressBar
+from nermo_mjx.cli.view import load_recording, refuse_video, save_run
 from nermo_mjx.trust import only_reading
 
 if TYPE_CHECKING:
@@ -47,7 +47,7 @@ class Plan(NamedTuple):
     values: Mapping[str, float]
 
 
-def plan(
+def planned_walk(
     *,
     pilot: str | None,
     assignments: tuple[str, ...],
@@ -193,7 +193,7 @@ def _switch_option(about: str) -> Any:
 @options.gait
 @options.controller
 @text("--metrics", "FILE.py[:NAME]", "Custom metrics; repeatable.", multiple=True)
-@options.choice("--pilot", PILOTS, "Default: straight, or open_loop with --turn-rate.", default=None)
+@options.choice_option("--pilot", PILOTS, "Default: straight, or open_loop with --turn-rate.", default=None)
 @number("--cycles", "Duration in gait cycles, by default 8.", options.POSITIVE)
 @number("--duration", "Duration in seconds, instead of --cycles.", options.POSITIVE)
 @number("--warmup", "Unmeasured start, in the same unit; by default 2.", click.FloatRange(0))
@@ -205,7 +205,7 @@ def _switch_option(about: str) -> Any:
 @number("--seed", "Shift the start slightly, like the repeats of a sweep.", click.IntRange(0))
 @options.engine
 @options.produced
-def walk_command(engine: str, record: Path | None, video: Path | None, camera: str, **chosen: Any) -> Outcome:
+def walk_command(engine: str, record: Path | None, video: Path | None, camera: str, **chosen: Any) -> Output:
     """Simulate one walk, and summarize it.
 
     Examples:
@@ -220,15 +220,15 @@ def walk_command(engine: str, record: Path | None, video: Path | None, camera: s
     """
     from nermo_mjx.rollout import Simulator
 
-    setup, run, values = plan(**chosen)
-    check_video(setup, video, camera)
-    with Progress("walk", compiles=True) as progress:
+    setup, run, values = planned_walk(**chosen)
+    refuse_video(setup, video, camera)
+    with ProgressBar("walk", compiles=True) as progress:
         simulator = Simulator(setup, engine=engine)
         result = simulator.run(values, run, record=bool(record or video), progress=progress.share)
     if result.trace is not None:
         save_run(result.recording(), record, video, camera)
     report = result.about()
-    return Outcome(report, lambda: print_walk(report), [file for file in (record, video) if file])
+    return Output(report, lambda: print_walk(report), [file for file in (record, video) if file])
 
 
 def _address(context: click.Context, parameter: click.Parameter, given: tuple[str, ...]) -> tuple[str, str | None]:
@@ -259,7 +259,7 @@ DRIVE_NEEDS = {
 @command("drive")
 @options.gait
 @options.controller
-@options.choice("--pilot", PILOTS, "Default: open_loop, which turns as you steer.", default=None)
+@options.choice_option("--pilot", PILOTS, "Default: open_loop, which turns as you steer.", default=None)
 @options.scene
 @options.tail
 @options.physics
@@ -309,7 +309,7 @@ def drive_command(
     record: Path | None,
     seconds: float | None,
     **chosen: Any,
-) -> Outcome:
+) -> Output:
     """Drive the robot in the browser while it walks: keyboard, gamepad, sliders.
 
     The page is served to this machine alone, and its address holds a secret.
@@ -344,7 +344,7 @@ def drive_command(
             raise WrongUse(f"{flag} has no effect without {need}.")
     from nermo_mjx.hardware.live import SendError, address
     from nermo_mjx.live.driving import Driving
-    from nermo_mjx.live.server import Drive, free
+    from nermo_mjx.live.server import LiveDrive, free
     from nermo_mjx.live.wire import RobotDriving, SimulatedRobot
     from nermo_mjx.recording import RecordingError
     from nermo_mjx.runs.files import make_writable
@@ -353,7 +353,7 @@ def drive_command(
         chosen.pop(name) for name in ("port", "browser", "channels", "rate", "watchdog", "delay", "loss")
     )
     chosen["pilot"] = chosen["pilot"] or ("open_loop" if chosen["controller"] is None else None)
-    setup, _, values = plan(robot=model, **chosen)
+    setup, _, values = planned_walk(robot=model, **chosen)
     about, files, robots = dict[str, Any](), list[Path](), None
     if not there["a page"]:
         say("Ctrl-C ends it")
@@ -366,7 +366,7 @@ def drive_command(
             address(serve, "serve")
             about = SimulatedRobot(setup, values, channels, delay / 1e3, loss).run(serve, seconds)
         else:
-            with Progress("drive", quiet=headless or is_given("quiet"), compiles=True):
+            with ProgressBar("drive", quiet=headless or is_given("quiet"), compiles=True):
                 if url is not None:
                     robots = RobotDriving(setup, values, url, channels, rate, watchdog, record=record is not None)
                 driving = robots or Driving(setup, values, record=record is not None)
@@ -374,7 +374,7 @@ def drive_command(
                 if robots and headless:
                     robots.run(seconds)
                 else:
-                    drive = Drive(driving, record, port or 0)
+                    drive = LiveDrive(driving, record, port or 0)
                     if robots:
                         robots.operator = lambda: drive.away
                     click.echo(f"drive: {drive.address}", err=True)
@@ -397,7 +397,7 @@ def drive_command(
             click.echo(f"{name}: {f'{words:.4g}' if isinstance(words, float) else words}")
 
     ended = f"{about['ended'].rstrip('.')}." if about.get("ended") else ""
-    return Outcome(about, show, files, " ".join(filter(None, (failure, ended))))
+    return Output(about, show, files, " ".join(filter(None, (failure, ended))))
 
 
 @contextlib.contextmanager
@@ -413,13 +413,13 @@ def _browser(address: str) -> Iterator[None]:
 @command("replay")
 @click.argument("out", metavar="DIR|FILE", type=options.PATH)
 @number("--row", "Row of the table, from 0; not with a FILE.", int, metavar="N")
-@options.choice("--engine", ENGINES, "By default the directory's own.", default=None)
+@options.choice_option("--engine", ENGINES, "By default the directory's own.", default=None)
 @options.produced
 @options.file("--sweep", ".yaml", "Write a sweep file that walks as was driven, of a FILE.")
 @text("--controller", "FILE", "Your copy of the controller of a drive, FILE.py:NAME or a policy FILE.npz; of a FILE.")
 def replay_command(
     out: Path, row: int | None, engine: str | None, sweep: Path | None, controller: str | None, **saved: Any
-) -> Outcome:
+) -> Output:
     """Rerun one row of a sweep's or a search's directory on its own, or a
     recorded drive.
 
@@ -449,21 +449,21 @@ def replay_command(
     if sweep is not None or controller is not None:
         raise WrongUse("--sweep and --controller belong to a recorded drive.")
     from nermo_mjx.optimize.directory import find_evaluation
-    from nermo_mjx.runs.files import make_writable, plain
+    from nermo_mjx.runs.files import make_writable, plain_json
     from nermo_mjx.sweep.replay import find_row, replay_row, report_of
 
     found = (find_evaluation if (out / "search.yaml").exists() else find_row)(out, row)
     files = [file for file in (saved["record"], saved["video"]) if file]
     for path in files:
         make_writable(path.parent)
-    check_video(found.walk.setup, saved["video"], saved["camera"])
-    with Progress("replay", compiles=True) as progress:
+    refuse_video(found.walk.setup, saved["video"], saved["camera"])
+    with ProgressBar("replay", compiles=True) as progress:
         replay = replay_row(found, engine, progress.share)
     report = report_of(found, replay)
     if files:
         if not len(replay.history.time):
             raise Failure(f"row {row} diverged in its first tick: there is nothing to record or to show.")
-        save_run(dataclasses.replace(replay.recording(), metadata=plain(report)), **saved)
+        save_run(dataclasses.replace(replay.recording(), metadata=plain_json(report)), **saved)
 
     def show() -> None:
         values = "".join(f", {name} {label}" for name, label in found.walk.labels.items())
@@ -475,10 +475,10 @@ def replay_command(
                 click.echo(f"It {what} at {replay.metrics['failure_time']:.2f} s, of {found.span[1]:.2f} s.")
         click.echo(report["compared"])
 
-    return Outcome(report, show, files)
+    return Output(report, show, files)
 
 
-def _replay_drive(path: Path, sweep: Path | None, controller: str | None, saved: Mapping[str, Any]) -> Outcome:
+def _replay_drive(path: Path, sweep: Path | None, controller: str | None, saved: Mapping[str, Any]) -> Output:
     """Drive a recording or a journal again, and compare; no Python runs that the person has not named."""
     from nermo_mjx.live.driving import as_sweep, difference, replayed
     from nermo_mjx.recording import RecordingError, write_whole
@@ -487,7 +487,7 @@ def _replay_drive(path: Path, sweep: Path | None, controller: str | None, saved:
 
     recording = load_recording(path) if path.suffix == ".npz" else None
     try:
-        with contextlib.nullcontext() if controller else only_reading(), Progress("replay", compiles=True):
+        with contextlib.nullcontext() if controller else only_reading(), ProgressBar("replay", compiles=True):
             driven = recording or replayed(path, controller)
             if sweep is not None:
                 text = Sweep.from_dict(as_sweep(driven, controller)).to_yaml(sweep.parent)
@@ -505,7 +505,7 @@ def _replay_drive(path: Path, sweep: Path | None, controller: str | None, saved:
         sentence = f"Of {samples} those from {differs:.2f} s on differ from the recording's."
     equal = None if recording is None else differs is None
     content = {"recording": path, "samples": len(again.time), "equal": equal, "differs_from": differs}
-    return Outcome(content, lambda: click.echo(sentence))
+    return Output(content, lambda: click.echo(sentence))
 
 
 @command("servos")
@@ -537,7 +537,7 @@ def _replay_drive(path: Path, sweep: Path | None, controller: str | None, saved:
 @number("--seconds", "Duration of sending; by default until Ctrl-C.", options.POSITIVE)
 def servos_command(
     recording: Path | None, out: Path | None, send: str | None, seconds: float | None, **chosen: Any
-) -> Outcome:
+) -> Output:
     """Write the servo angles of a gait as CSV, ready to be played in a loop, or
     send them to the robot.
 
@@ -569,13 +569,13 @@ def servos_command(
     if send is None and seconds is not None:
         raise WrongUse("--seconds limits the duration of --send: give --send URL, too.")
     from nermo_mjx.hardware import recorded_table, servo_table
-    from nermo_mjx.hardware.live import SendError, connected, play
+    from nermo_mjx.hardware.live import SendError, connected, send_table
     from nermo_mjx.runs.files import replace_file
 
     topic, how = chosen.pop("topic"), {name: chosen.pop(name) for name in ("rate", "channels")}
     if recording is None:
         cycles = chosen.pop("cycles") or 1
-        setup, _, values = plan(pilot="open_loop", scene="flat", physics="reference", **chosen)
+        setup, _, values = planned_walk(pilot="open_loop", scene="flat", physics="reference", **chosen)
         table = servo_table(setup, values, cycles=cycles, **how)
         words = [f"{name} {getattr(setup, name)}" for name in ("gait", "spine", "steering")]
         words += [f"{name} {value:g}" for name, value in {"frequency": table.frequency, **values}.items()]
@@ -598,7 +598,7 @@ def servos_command(
     if send is not None:
         try:
             with connected(send, topic) as robot:
-                sent = play(table, robot, seconds)
+                sent = send_table(table, robot, seconds)
         except SendError as error:  # nobody there is a failure, and not wrong use
             raise Failure(str(error)) from None
     numbers = [channel.number for channel in table.channels]
@@ -623,4 +623,4 @@ def servos_command(
             late = f"the latest was {1e3 * sent.latest:.1f} ms late"
             click.echo(f"sent {sent.messages} messages in {sent.seconds:.1f} s, {sent.skipped} skipped; {late}")
 
-    return Outcome(content, show)
+    return Output(content, show)

@@ -424,7 +424,7 @@ def _reachable(paths: _Paths, routing: str) -> Bool[Array, "batch 4"]:
     each = jnp.broadcast_to(stride[:, None], (stride.size, len(LIMBS)))
     down = jnp.asarray([True, False])[:, None, None]
     points = trajectory.nominal_points(stance, jnp.broadcast_to(down, (2, *each.shape)), each)
-    path = trajectory.position(points[:, None], progress)
+    path = trajectory.foot_position(points[:, None], progress)
     return jnp.all(inverse(four_legs(geometry), path, routing).reachable, axis=(0, 1))
 
 

@@ -52,7 +52,7 @@ class Pace(NamedTuple):
     cycle_rate: Any
 
 
-class Course(NamedTuple):
+class CourseEstimate(NamedTuple):
     """Estimate of the robot's course.
 
     Attributes:
@@ -70,12 +70,14 @@ def body_heading(sensors: Sensors, geometry: Geometry) -> Scalar:
     return attitude(sensors.orientation)[2] - 0.5 * bend
 
 
-def observe(course: Course, sensors: Sensors, bandwidth: Any, dt: float, geometry: Geometry) -> Course:
+def observe_course(
+    course: CourseEstimate, sensors: Sensors, bandwidth: Any, dt: float, geometry: Geometry
+) -> CourseEstimate:
     """The course one tick of T = `dt` [s] later; motion faster than the bandwidth b [rad/s] counts as sway."""
     expected = course.heading + dt * course.rate
     surprise = wrapped(body_heading(sensors, geometry) - expected)
     gain = dt * bandwidth
-    return Course(expected + 2.0 * gain * surprise, course.rate + gain * bandwidth * surprise)
+    return CourseEstimate(expected + 2.0 * gain * surprise, course.rate + gain * bandwidth * surprise)
 
 
 def wrapped(angle: Array) -> Array:
@@ -122,19 +124,19 @@ class Appendage(AppendageLike[Angles]):
     on_course: bool = False
 
     def start(self, params: Any, pace: Pace) -> tuple[Any, Angles]:
-        memory = Course(jnp.zeros(()), jnp.zeros(())) if self.on_course else ()
+        memory = CourseEstimate(jnp.zeros(()), jnp.zeros(())) if self.on_course else ()
         return memory, self.held(getattr(params, self.group), pace)
 
     def init(self, params: Any, memory: Any, sensors: Sensors) -> Any:
         if not self.on_course:
             return memory
         heading = body_heading(sensors, geometry_of(params))
-        return Course(heading, jnp.zeros_like(heading))
+        return CourseEstimate(heading, jnp.zeros_like(heading))
 
     def update(self, params: Any, memory: Any, sensors: Sensors, pace: Pace, dt: float) -> tuple[Any, Angles]:
         own = getattr(params, self.group)
         if self.on_course:
-            memory = observe(memory, sensors, own.bandwidth * pace.cycle_rate, dt, geometry_of(params))
+            memory = observe_course(memory, sensors, own.bandwidth * pace.cycle_rate, dt, geometry_of(params))
         return memory, self.held(own, pace) if self.moving is None else self.moving(own, pace, sensors, memory)
 
 
@@ -169,7 +171,7 @@ def head_held(head: Head, pace: Pace) -> HeadAngles:
     return HeadAngles(neck, jnp.zeros_like(neck) + head.tilt)
 
 
-def gaze(head: Head, pace: Pace, sensors: Sensors, course: Course) -> HeadAngles:
+def gaze(head: Head, pace: Pace, sensors: Sensors, course: CourseEstimate) -> HeadAngles:
     """Looks along the robot's course and level, with the offsets that `held` has from the torso's direction."""
     offset = head_held(head, pace)
     heading, down = course.heading + offset.neck, offset.tilt
@@ -244,7 +246,7 @@ def swing(tail: Tail, pace: Pace) -> Scalars:
     return tail_held(tail, pace) + amplitude * jnp.cos(2.0 * jnp.pi * pace.phase + tail.swing_phase)
 
 
-def counter_yaw(tail: Tail, pace: Pace, sensors: Sensors, course: Course) -> Scalars:
+def counter_yaw(tail: Tail, pace: Pace, sensors: Sensors, course: CourseEstimate) -> Scalars:
     """Bends to the right by `tail.yaw_gain` times the torso's yaw to the left of the robot's course."""
     return tail.angle - tail.yaw_gain * wrapped(attitude(sensors.orientation)[2] - course.heading)
 

@@ -111,7 +111,7 @@ class Stepping(GaitLike):
     def _feet(
         self, params: ControlParameters, points: Float[Array, "4 3 2"], share: PerLimb, limbs: trajectory.LimbStates
     ) -> Float[Array, "4 2"]:
-        return trajectory.position(points, limbs.progress, self.form)
+        return trajectory.foot_position(points, limbs.progress, self.form)
 
     def _half_cycles(
         self,

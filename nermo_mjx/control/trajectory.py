@@ -83,7 +83,7 @@ def weights(progress: Scalars, form: str = "cubic") -> Float[Array, "*batch 3 2"
     return jnp.stack([knots(coordinate) for coordinate in FORMS[form]], axis=-1)
 
 
-def position(
+def foot_position(
     points: Float[Array, "*#batch 3 2"], progress: Broadcastable, form: str = "cubic"
 ) -> Float[Array, "*#batch 2"]:
     """Foot position (y, z) on the path through `points` at `progress` [m]."""

@@ -143,7 +143,7 @@ def check_gradient(
         run = trial(model, data, steps)
         value = jax.jit(run.value, compiler_options=options)
         slopes = jax.jit(jax.grad(lambda point: run.value(point)[0]), compiler_options=options)(run.zero)
-        return compared(run, slopes, value)
+        return compare_gradient(run, slopes, value)
 
 
 class Trial(NamedTuple):
@@ -205,7 +205,7 @@ def trial(
     return Trial(value, zero)
 
 
-def compared(run: Trial, slopes: Point, value: Callable[[Point], tuple[Array, Array]]) -> GradientCheck:
+def compare_gradient(run: Trial, slopes: Point, value: Callable[[Point], tuple[Array, Array]]) -> GradientCheck:
     """A gradient compared with differences.
 
     Args:

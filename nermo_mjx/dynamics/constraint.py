@@ -18,27 +18,27 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from nermo_mjx.dynamics.rows import Layout, Problem
+from nermo_mjx.dynamics.rows import ConstraintProblem, Layout
 from nermo_mjx.shapes import Array, Dofs, Efc
 
 #: Multiple of a number's precision that sums of some dozens of terms lose.
 ROUNDING: Final = 4.0
 
 
-def gradient(layout: Layout, problem: Problem, qacc: Dofs, known: Efc | None = None) -> Dofs:
+def gradient(layout: Layout, problem: ConstraintProblem, qacc: Dofs, known: Efc | None = None) -> Dofs:
     """g(a), zero at the solution; `known` is a more exact value of the residual."""
     force = forces(layout, problem, residual(problem, qacc, known))
     return problem.inertia @ qacc - problem.smooth - problem.jacobian.T @ force
 
 
-def rounding(layout: Layout, problem: Problem, sizes: Problem, qacc: Dofs) -> Dofs:
+def rounding(layout: Layout, problem: ConstraintProblem, sizes: ConstraintProblem, qacc: Dofs) -> Dofs:
     """The size of g(a) that is left where it should vanish: the rounding of its terms; `sizes` is |problem|."""
     force = jnp.abs(forces(layout, problem, residual(problem, qacc)))
     terms = sizes.inertia @ jnp.abs(qacc) + sizes.smooth + sizes.jacobian.T @ force
     return ROUNDING * jnp.finfo(qacc.dtype).eps * terms
 
 
-def hessian(layout: Layout, problem: Problem, qacc: Dofs, known: Efc | None = None) -> Float[Array, "nv nv"]:
+def hessian(layout: Layout, problem: ConstraintProblem, qacc: Dofs, known: Efc | None = None) -> Float[Array, "nv nv"]:
     """dg/da = M - J^T f'(r) J, positive definite and, up to rounding, symmetric; `known` as in `gradient`."""
     jacobian, at = problem.jacobian, residual(problem, qacc, known)
     springs, _ = _simple(layout, problem, at)
@@ -53,13 +53,13 @@ def hessian(layout: Layout, problem: Problem, qacc: Dofs, known: Efc | None = No
     return problem.inertia + jacobian.T @ jnp.concatenate(parts)
 
 
-def residual(problem: Problem, qacc: Dofs, known: Efc | None = None) -> Efc:
+def residual(problem: ConstraintProblem, qacc: Dofs, known: Efc | None = None) -> Efc:
     """r = J a - aref, or a more exact value of it, with the same derivatives."""
     plain = problem.jacobian @ qacc - problem.aref
     return plain if known is None else _known(known, plain)
 
 
-def exact_residual(problem: Problem, qacc: Dofs) -> Efc:
+def exact_residual(problem: ConstraintProblem, qacc: Dofs) -> Efc:
     """As `residual`, to the rounding of the result rather than that of its terms.
 
     The force of a stiff row is the small difference of large accelerations, times up to 1e8. J and a are split into
@@ -87,7 +87,7 @@ def _(primals: tuple[Array, Array], tangents: tuple[Array, Array]) -> tuple[Arra
     return _known(*primals), tangents[1]
 
 
-def forces(layout: Layout, problem: Problem, residual: Efc) -> Efc:
+def forces(layout: Layout, problem: ConstraintProblem, residual: Efc) -> Efc:
     """Constraint force f of each row at the residual r.
 
     Equalities are two-sided springs, f = -D r. Dry friction is a spring that yields at +-frictionloss. Limits,
@@ -102,7 +102,7 @@ def forces(layout: Layout, problem: Problem, residual: Efc) -> Efc:
     return jnp.concatenate(parts)
 
 
-def zones(layout: Layout, problem: Problem, residual: Efc) -> Int[Array, " zones"]:
+def zones(layout: Layout, problem: ConstraintProblem, residual: Efc) -> Int[Array, " zones"]:
     """The linear or smooth piece of the force that each row, or each contact with a cone, is in."""
     springs, _ = _simple(layout, problem, residual)
     parts = [springs[: _first_cone(layout, residual)].astype(int)]
@@ -112,7 +112,7 @@ def zones(layout: Layout, problem: Problem, residual: Efc) -> Int[Array, " zones
     return jnp.concatenate(parts)
 
 
-def _simple(layout: Layout, problem: Problem, residual: Efc) -> tuple[Array, Array]:
+def _simple(layout: Layout, problem: ConstraintProblem, residual: Efc) -> tuple[Array, Array]:
     """For rows outside cones: whether each is a spring, and otherwise its constant force in either direction."""
     row = np.arange(residual.shape[0])
     dry = (row >= layout.equality) & (row < layout.equality + layout.frictionloss)
@@ -125,7 +125,9 @@ def _first_cone(layout: Layout, residual: Efc) -> int:
     return residual.shape[0] - sum(dim * count for dim, count in layout.cones)
 
 
-def _contacts(layout: Layout, problem: Problem, residual: Efc) -> Iterator[tuple[int, int, Array, Array, Array]]:
+def _contacts(
+    layout: Layout, problem: ConstraintProblem, residual: Efc
+) -> Iterator[tuple[int, int, Array, Array, Array]]:
     """(first row, dim, r, D, scale) of the contacts with cones of one dimension; the arrays are (count, dim)."""
     first, contact = _first_cone(layout, residual), 0
     for dim, count in layout.cones:

@@ -34,7 +34,7 @@ from nermo_mjx.dynamics.jacobians import with_point_jacobians
 from nermo_mjx.dynamics.mjx_import import Model, Solved, collision_driver, mjx
 from nermo_mjx.dynamics.precision import full_precision
 from nermo_mjx.dynamics.preparing import is_zero, prepared
-from nermo_mjx.dynamics.rows import Layout, Problem
+from nermo_mjx.dynamics.rows import ConstraintProblem, Layout
 from nermo_mjx.dynamics.spatial import solve_definite
 from nermo_mjx.shapes import Array, Count, Dofs, Efc, Scalar, Truth
 
@@ -217,10 +217,10 @@ def solve(model: mjx.Model, data: mjx.Data) -> Solved:
     """
     if rows.inner(data).efc_J.size == 0:
         return data.replace(qacc=data.qacc_smooth)
-    layout, problem = rows.read(model, data)
+    layout, problem = rows.read_problem(model, data)
     starts_warm = not model.opt.disableflags & mjx.DisableBit.WARMSTART
     fixed, start = jax.lax.stop_gradient((problem, data.qacc_warmstart if starts_warm else data.qacc_smooth))
-    found = solver.solve(layout, fixed, start)
+    found = solver.minimum(layout, fixed, start)
     last = _newton(layout, checkpoint_name(found.qacc, KEPT), fixed)
     qacc = _solution(layout, last.qacc, last.residual, problem)
     force = constraint.forces(layout, problem, constraint.residual(problem, qacc, last.residual))
@@ -243,7 +243,7 @@ def solve(model: mjx.Model, data: mjx.Data) -> Solved:
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
-def _solution(layout: Layout, qacc: Dofs, known: Efc, problem: Problem) -> Dofs:
+def _solution(layout: Layout, qacc: Dofs, known: Efc, problem: ConstraintProblem) -> Dofs:
     """`qacc` unchanged, with the derivative of the problem's solution; `known` is the residual there."""
     return qacc
 
@@ -266,7 +266,7 @@ class _Last(NamedTuple):
     residual: Efc
 
 
-def _newton(layout: Layout, qacc: Dofs, problem: Problem) -> _Last:
+def _newton(layout: Layout, qacc: Dofs, problem: ConstraintProblem) -> _Last:
     """One step of Newton's method from `qacc`."""
     known = constraint.exact_residual(problem, qacc)
     factor = cho_factor(constraint.hessian(layout, problem, qacc, known))

@@ -91,8 +91,8 @@ def with_point_jacobians(stage: Callable[P, T]) -> Callable[P, T]:
     ours = {
         (support, "jac"): point_jacobian,
         (support, "wrap_circle"): circle,
-        (support, "wrap_inside"): inside,
-        (support, "_length_circle"): arc,
+        (support, "wrap_inside"): wrap_inside,
+        (support, "_length_circle"): arc_length,
         (collision_sdf, "_cylinder"): spatial.cylinder_distance,
         (support, "muscle_dynamics_timescale"): muscle_time_constant,
         (math, "quat_to_axis_angle"): axis_and_angle,
@@ -139,7 +139,7 @@ def circle(ends: Ends, side: Point, has_side: Any, radius: Scalar) -> tuple[Arra
     return jnp.where(free, -1.0, length), jnp.where(free, 0.0, points)
 
 
-def inside(ends: Ends, radius: Scalar, rounds: int, tolerance: float, first: float) -> tuple[Array, Array]:
+def wrap_inside(ends: Ends, radius: Scalar, rounds: int, tolerance: float, first: float) -> tuple[Array, Array]:
     """As MJX's `wrap_inside`: length (-1 without a wrap, else about 0), (1,), and the one point, twice.
 
     The tangent point solves asin(A z) + asin(B z) - 2 asin(z) + G = 0, with A and B the radius over both distances, and
@@ -209,7 +209,7 @@ def _or_else(replace: Truth, ends: tuple[float, ...], given: Ends, radius: Scala
     return jnp.where(replace, jnp.asarray(ends, given.dtype), given), jnp.where(replace, 1.0, radius)
 
 
-def arc(one: Point, other: Point, index: Count, radius: Scalar) -> Scalar:
+def arc_length(one: Point, other: Point, index: Count, radius: Scalar) -> Scalar:
     """As MJX's `_length_circle`: length of the arc from one point to the other, in the direction given by `index`."""
     cross = one[1] * other[0] - one[0] * other[1]
     angle = jnp.arctan2(jnp.abs(cross), one @ other)

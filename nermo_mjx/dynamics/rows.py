@@ -37,7 +37,7 @@ class Layout:
     cones: tuple[tuple[int, int], ...]
 
 
-class Problem(NamedTuple):
+class ConstraintProblem(NamedTuple):
     """The arrays of one constraint problem.
 
     Attributes:
@@ -69,7 +69,7 @@ def capacity(model: mujoco.MjModel) -> tuple[int, int]:
     return int(sized.ncon), int(sized.nefc)
 
 
-def read(model: mjx.Model, data: mjx.Data) -> tuple[Layout, Problem]:
+def read_problem(model: mjx.Model, data: mjx.Data) -> tuple[Layout, ConstraintProblem]:
     """The constraint problem of data after the position, velocity, actuation and acceleration stages."""
     rows = inner(data)
     contact, dims = _in_row_order(rows.contact)
@@ -77,7 +77,7 @@ def read(model: mjx.Model, data: mjx.Data) -> tuple[Layout, Problem]:
     cones = tuple((int(dim), int(count)) for dim, count in zip(*np.unique(chosen, return_counts=True), strict=True))
     friction = contact.friction[len(dims) - len(chosen) :]
     mu = friction[:, :1] / jnp.sqrt(model.opt.impratio)
-    return Layout(*_counts(model), cones), Problem(
+    return Layout(*_counts(model), cones), ConstraintProblem(
         inertia=mjx.full_m(model, data),
         smooth=data.qfrc_smooth,
         jacobian=rows.efc_J,

@@ -19,7 +19,7 @@ from jax.scipy.linalg import cho_factor, cho_solve
 from jaxtyping import Float
 
 from nermo_mjx.dynamics import constraint
-from nermo_mjx.dynamics.rows import Layout, Problem
+from nermo_mjx.dynamics.rows import ConstraintProblem, Layout
 from nermo_mjx.shapes import Array, Count, Dofs, Scalar, Truth
 
 #: Maximum number of rounds. Walks, falls and impacts need 3.5 on average and 12 at most; light links in stiff contacts
@@ -55,7 +55,7 @@ class Solution(NamedTuple):
         return jnp.where(self.converged, self.rounds, ROUNDS + 1)
 
 
-def solve(layout: Layout, problem: Problem, start: Dofs) -> Solution:
+def minimum(layout: Layout, problem: ConstraintProblem, start: Dofs) -> Solution:
     """The acceleration at which the gradient of the problem vanishes.
 
     Args:
@@ -82,7 +82,9 @@ def solve(layout: Layout, problem: Problem, start: Dofs) -> Solution:
     return found
 
 
-def _round(layout: Layout, problem: Problem, sizes: Problem, qacc: Dofs) -> tuple[Array, Array, Array]:
+def _round(
+    layout: Layout, problem: ConstraintProblem, sizes: ConstraintProblem, qacc: Dofs
+) -> tuple[Array, Array, Array]:
     """The next acceleration, whether the step to it was small, and whether all rows stayed in their zones."""
     factor = cho_factor(constraint.hessian(layout, problem, qacc))
     gradient = constraint.gradient(layout, problem, qacc)

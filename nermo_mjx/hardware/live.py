@@ -66,7 +66,7 @@ class Sent:
     latest: float
 
 
-def play(
+def send_table(
     table: ServoTable,
     send: Sender,
     seconds: float | None = None,

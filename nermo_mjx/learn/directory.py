@@ -118,7 +118,7 @@ class Curves:
         return table.table({"training": digest})
 
 
-def read_history(out: str | os.PathLike[str]) -> pa.Table:
+def read_curves(out: str | os.PathLike[str]) -> pa.Table:
     """The history of a training's directory, as far as it goes.
 
     Raises:
@@ -127,7 +127,7 @@ def read_history(out: str | os.PathLike[str]) -> pa.Table:
     return stored_table(Path(out) / HISTORY, "history of a training")
 
 
-class Directory:
+class TrainingDirectory:
     """A directory held by this process for one training; use it in a `with` statement.
 
     Args:
@@ -148,7 +148,7 @@ class Directory:
         self._checkpoints = Checkpoints(self.held, "training")
         self._stack = contextlib.ExitStack()
 
-    def __enter__(self) -> Directory:
+    def __enter__(self) -> TrainingDirectory:
         with contextlib.ExitStack() as stack, clear_errors(self.out):
             stack.enter_context(self.held)
             stack.enter_context(self._checkpoints)
@@ -224,7 +224,7 @@ class Directory:
             self.held.write(POLICY_FILE, policy)
 
 
-def status(out: Path) -> Status:
+def training_status(out: Path) -> Status:
     """How many iterations the history of a training's directory has."""
     notes, rows, done, until = list[str](), None, 0, None
     try:

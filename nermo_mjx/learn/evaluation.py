@@ -54,7 +54,7 @@ class _Part(NamedTuple):
     success: np.ndarray
 
 
-class Evaluator:
+class PolicyEvaluator:
     """Walks of a training's policies on an engine; a policy that comes later needs no new programs."""
 
     def __init__(self, training: Training, engine: str = "auto") -> None:
@@ -92,7 +92,7 @@ class Evaluator:
             if key not in self._simulators:
                 self._simulators[key] = Simulator(there, engine=self.engine)
             simulator = self._simulators[key]
-            drawn = bodies(training, task, draws)
+            drawn = unseen_bodies(training, task, draws)
             values = _known(simulator.setup, {**task.set, **drawn})
             share = None if progress is None else lambda done, i=i: progress((i + done) / len(cases))
             own = there.make_controller().parameters if who == POLICY else None
@@ -105,7 +105,7 @@ class Evaluator:
         return _table(training, draws.number, parts)
 
 
-def bodies(training: Training, task: Task, draws: Draws) -> dict[str, np.ndarray]:
+def unseen_bodies(training: Training, task: Task, draws: Draws) -> dict[str, np.ndarray]:
     """Parameters of the unseen bodies and starts (n,): from the ranges and the ensemble of the training.
 
     Each walk has a stream of its own, as in a sweep, so that more walks begin with those of fewer.
@@ -127,7 +127,7 @@ def recorded(training: Training, policy: Policy, engine: str = "c") -> Iterator[
     for setup, task in training.evaluated():
         there = _setup(setup, policy)
         simulator = Simulator(there, engine=engine)
-        values = _known(simulator.setup, {**task.set, **bodies(training, task, Draws(1, UNSEEN))})
+        values = _known(simulator.setup, {**task.set, **unseen_bodies(training, task, Draws(1, UNSEEN))})
         yield scene_name(str(setup.scene)), simulator.run(values, training.run, record=True).recording()
 
 

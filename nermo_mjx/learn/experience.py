@@ -206,7 +206,7 @@ class Experience(NamedTuple):
 
 
 @dataclasses.dataclass
-class Scores:
+class EpisodeScores:
     """Return and length of the current episodes, and a tally of those that ended; on the host.
 
     The first episode of each world is not counted: it is cut short, so that episodes do not end all at once.
@@ -217,7 +217,7 @@ class Scores:
     first: np.ndarray
 
     @classmethod
-    def none(cls, worlds: int) -> Scores:
+    def none(cls, worlds: int) -> EpisodeScores:
         return cls(np.zeros(worlds), np.zeros(worlds, int), np.ones(worlds, bool))
 
     def tally(self, experience: Experience) -> dict[str, float]:

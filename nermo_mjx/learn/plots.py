@@ -10,7 +10,7 @@ import numpy as np
 import pyarrow as pa
 from matplotlib.figure import Figure
 
-from nermo_mjx.learn.directory import EVALUATION, SPEC, Curves, read_history
+from nermo_mjx.learn.directory import EVALUATION, SPEC, Curves, read_curves
 from nermo_mjx.learn.evaluation import ALONE, POLICY, summary_of
 from nermo_mjx.learn.spec import Training
 from nermo_mjx.plotting.charts import horizontal_grid, page
@@ -33,7 +33,7 @@ PANELS: Final = {
 _SMOOTHING: Final = 0.02
 
 
-def figures_of(training: Training, curves: Curves, table: pa.Table | None) -> Iterator[tuple[str, Figure]]:
+def figures_of_training(training: Training, curves: Curves, table: pa.Table | None) -> Iterator[tuple[str, Figure]]:
     """The figures: `curves`, `rewards`, and `evaluation` where there is one."""
     yield "curves", curves_figure(training, curves)
     yield "rewards", rewards_figure(training, curves)
@@ -41,20 +41,20 @@ def figures_of(training: Training, curves: Curves, table: pa.Table | None) -> It
         yield "evaluation", evaluation_figure(training, table)
 
 
-def figures(out: Path) -> Figures:
+def training_figures(out: Path) -> Figures:
     """The figures of a training's directory, as far as it is.
 
     Raises:
         SpecError: its training.yaml cannot be read.
         DirectoryError: there is nothing to draw, or it cannot be read.
     """
-    training, history = Training.from_file(out / SPEC), read_history(out)
+    training, history = Training.from_file(out / SPEC), read_curves(out)
     if not history.num_rows:
         raise DirectoryError(f"there is nothing to draw of {out}: no section of it is finished.")
     names = tuple(name for name in history.column_names if name not in ("iteration", "code"))
     rows = np.stack([np.asarray(history.column(name), float) for name in names], axis=1)
     content = content_of(out / EVALUATION)
-    return figures_of(training, Curves(names, rows), None if content is None else parquet_table(content))
+    return figures_of_training(training, Curves(names, rows), None if content is None else parquet_table(content))
 
 
 def curves_figure(training: Training, curves: Curves) -> Figure:

@@ -47,7 +47,7 @@ from nermo_mjx.rollout.setup import Setup
 from nermo_mjx.runs.code import versions
 from nermo_mjx.runtime import start_jax
 from nermo_mjx.shapes import Array, Count, Scalar
-from nermo_mjx.specs.model import named
+from nermo_mjx.specs.model import named_section
 
 #: What a file says that it is, and the latest form of it that is read.
 KIND: Final = "nermo-mjx policy"
@@ -245,7 +245,7 @@ class Policy:
     def facts(self) -> dict[str, Any]:
         """What its numbers are, as JSON knows it."""
         return {
-            "action": named(self.kind, ACTIONS),
+            "action": named_section(self.kind, ACTIONS),
             "actions": list(self.kind.names),
             "observation": list(self.observer.names),
             "observer": dataclasses.asdict(self.observer),

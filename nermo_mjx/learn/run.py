@@ -25,10 +25,10 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from nermo_mjx.learn.directory import EVALUATION, POLICY_FILE, SPEC, SUMMARY, Curves, Directory
+from nermo_mjx.learn.directory import EVALUATION, POLICY_FILE, SPEC, SUMMARY, Curves, TrainingDirectory
 from nermo_mjx.learn.environment import Environment, Mixture
-from nermo_mjx.learn.evaluation import POLICY, Draws, Evaluator, summary_of
-from nermo_mjx.learn.experience import RESET, EnvironmentLike, Learned, Scores
+from nermo_mjx.learn.evaluation import POLICY, Draws, PolicyEvaluator, summary_of
+from nermo_mjx.learn.experience import RESET, EnvironmentLike, EpisodeScores, Learned
 from nermo_mjx.learn.policy import Policy, judged_in, load_policy
 from nermo_mjx.learn.spec import Training, Until
 from nermo_mjx.physics import resolve_engine
@@ -36,7 +36,16 @@ from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.runs import RunDirectory, session
 from nermo_mjx.runs.checkpoints import KEPT
 from nermo_mjx.runs.files import content_of, parquet_bytes, parquet_table, to_json
-from nermo_mjx.runs.job import SILENT, Interruption, Progress, TensorBoard, Watch, require_tensorboard, resumable
+from nermo_mjx.runs.job import (
+    SILENT,
+    Forecast,
+    Interruption,
+    Progress,
+    TensorBoard,
+    Watch,
+    require_tensorboard,
+    resumable,
+)
 from nermo_mjx.runtime import compiler_options
 
 #: The table of what was tried: one row per checkpoint.
@@ -58,7 +67,7 @@ class _Tried(NamedTuple):
         return min(shares), float(np.mean(shares))
 
 
-class Choice:
+class BestPolicy:
     """The best policy of a training's directory so far, which is what its policy file holds.
 
     The file is written before the table that names it, so a killed training tries its last policy again and comes to
@@ -101,7 +110,7 @@ class Choice:
         )
 
 
-def successes(evaluator: Evaluator, policy: Policy) -> dict[str, float]:
+def successes(evaluator: PolicyEvaluator, policy: Policy) -> dict[str, float]:
     """The share of a policy's walks on each scene of the evaluation that succeed, and are as fast as `until` asks for:
     `validation` of them."""
     training = evaluator.training
@@ -167,25 +176,23 @@ def run_training(
         tensorboard: write scalars of each iteration to DIR/tensorboard; needs the extra of this name.
 
     Raises:
-        SpecError: the training is wrong; nothing has been written.
-        DirectoryError: the directory holds something else, is in use, or cannot be read or written.
-        Interrupted: Ctrl-C or SIGTERM; the same call resumes.
+        SpecError, DirectoryError, OtherCode, Interrupted: see "Errors of jobs" in docs/reference/python.md.
     """
     training = Training.of(spec)
     if tensorboard:
         require_tensorboard()
-    name = engine_for(training, engine)
+    name = training_engine(training, engine)
     with (
-        Directory(out, training, name, watch.warn) as directory,
+        TrainingDirectory(out, training, name, watch.warn) as directory,
         resumable(directory.out, f"train {directory.out / SPEC}") as interruption,
         contextlib.ExitStack() as stack,
     ):
         worlds = environment or training.environment(name)
         learned, curves = directory.restore(training.algorithm.begin(worlds, training.seed), accept=accept_new_code)
         begun = len(curves)
-        evaluator, choice = Evaluator(training), None
+        evaluator, choice = PolicyEvaluator(training), None
         if training.validation:
-            choice = Choice(directory.held, functools.partial(successes, evaluator), watch.warn)
+            choice = BestPolicy(directory.held, functools.partial(successes, evaluator), watch.warn)
         goes_on = not _ended(training, learned, curves, choice)
         code = directory.take_code(curves, accept=accept_new_code) if goes_on else ""
         directory.claim()
@@ -201,17 +208,17 @@ def run_training(
         directory.held.write(SUMMARY, to_json(summary))
         plots: list[Path] = []
         if training.plots:  # imported at the end: Matplotlib takes as long as the first control steps
-            from nermo_mjx.learn.plots import figures_of
+            from nermo_mjx.learn.plots import figures_of_training
             from nermo_mjx.plotting.files import write_figures
 
-            plots = write_figures(figures_of(training, curves, table), directory.out / "plots")
+            plots = write_figures(figures_of_training(training, curves, table), directory.out / "plots")
         path = None if policy is None else directory.out / POLICY_FILE
         return TrainingResult(
             directory.out, directory.training, path, summary, learned, curves, len(curves) - begun, plots
         )
 
 
-def engine_for(training: Training, engine: str) -> str:
+def training_engine(training: Training, engine: str) -> str:
     """Name of the engine on which a training runs: `c` or `mjx`.
 
     Raises:
@@ -225,7 +232,7 @@ def engine_for(training: Training, engine: str) -> str:
     return name
 
 
-def _ended(training: Training, learned: Learned, curves: Curves, choice: Choice | None) -> bool:
+def _ended(training: Training, learned: Learned, curves: Curves, choice: BestPolicy | None) -> bool:
     """Whether all iterations are done, or a checkpoint was good enough."""
     done = len(curves) >= training.iterations
     return done or (choice is not None and choice.enough(training.until, int(learned.steps)))
@@ -235,13 +242,13 @@ def _ended(training: Training, learned: Learned, curves: Curves, choice: Choice 
 class _Learning:
     """The iterations of a training, and their progress messages."""
 
-    directory: Directory
+    directory: TrainingDirectory
     environment: EnvironmentLike
     interruption: Interruption
     watch: Watch
     board: TensorBoard | None
     code: str
-    choice: Choice | None
+    choice: BestPolicy | None
 
     def learn(self, learned: Learned, curves: Curves) -> tuple[Learned, Curves]:
         """Section by section, to the end."""
@@ -252,7 +259,7 @@ class _Learning:
         self._tell(int(learned.steps), {})
         self._chosen(learned)
         while not _ended(training, learned, curves, self.choice):
-            state, scores = reset(learned.random(RESET)), Scores.none(training.worlds)
+            state, scores = reset(learned.random(RESET)), EpisodeScores.none(training.worlds)
             # Sections are counted from the beginning of the training.
             end = min((len(curves) // training.section + 1) * training.section, training.iterations)
             while len(curves) < end:
@@ -313,7 +320,7 @@ class _Learning:
         self.watch.progress(Progress(min(1.0, done / total), done, total, numbers=numbers))
 
 
-def _evaluated(directory: Directory, policy: Policy, evaluator: Evaluator, watch: Watch) -> pa.Table:
+def _evaluated(directory: TrainingDirectory, policy: Policy, evaluator: PolicyEvaluator, watch: Watch) -> pa.Table:
     """The evaluation of this policy, which is made once."""
     content = content_of(directory.out / EVALUATION)
     known = None if content is None else parquet_table(content)
@@ -357,38 +364,16 @@ def _summary(
 _TIMED: Final = 2
 
 
-@dataclasses.dataclass(frozen=True)
-class Cost:
-    """The cost of a training.
+def training_forecast(training: Training, engine: str = "auto") -> Forecast:
+    """The cost of a training from the start; raises `ParameterError` for an unknown engine.
 
-    Attributes:
-        engine: that it will run on.
-        iterations, steps_per_iteration, steps: whole iterations, and control steps of all worlds.
-        simulated_seconds: of all worlds [s].
-        wall_seconds: of the iterations at this machine's current speed, with their compiling, measured now [s]; NaN on
-            `mjx`, which compiles for minutes.
-        evaluated_seconds: of the evaluation's walks, simulated on top of that [s].
-        rate_from: source of the rate, in words.
-        disk_bytes: of the directory.
+    The counts are whole `iterations`, and control steps of all worlds in one and in all. Its pace on `mjx`, which
+    compiles for minutes, is not known.
     """
-
-    engine: str
-    iterations: int
-    steps_per_iteration: int
-    steps: int
-    simulated_seconds: float
-    wall_seconds: float
-    rate_from: str
-    disk_bytes: int
-    evaluated_seconds: float
-
-
-def cost_of(training: Training, engine: str = "auto") -> Cost:
-    """The cost of a training from the start; raises `ParameterError` for an unknown engine."""
-    name, wall = engine_for(training, engine), math.nan
+    name, wall = training_engine(training, engine), math.nan
     steps = training.iterations * training.steps_per_iteration
     said = "its pace is not known before its program is compiled, which takes minutes, once per machine"
-    worlds = training.environment(name)
+    worlds, notes = training.environment(name), []
     if not worlds.pure:
         iterate = training.algorithm.iteration(worlds)
         compiles = time.perf_counter()
@@ -400,7 +385,8 @@ def cost_of(training: Training, engine: str = "auto") -> Cost:
             learned, state, *_ = iterate(learned, state)
         float(learned.steps)
         rate = _TIMED * training.steps_per_iteration / (time.perf_counter() - began)
-        wall, said = began - compiles + steps / rate, f"{rate:,.0f} control steps/s, measured now"
+        wall, said = steps / rate, f"{rate:,.0f} control steps/s, measured now"
+        notes.append(f"Compiling takes {began - compiles:.0f} s on top.")
     seen = worlds.observation_size + worlds.privileged_size
     units = [seen, *training.algorithm.hidden]
     weights = 2 * sum(a * b for a, b in itertools.pairwise(units))
@@ -408,14 +394,6 @@ def cost_of(training: Training, engine: str = "auto") -> Cost:
     disk = KEPT * 16 * weights + 40 * 8 * training.iterations
     walks = 2 * training.evaluation.bodies  # by the policy, and by the controller alone
     evaluated = sum(walks * float(training.run.seconds(setup.cycle_rate({}))[1]) for setup, _ in training.evaluated())
-    return Cost(
-        engine=name,
-        iterations=training.iterations,
-        steps_per_iteration=training.steps_per_iteration,
-        steps=steps,
-        simulated_seconds=steps * worlds.step_seconds,
-        wall_seconds=wall,
-        rate_from=said,
-        disk_bytes=disk,
-        evaluated_seconds=evaluated,
-    )
+    notes.append(f"Then the evaluation simulates {evaluated:,.0f} s, and compiles, on top.")
+    counts = {"iterations": training.iterations, "steps_per_iteration": training.steps_per_iteration, "steps": steps}
+    return Forecast(name, counts, steps * worlds.step_seconds, wall, said, disk, notes=tuple(notes))

@@ -24,10 +24,10 @@ from nermo_mjx.rollout.run import too_many
 from nermo_mjx.specs.controllers import code_identity, known_names
 from nermo_mjx.specs.described import Described, digest_of
 from nermo_mjx.specs.fields import Fields, Refused, optional, read
-from nermo_mjx.specs.model import Spec, named, one_of, written
-from nermo_mjx.specs.reading import Document, SpecError, plain
+from nermo_mjx.specs.model import Spec, named_section, one_of, written
+from nermo_mjx.specs.reading import Document, SpecError, plain_data
 from nermo_mjx.specs.values import Choice, Ends, Finite, Positive, Whole
-from nermo_mjx.specs.walk import Pilot, SceneField, WalkFields, WalkSpec, pilot_options, read_walk, scene_beside
+from nermo_mjx.specs.walk import PilotFields, SceneField, WalkFields, WalkSpec, pilot_options, read_walk, scene_beside
 
 
 class SceneFields(Fields):
@@ -38,7 +38,7 @@ class SceneFields(Fields):
     example: ClassVar = "scene: planks"
     scene: SceneField
     """where it walks, as the file's own 'scene'"""
-    pilot: Pilot = optional("what steers the robot there, by default the file's own")
+    pilot: PilotFields = optional("what steers the robot there, by default the file's own")
     corridor: Positive = optional("distance from the path at which an episode fails there [m]")
     set: dict[str, Finite] = Field({})
     """parameters with one value there"""
@@ -95,7 +95,7 @@ def read_scenes(doc: Document, fields: Sequence[SceneFields], setup: Setup, task
             task, set={**task.set, **values}, randomize=drawn | each.randomize, corridor=each.corridor or task.corridor
         )
         chosen = {name: value for name, value in each if value != SceneFields.model_fields[name].default}
-        written |= plain({name: value for name, value in chosen.items() if name != "pilot"})
+        written |= plain_data({name: value for name, value in chosen.items() if name != "pilot"})
         found.append(SceneTask(there, own, written, each.share))
     return tuple(found)
 
@@ -107,7 +107,7 @@ ALGORITHMS: Final[Mapping[str, type[Spec]]] = {"ppo": PPO, "short_horizon": Shor
 
 
 @dataclasses.dataclass(frozen=True)
-class Evaluation(Spec):
+class EvaluationSpec(Spec):
     """On what a policy is evaluated at the end: unseen bodies and starts, on each of some scenes."""
 
     what = "a field of the evaluation"
@@ -170,7 +170,7 @@ class TrainingFile(WalkFields):
         "when the training ends before its steps are over: at the first checkpoint that the "
         "validation finds good enough"
     )
-    evaluate: Evaluation = Field(default_factory=Evaluation)
+    evaluate: EvaluationSpec = Field(default_factory=EvaluationSpec)
     """on what the policy is evaluated at the end"""
     plots: bool = True
     """whether figures are made at the end"""
@@ -203,7 +203,7 @@ class Training(WalkSpec, Described):
     seed: int
     validation: int
     until: Until | None
-    evaluation: Evaluation
+    evaluation: EvaluationSpec
     plots: bool
 
     @classmethod
@@ -268,14 +268,14 @@ class Training(WalkSpec, Described):
 
     def resolved(self, folder: Path | None = None) -> dict[str, Any]:
         data = self.walk_fields(folder)
-        data["task"] = written(self.task) | {"action": named(self.task.action, ACTIONS)}
+        data["task"] = written(self.task) | {"action": named_section(self.task.action, ACTIONS)}
         data["task"]["rewards"] = {str(name): float(weight) for name, weight in self.task.rewards.items()}
         data["task"]["set"] = {name: value for name, value in self.task.set.items() if name not in self.constants}
         data["randomize"] = {name: [float(low), float(high)] for name, (low, high) in self.task.randomize.items()}
         if self.scenes:
             data["scenes"] = [dict(each.written) for each in self.scenes]
             del data["scene"]
-        data["algorithm"] = named(self.algorithm, ALGORITHMS)
+        data["algorithm"] = named_section(self.algorithm, ALGORITHMS)
         data |= {name: getattr(self, name) for name in ("worlds", "steps", "checkpoint", "seed")}
         data |= {"validation": self.validation} if self.validation else {}
         data |= {} if self.until is None else {"until": written(self.until)}
@@ -365,7 +365,7 @@ def _read(doc: Document) -> Training:
     return training
 
 
-def _evaluated(setup: Setup, task: Task, evaluation: Evaluation) -> Task:
+def _evaluated(setup: Setup, task: Task, evaluation: EvaluationSpec) -> Task:
     """The task of an evaluation: with its values and ranges where the setup has them, and no draws that it has not."""
     known = terrain_values(str(setup.scene)), task_parameters(setup)
 

@@ -34,7 +34,7 @@ from nermo_mjx.rollout.loop import LoopState
 from nermo_mjx.rollout.setup import Window
 from nermo_mjx.rollout.simulator import MOST_RECORDED, TICK_BYTES, default_precision
 from nermo_mjx.runs.code import versions
-from nermo_mjx.runs.files import plain
+from nermo_mjx.runs.files import plain_json
 from nermo_mjx.specs.controllers import code_identity
 from nermo_mjx.specs.walk import RecordedSetup, WalkSpec
 from nermo_mjx.trust import FileError
@@ -325,7 +325,7 @@ class Driving:
         qpos, qvel, ctrl, sensordata = map(np.stack, zip(*rows, strict=True))
         sensors = self.simulator.robot.sensors(sensordata)
         named = {field.name: np.asarray(getattr(sensors, field.name)) for field in dataclasses.fields(sensors)}
-        about = plain(self.about | {"driven": driven}) if driven else self.about
+        about = plain_json(self.about | {"driven": driven}) if driven else self.about
         return Recording(time, qpos, qvel, ctrl, named, self._hash, about)
 
     def _acting(self, commanded: Mapping[str, float], modes: Mapping[str, set[str]]) -> Any:
@@ -417,7 +417,7 @@ class Journal:
         """
         self.path, self._driving, self.error = path, driving, cast("OSError | None", None)
         self._file, self._stop, self._told = path.open("xb", buffering=0), threading.Event(), (0, 0, 0)
-        self._left = json.dumps(plain(driving.about | {"driven": {"values": driving.values}})).encode() + b"\n"
+        self._left = json.dumps(plain_json(driving.about | {"driven": {"values": driving.values}})).encode() + b"\n"
         self._thread = threading.Thread(target=self._work, daemon=True)
         self._thread.start()
 
@@ -431,7 +431,7 @@ class Journal:
             commands, pushes = commands + len(piece["commands"]), pushes + len(piece["pushes"])
             self._told = commands, pushes, samples + len(piece["samples"])
             if before != (before := (ticks, self._told)):
-                self._left += json.dumps(plain(piece)).encode() + b"\n"
+                self._left += json.dumps(plain_json(piece)).encode() + b"\n"
             try:
                 while self._left:
                     self._left = self._left[self._file.write(self._left) :]

@@ -184,7 +184,7 @@ class Message(Commanded):
     shown: Annotated[int, Field(strict=True)] | None = None
 
 
-class Drive:
+class LiveDrive:
     """A drive under a page, in real time.
 
     Attributes:

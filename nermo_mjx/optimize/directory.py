@@ -5,6 +5,7 @@ DIR/tuning.yaml       the resolved tuning
 DIR/recording.npz     a copy of its reference recording, if any, so that the directory can be moved
 DIR/checkpoints/      Orbax checkpoints, the latest few, with state and history
 DIR/history.parquet   one row per iteration and start
+DIR/results/          the landscape behind the paths, see `nermo_mjx.runs.rows`; that of another best in DIR/former/
 DIR/best.json, DIR/tuned.yaml, DIR/plots/, DIR/video.mp4   made from the history
 
 A search:
@@ -58,7 +59,7 @@ from nermo_mjx.runs.files import (
     stored_table,
     to_json,
 )
-from nermo_mjx.runs.rows import RESULTS, Runs, opened, part_files
+from nermo_mjx.runs.rows import RESULTS, Runs, opened_part, part_files
 from nermo_mjx.runs.status import Status, metadata_of, status_of
 from nermo_mjx.specs.controllers import with_code_copied
 from nermo_mjx.specs.described import write_described
@@ -131,7 +132,7 @@ class HistoryColumn(NamedTuple):
 
 
 @dataclasses.dataclass(frozen=True)
-class History:
+class TuningHistory:
     """The history of a tuning so far.
 
     Attributes:
@@ -154,7 +155,7 @@ class History:
         names = [column.name for column in history_columns(self.tuning, self.metrics)]
         return self.rows[:, :, names.index(name)]
 
-    def extended(self, found: Iterate, wall_seconds: float, code: str) -> History:
+    def extended(self, found: Iterate, wall_seconds: float, code: str) -> TuningHistory:
         """The history with one more iteration, its duration and its code."""
         tuning, known = self.tuning, [*(self.tuning.metrics | self.tuning.objective_metrics)]
         metrics = self.metrics or tuple(sorted(found.metrics, key=known.index))
@@ -169,7 +170,7 @@ class History:
         row = np.stack([np.asarray(numbers[c.name], float) for c in history_columns(tuning, metrics)], axis=-1)[None]
         codes = self.codes if self.codes and self.codes[-1][1] == code else (*self.codes, (len(self), code))
         rows = np.concatenate([self.rows, row]) if len(self) else row
-        return History(tuning, metrics, rows, codes)
+        return TuningHistory(tuning, metrics, rows, codes)
 
     def table(self) -> pa.Table:
         """The history as a table: iterations in order, the starts of each side by side."""
@@ -326,7 +327,7 @@ class TuningDirectory:
     def __exit__(self, *_: object) -> None:
         self._stack.close()
 
-    def restore(self, *, accept: bool = False) -> tuple[TuneState, History]:
+    def restore(self, *, accept: bool = False) -> tuple[TuneState, TuningHistory]:
         """Where the tuning is, and its history so far; damaged checkpoints are moved aside.
 
         Args:
@@ -350,10 +351,10 @@ class TuningDirectory:
 
         found = self._checkpoints.restore(shapes, self.warn)
         if found is None:
-            return like, History(self.tuning)
+            return like, TuningHistory(self.tuning)
         parts, about = found
         codes = tuple((int(first), str(code)) for first, code in about["codes"])
-        return parts["state"], History(self.tuning, tuple(about["metrics"]), parts["history"], codes)
+        return parts["state"], TuningHistory(self.tuning, tuple(about["metrics"]), parts["history"], codes)
 
     def _refuse(self, there: Mapping[str, Any], accept: bool) -> None:
         """Refuse a checkpoint of another tuning, or of one with other defaults that are not accepted."""
@@ -374,7 +375,7 @@ class TuningDirectory:
                 "--accept-new-code, and distinguish the rows by their column code."
             )
 
-    def claim(self, history: History) -> None:
+    def claim(self, history: TuningHistory) -> None:
         """Claim the directory for this tuning; existing files that do not follow from this history are moved aside."""
         made = (HISTORY, BEST, "tuned.yaml")
         content = content_of(self.out / HISTORY)
@@ -389,7 +390,7 @@ class TuningDirectory:
         self.tuning = keep_recording(self.held, dataclasses.replace(self.tuning, setup=setup), self.warn)
         write_described(self.held, TUNING, self.tuning, read_stored, self.warn)
 
-    def keep(self, state: TuneState, history: History) -> dict[str, Any] | None:
+    def keep(self, state: TuneState, history: TuningHistory) -> dict[str, Any] | None:
         """Store a state and its history, and make the other files from it; the content of best.json, if any."""
         about = {
             "digest": self._digest,
@@ -403,7 +404,7 @@ class TuningDirectory:
             self._checkpoints.save(int(state.iteration), {"state": state, "history": history.rows}, about)
         return self.publish(history)
 
-    def publish(self, history: History) -> dict[str, Any] | None:
+    def publish(self, history: TuningHistory) -> dict[str, Any] | None:
         """Make history.parquet, best.json and tuned.yaml from the history; the content of best.json, if any."""
         best = history.best()
         self.held.write(HISTORY, parquet_bytes(history.table()))
@@ -507,7 +508,7 @@ class Batches:
         self.runs = Runs(self.out, search.digest(), warn=warn, held=held)
         self._parts = {}
         for part in self.runs.parts:
-            with opened(part.path) as file:
+            with opened_part(part.path) as file:
                 self._parts[int(file.metadata.metadata[b"chunk"])] = part
 
     def read(self, batch: int, rows: Rows) -> pa.Table | None:
@@ -518,7 +519,7 @@ class Batches:
         """
         if (part := self._parts.get(batch)) is None:
             return None
-        with opened(part.path) as file:
+        with opened_part(part.path) as file:
             table = file.read()
         near = table.column("variant").to_pylist() == rows.variant.tolist()
         for axis in self.search.sweep.axes if near else ():
@@ -759,7 +760,7 @@ def atlas_table(found: Evaluations) -> pa.Table:
 _AT_ONCE: Final = 32
 
 
-def kept_rows(found: Evaluations, best: int) -> list[int]:
+def rows_to_record(found: Evaluations, best: int) -> list[int]:
     """First rows of the points to record: the best ones, or evenly along the front or over the cells of an atlas.
 
     Args:
@@ -786,7 +787,7 @@ def keep_recordings(batches: Batches, best: dict[str, Any], computer: SweepSimul
         RecordingError, DirectoryError: one cannot be written.
     """
     search, found = batches.search, Evaluations.of(batches.search, batches.out)
-    rows = kept_rows(found, best["row"] // search.repeats)
+    rows = rows_to_record(found, best["row"] // search.repeats)
     files = {row: recording_file(batches.out, row) for row in rows}
     missing = [row for row, path in files.items() if not path.exists()]
     if missing:
@@ -819,7 +820,7 @@ def find_evaluation(out: str | os.PathLike[str], row: int) -> SweepRow:
     values = {name: np.array([stored[name]]) for name in columns_of(table, "varied", "randomized")}
     index = {name: np.array([stored[name]]) for name in ("variant", "repeat", "seed")}
     line = Rows(**index, values=values, structure=np.zeros(1, int))
-    with opened(part_files(out)[0]) as file:
+    with opened_part(part_files(out)[0]) as file:
         engine = file.schema_arrow.metadata[b"engine"].decode()
     return SweepRow(out, search.sweep, row, line, engine, stored)
 

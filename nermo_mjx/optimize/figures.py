@@ -34,7 +34,7 @@ from nermo_mjx.optimize.directory import (
     read_history,
 )
 from nermo_mjx.optimize.methods import cells_of, elites_of
-from nermo_mjx.optimize.objective import FURTHEST, TRAJECTORY_ERROR, Term
+from nermo_mjx.optimize.objective import FURTHEST, TRAJECTORY_ERROR, ObjectiveTerm
 from nermo_mjx.optimize.spec import Generations, Measure, Search, Tuned, Tuning
 from nermo_mjx.plotting.charts import (
     around,
@@ -52,10 +52,10 @@ from nermo_mjx.plotting.shown import ShownValues, shown, spoken
 from nermo_mjx.plotting.style import BAND, BEST, COLOURS, GRID, INK, LINE, MISSING, MUTED, SERIES
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.rollout import Run
-from nermo_mjx.runs import stamp
-from nermo_mjx.runs.files import DirectoryError, content_of, parquet_bytes, parquet_table
+from nermo_mjx.runs import RunDirectory, stamp
+from nermo_mjx.runs.files import DirectoryError, parquet_table
 from nermo_mjx.runs.job import Progress, Watch
-from nermo_mjx.runs.rows import part_files
+from nermo_mjx.runs.rows import Runs, Warn, keys_of, part_files, retire
 from nermo_mjx.sweep.plots import chosen_figure, survey_figures
 from nermo_mjx.sweep.simulating import SimulatorLike
 from nermo_mjx.sweep.table import Columns, Results, meta
@@ -357,12 +357,10 @@ def _finish(axes: Sequence[Axes], traces: Traces, columns: int = 1) -> None:
 
 #: Points along each parameter: for one, and for two. The ends of a periodic one coincide, and are simulated once.
 POINTS: Final = {1: 37, 2: 17}
-#: File in a tuning's directory, so that it is simulated only once.
-LANDSCAPE: Final = "plots/landscape.parquet"
 
 
 @dataclasses.dataclass(frozen=True)
-class Background:
+class Landscape:
     """The objective on a grid.
 
     Attributes:
@@ -374,6 +372,23 @@ class Background:
     axes: dict[str, np.ndarray]
     value: np.ndarray
     walks: str
+
+
+def landscape_runs(
+    out: Path, tuning: Tuning, best: Mapping[str, float], warn: Warn | None = None, held: RunDirectory | None = None
+) -> Runs:
+    """The store of a tuning's directory, where the grid's points are one part, simulated only once.
+
+    Its group is a hash of all that determines them: not the path over the grid, so not optimizer, starts and seed.
+
+    Args:
+        best: the best point, whose values the tuned parameters have that are not on the grid.
+        warn, held: see `nermo_mjx.runs.rows.Runs`.
+    """
+    axes = grid_axes(tuning)
+    others = {name: best[name] for name in tuning.names if name not in axes}
+    decisive = [tuning.without_path().digest(), [nodes.tolist() for nodes in axes.values()], others]
+    return Runs(out, hashlib.sha256(json.dumps(decisive).encode()).hexdigest()[:16], warn=warn, held=held)
 
 
 def grid_axes(tuning: Tuning) -> dict[str, np.ndarray]:
@@ -411,6 +426,7 @@ def simulate(
     status = np.asarray(result.status)
     value = np.where(status == "ok", np.asarray(tuning.objective.value(result.metrics), float), np.nan)
     table, parameters = Columns(), tuning.parameters
+    table.add("row", np.arange(count), "index", "1", "position on the grid, the last parameter running fastest")
     for name, column in (grid | {name: fixed[name] for name in others}).items():
         table.add(name, column, "varied" if name in grid else "fixed", parameters[name].unit, parameters[name].doc)
     table.add("objective", value, "objective", "1", "value that is minimized; NaN where the robot fell")
@@ -418,41 +434,29 @@ def simulate(
         table.add(name, np.asarray(result.metrics[name]), "metric", tuning.metrics[name].unit, tuning.metrics[name].doc)
     table.add("status", status, "status", "1", "ok, or how the run ended")
     made_by = stamp(tuning.setup.load().fingerprint, result.engine)
-    about = {"landscape": key(tuning, best), "engine": result.engine, "code": json.dumps(made_by.fields())}
+    about = {"engine": result.engine, "code": json.dumps(made_by.fields())}
     return table.table(about)
 
 
-def background_of(tuning: Tuning, table: pa.Table | None) -> Background | None:
+def landscape_of(tuning: Tuning, table: pa.Table) -> Landscape:
     """The grid that `simulate` made a table of; the end of a periodic parameter is its beginning."""
-    if table is None:
-        return None
     axes = grid_axes(tuning)
     periodic = [each.periodic for each in tuning.tuned[:2]]
     shape = [len(nodes) - wraps for nodes, wraps in zip(axes.values(), periodic, strict=True)]
     value = table.column("objective").to_numpy().reshape(shape)
     value = np.pad(value, [(0, int(wraps)) for wraps in periodic], mode="wrap")
-    return Background(axes, value, f"{table.num_rows} walks, engine {table.schema.metadata[b'engine'].decode()}")
+    return Landscape(axes, value, f"{table.num_rows} walks, engine {table.schema.metadata[b'engine'].decode()}")
 
 
-def stored_background(out: Path, tuning: Tuning, best: Mapping[str, float]) -> pa.Table | None:
-    """The table in a directory, if it is the right one; raises `DirectoryError` if it cannot be read now."""
-    content = content_of(out / LANDSCAPE)
-    table = None if content is None else parquet_table(content)
-    right = table is not None and (table.schema.metadata or {}).get(b"landscape") == key(tuning, best).encode()
-    return table if right else None
+def stored_landscape(tuning: Tuning, runs: Runs) -> Landscape | None:
+    """The grid in a directory's store, if it is there."""
+    table = parquet_table(runs.parts[0].path) if runs.parts else None
+    return None if table is None else landscape_of(tuning, table)
 
 
-def has_background(tuning: Tuning) -> bool:
+def has_landscape(tuning: Tuning) -> bool:
     """Whether the metrics of a walk are all that the objective needs: a recording is compared with in MJX only."""
     return TRAJECTORY_ERROR not in tuning.objective.metrics
-
-
-def key(tuning: Tuning, best: Mapping[str, float]) -> str:
-    """A hash of all that determines the grid: not the path over it, so not optimizer, starts and seed."""
-    axes = grid_axes(tuning)
-    others = {name: best[name] for name in tuning.names if name not in axes}
-    decisive = [tuning.without_path().digest(), [nodes.tolist() for nodes in axes.values()], others]
-    return hashlib.sha256(json.dumps(decisive).encode()).hexdigest()[:16]
 
 
 # ---
@@ -467,22 +471,22 @@ _LABEL: Final = "objective, lower is better [1]"
 _COVERED: Final = 0.97
 
 
-def path_figure(traces: Traces, background: Background | None = None) -> Figure:
+def path_figure(traces: Traces, landscape: Landscape | None = None) -> Figure:
     """The paths over the first two tuned parameters, or of a single one its objective."""
     beneath = ""
-    if background is not None:
-        rest = len(traces.tuning.tuned) - len(background.axes)
-        beneath = f"landscape: {background.walks}" + (", the other parameters as in the best point" if rest else "")
+    if landscape is not None:
+        rest = len(traces.tuning.tuned) - len(landscape.axes)
+        beneath = f"landscape: {landscape.walks}" + (", the other parameters as in the best point" if rest else "")
     if len(traces.tuning.tuned) == 1:
-        return _line(traces, background, beneath)
+        return _line(traces, landscape, beneath)
     pair = traces.tuning.tuned[:2]
     note = f"ring: start; dot: end; star: best; {beneath or 'colour: objective'}"
     figure = page(f"Path over {spoken(pair[0].name)} and {spoken(pair[1].name)}", 6.9, 5.4, note)
     ax = figure.subplots()
-    ax.set_facecolor("white" if background is None else MISSING)
+    ax.set_facecolor("white" if landscape is None else MISSING)
     ends = [traces.in_shown_unit(each.name, np.array(each.bounds)) for each in pair]
-    if background is not None:
-        _draw_background(figure, ax, traces, background)
+    if landscape is not None:
+        _draw_landscape(figure, ax, traces, landscape)
     else:
         _draw_values(figure, ax, traces)
     paths = [traces.in_shown_unit(each.name, traces.unwrapped(each)) for each in pair]
@@ -495,7 +499,7 @@ def path_figure(traces: Traces, background: Background | None = None) -> Figure:
             turns.append(range(first, last + 1))
         copies = list(itertools.product(*turns))  # so that all pieces of the path lie within the bounds
         look: Literal["best", "", "thin"] = "best" if start == traces.best[1] else ""
-        _draw_path(ax, path, copies, [float(np.ptp(end)) for end in ends], "thin" if background is None else look)
+        _draw_path(ax, path, copies, [float(np.ptp(end)) for end in ends], "thin" if landscape is None else look)
     best = [float(traces.in_shown_unit(each.name, traces.column(each.name)[traces.best])) for each in pair]
     star(ax, best[0], best[1], 230, 1.2)
     quantities = [ShownValues(t.name, traces.quantity(t.name).unit, end) for t, end in zip(pair, ends, strict=True)]
@@ -504,15 +508,15 @@ def path_figure(traces: Traces, background: Background | None = None) -> Figure:
     return figure
 
 
-def _line(traces: Traces, background: Background | None, beneath: str) -> Figure:
+def _line(traces: Traces, landscape: Landscape | None, beneath: str) -> Figure:
     """The objective over the only parameter: the landscape as a line, and the points that each start visited."""
     (each,) = traces.tuning.tuned
     note = "; ".join(filter(None, ("dots: evaluations, larger towards the end; star: best", beneath)))
     figure = page(f"Objective over {spoken(each.name)} (lower is better)", 7.2, 4.0, note)
     ax = figure.subplots()
-    if background is not None:
-        nodes = traces.in_shown_unit(each.name, background.axes[each.name])
-        ax.plot(nodes, background.value, color=MUTED, lw=1.4, zorder=1)
+    if landscape is not None:
+        nodes = traces.in_shown_unit(each.name, landscape.axes[each.name])
+        ax.plot(nodes, landscape.value, color=MUTED, lw=1.4, zorder=1)
     place, value = traces.in_shown_unit(each.name, traces.column(each.name)), traces.column("objective")
     for start, style in start_styles(traces).items():
         dots = {name: style[name] for name in ("color", "zorder", "label")}
@@ -528,19 +532,19 @@ def _line(traces: Traces, background: Background | None, beneath: str) -> Figure
     return figure
 
 
-def _draw_background(figure: Figure, ax: Axes, traces: Traces, background: Background) -> None:
+def _draw_landscape(figure: Figure, ax: Axes, traces: Traces, landscape: Landscape) -> None:
     """Filled contours; where the robot did not walk to the end, grey hatching shows through."""
     ax.add_patch(Rectangle((0, 0), 1, 1, transform=ax.transAxes, fc=MISSING, ec="white", hatch="////", lw=0, zorder=0))
-    good = background.value[np.isfinite(background.value)]
+    good = landscape.value[np.isfinite(landscape.value)]
     if not len(good):
         return
     low, high = float(good.min()), float(np.quantile(good, _COVERED))
     high = high if high > low else low + max(1e-9, 1e-6 * abs(low))
-    x, y = (traces.in_shown_unit(name, nodes) for name, nodes in background.axes.items())
+    x, y = (traces.in_shown_unit(name, nodes) for name, nodes in landscape.axes.items())
     cut = "max" if good.max() > high else "neither"
     # The outermost points stand a little inside of the bounds, and their colours reach there.
     x[[0, -1]], y[[0, -1]] = (traces.in_shown_unit(t.name, np.array(t.bounds)) for t in traces.tuning.tuned[:2])
-    shown = np.ma.masked_invalid(background.value.T)
+    shown = np.ma.masked_invalid(landscape.value.T)
     # The lines are denser towards the best point, and evenly spaced if the objective is a parabola.
     levels = low + (high - low) * np.linspace(0.0, 1.0, _LEVELS + 1) ** 2
     scale = PowerNorm(0.5, low, high)
@@ -594,20 +598,20 @@ def _draw_path(
 # Which figures and video a tuning gives.
 
 
-def tuning_figures_of(tuning: Tuning, history: pa.Table, background: Background | None = None) -> Figures:
+def tuning_figures_of(tuning: Tuning, history: pa.Table, landscape: Landscape | None = None) -> Figures:
     """The figures of a tuning: `objective`, `parameters`, `gradients` where it has some, and `path`.
 
     Args:
         tuning: that was run.
         history: its table, as `read_history` returns it; in some iteration the robot walked to the end.
-        background: the objective's landscape behind the paths.
+        landscape: the objective's landscape behind the paths.
     """
     traces = Traces.of(tuning, history)
     yield "objective", objective_figure(traces)
     yield "parameters", parameters_figure(traces)
     if tuning.method.has_gradient:
         yield "gradients", gradients_figure(traces)
-    yield "path", path_figure(traces, background)
+    yield "path", path_figure(traces, landscape)
 
 
 def tuning_figures(out: Path) -> Figures:
@@ -624,8 +628,8 @@ def tuning_figures(out: Path) -> Figures:
         )
     traces = Traces.of(tuning, history)
     best = {name: float(traces.column(name)[traces.best]) for name in tuning.names}
-    table = stored_background(out, tuning, best) if has_background(tuning) else None
-    return tuning_figures_of(tuning, history, background_of(tuning, table))
+    landscape = stored_landscape(tuning, landscape_runs(out, tuning, best)) if has_landscape(tuning) else None
+    return tuning_figures_of(tuning, history, landscape)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -667,27 +671,29 @@ def make_pictures(
 
     plots: list[Path] = []
     if tuning.plots:
-        table = None
-        if simulator is not None and has_background(tuning):
-            table = stored_background(out, tuning, best["parameters"])
-            if table is None:
+        landscape = None
+        if simulator is not None and has_landscape(tuning):
+            runs = landscape_runs(out, tuning, best["parameters"], watch.warn, directory.held)
+            if not runs.parts:
                 drawing("landscape")
                 try:
                     table = simulate(tuning, best["parameters"], simulator(), lambda share: drawing("landscape", share))
-                    directory.held.set_aside("of another best point, or damaged", [LANDSCAPE], watch.warn)
-                    directory.held.write(LANDSCAPE, parquet_bytes(table))
+                    retire(directory.held, runs.group)
+                    values = {name: table[name].to_numpy() for name in grid_axes(tuning)}
+                    runs.add(keys_of(runs.group, values, table.num_rows), table)
                 except ParameterError as error:
                     notes.append(
                         f"There is no landscape behind the paths, because some of it cannot be walked: {error}"
                     )
+            landscape = stored_landscape(tuning, runs)
         drawing("plots")
-        plots = write_figures(tuning_figures_of(tuning, history, background_of(tuning, table)), out / "plots")
+        plots = write_figures(tuning_figures_of(tuning, history, landscape), out / "plots")
     video = out / VIDEO if tuning.video and simulator is not None else None
     if video is not None and simulator is not None and not video.exists():
         try:
             check_video(tuning.setup.load().model, video, camera=CAMERA)  # before anything walks for it
             drawing("video")
-            render_video(tuning, start, best, simulator(), video, lambda share: drawing("video", share))
+            render_tuning(tuning, start, best, simulator(), video, lambda share: drawing("video", share))
         except (VideoError, RecordingError) as error:
             video, notes = None, [*notes, f"There is no video. {error}"]
     return Pictures(tuple(plots), video, tuple(notes))
@@ -706,7 +712,7 @@ FPS, WIDTH, HEIGHT = 25, 480, 360
 CAMERA: Final = "high"
 
 
-def render_video(
+def render_tuning(
     tuning: Tuning,
     start: Mapping[str, Any],
     best: Mapping[str, Any],
@@ -774,7 +780,7 @@ def search_figures_of(search: Search, results: Results) -> Figures:
         yield "atlas", atlas(found)
         yield "coverage", coverage(found)
     elif search.aim.pareto:
-        yield "front", front(found)
+        yield "front", front_figure(found)
         yield "hypervolume", hypervolume(found)
     else:
         yield "convergence", convergence(found)
@@ -837,7 +843,7 @@ def convergence(found: Evaluations) -> Figure:
     return figure
 
 
-def front(found: Evaluations) -> Figure:
+def front_figure(found: Evaluations) -> Figure:
     """The first two objectives against each other, with the front of these two or of all."""
     terms, best = found.search.aim.objective.terms, found.front()
     allowed = np.flatnonzero(found.scores.allowed)
@@ -979,7 +985,7 @@ def _term_values(found: Evaluations, place: int) -> ShownValues:
     return _quantity(found, term.metric, _as_metric(term, cost))
 
 
-def _as_metric(term: Term, cost: np.ndarray | float) -> np.ndarray | float:
+def _as_metric(term: ObjectiveTerm, cost: np.ndarray | float) -> np.ndarray | float:
     """The metric of a cost, of a term that maximizes or minimizes it."""
     return cost if term.aim == "hold" else cost * term.scale / term.weight * (-1.0 if term.aim == "maximize" else 1.0)
 

@@ -28,7 +28,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pyarrow as pa
-from jaxtyping import Bool, Float, Int
+import pyarrow.compute as pc
+from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -58,12 +59,12 @@ from nermo_mjx.runs.files import (
     to_json,
 )
 from nermo_mjx.runs.job import SILENT, Interrupted, Progress, Watch
-from nermo_mjx.runs.rows import Runs, keys_of, part_files
+from nermo_mjx.runs.rows import Columns, Runs, keys_of, part_files
 from nermo_mjx.runs.status import Status, last_command, metadata_of
 from nermo_mjx.specs.described import write_described
 from nermo_mjx.specs.model import written
 from nermo_mjx.specs.reading import changes
-from nermo_mjx.sweep.table import Columns, joined
+from nermo_mjx.sweep.table import joined
 
 # ---
 # Which points a landscape is measured at: a line along each parameter, and pairs of points about some of them.
@@ -76,56 +77,41 @@ WIDTHS: Final = (0.001, 0.005, 0.02, 0.05, 0.1)
 CENTRES: Final = 9
 #: Fraction of a line left free at both ends, so that the widest secants fit.
 _MARGIN: Final = 0.25
+#: What tells the points apart: their columns in the table, beside those of the parameters.
+_INDEX: Final = {
+    "line": "parameter that changes along the line",
+    "centre": "of a secant's end: position in the line of its middle; else -1",
+    "width": "of a secant's end: share of the parameter's bounds; else 0",
+    "side": "of a secant's end: -1 or 1; else 0",
+}
 
 
-@dataclasses.dataclass(frozen=True)
-class Plan:
-    """The n points of a landscape of p parameters, line by line; of each line first its own points, from low to high.
-
-    Attributes:
-        points: (n, p); line: which parameter changes (n,).
-        centre, width, side: of a secant's end the point of its line in the middle, the share of the range, and -1 or 1
-            (n,); of a point of the line itself -1, 0 and 0.
-    """
-
-    points: Float[np.ndarray, "n p"]
-    line: Int[np.ndarray, " n"]
-    centre: Int[np.ndarray, " n"]
-    width: Float[np.ndarray, " n"]
-    side: Int[np.ndarray, " n"]
-
-    def __len__(self) -> int:
-        return len(self.points)
-
-
-def plan(tuning: Tuning, points: int, span: float) -> Plan:
-    """Lines through the given start over the bounds.
+def points_along(tuning: Tuning, points: int, span: float) -> dict[str, np.ndarray]:
+    """Lines through the given start over the bounds, each with its secants: the columns `_INDEX` and parameters, (n,).
 
     Args:
-        points: of each line, ends included.
+        points: of each line, ends included; they come first, from low to high.
         span: length of each line, as a fraction of the bounds; shorter ones lie about the start.
     """
-    start = np.array([each.start for each in tuning.tuned])
-    rows: list[tuple[float, int, int, float, int]] = []
-    for i, each in enumerate(tuning.tuned):
-        bounds = each.high - each.low
+    rows: list[tuple[str, int, float, int, float]] = []
+    for tuned in tuning.tuned:
+        bounds = tuned.high - tuned.low
         # Like a tuner's points, these stop short of the bounds.
-        low, high = each.low + FURTHEST * bounds, each.high - FURTHEST * bounds
+        low, high = tuned.low + FURTHEST * bounds, tuned.high - FURTHEST * bounds
         length = span * (high - low)
-        first = min(max(each.start - length / 2, low), high - length)
+        first = min(max(tuned.start - length / 2, low), high - length)
         line = np.linspace(first, first + length, points)
-        rows += [(x, i, -1, 0.0, 0) for x in line]
+        rows += [(tuned.name, -1, 0.0, 0, x) for x in line]
         # Evenly spread, as far from the line's ends as the widest secants reach.
         margin = min(0.5 * max(WIDTHS) * bounds, _MARGIN * (line[-1] - line[0]))
         inner = np.flatnonzero((line - line[0] >= margin) & (line[-1] - line >= margin))
         middles = np.unique(inner[np.linspace(0, len(inner) - 1, CENTRES).round().astype(int)]).tolist()
         for middle, share in itertools.product(middles, WIDTHS):
-            ends = [(line[middle] + side * 0.5 * share * bounds, i, middle, share, side) for side in (-1, 1)]
-            rows += ends if low <= ends[0][0] and ends[1][0] <= high else []
-    x, which, centre, width, side = map(np.array, zip(*rows, strict=True))
-    where = np.tile(start, (len(rows), 1))
-    where[np.arange(len(rows)), which] = x
-    return Plan(where, which, centre, width, side)
+            ends = [(tuned.name, middle, share, side, line[middle] + side * 0.5 * share * bounds) for side in (-1, 1)]
+            rows += ends if low <= ends[0][-1] and ends[1][-1] <= high else []
+    *index, x = map(np.array, zip(*rows, strict=True))
+    columns = dict(zip(_INDEX, index, strict=True))
+    return columns | {each.name: np.where(columns["line"] == each.name, x, each.start) for each in tuning.tuned}
 
 
 # ---
@@ -137,106 +123,60 @@ _WINDOW: Final = 7
 
 
 @dataclasses.dataclass(frozen=True)
-class Secants:
-    """Secants of one width on one line, one per centre; those with an end at which the robot fell are left out.
-
-    Attributes:
-        share, width: distance of the ends, as a fraction of the parameter's bounds and in its unit.
-        centre: middles (k,), in the parameter's unit.
-        secant, slope: slopes of the secants, and exact ones at the middles (k,).
-        ripple: root mean square, over the centres, of the residual standard deviation of a parabola through all points
-            within the width; NaN where there are too few of them.
-    """
-
-    share: float
-    width: float
-    centre: Float[np.ndarray, " k"]
-    secant: Float[np.ndarray, " k"]
-    slope: Float[np.ndarray, " k"]
-    ripple: float
-
-    @property
-    def error(self) -> float:
-        """Median of |slope - secant| / |secant|; NaN without secants."""
-        if not len(self.secant):
-            return math.nan
-        apart, size = np.abs(self.slope - self.secant), np.abs(self.secant)
-        # A flat place, where both are 0, is not an error.
-        relative = np.divide(apart, size, out=np.where(apart > 0, np.inf, 0.0), where=size > 0)
-        return float(np.median(relative))
-
-    @property
-    def sign_agreement(self) -> float:
-        """Share of the centres where slope and secant have one sign; NaN without secants."""
-        return float(np.mean(np.sign(self.slope) == np.sign(self.secant))) if len(self.secant) else math.nan
-
-    @property
-    def measures(self) -> dict[str, Any]:
-        """For landscape.json."""
-        of_all = {"median_relative_error": self.error, "sign_agreement": self.sign_agreement, "ripple": self.ripple}
-        return {"share": self.share, "width": self.width, "secants": len(self.secant)} | of_all
-
-
-@dataclasses.dataclass(frozen=True)
 class Slice:
     """One parameter's line through the start.
 
     Attributes:
         tuned: the parameter.
         x: its values (N,), increasing; value, slope: objective and its exact derivative (N,), NaN where the robot fell.
-        secants: of each width.
+        secants: of each of `WIDTHS` (k, 4): in the middle of each the parameter, its slope, the exact one, and the
+            residual of a parabola through all points within the width; none with an end at which the robot fell.
     """
 
     tuned: Tuned
     x: Float[np.ndarray, " N"]
     value: Float[np.ndarray, " N"]
     slope: Float[np.ndarray, " N"]
-    secants: tuple[Secants, ...]
+    secants: dict[float, Float[np.ndarray, "k 4"]]
 
-    @property
-    def ok(self) -> Bool[np.ndarray, " N"]:
-        """Where the robot walked to the end."""
-        return np.isfinite(self.value)
-
-    @property
-    def ripple(self) -> float:
-        """Like that of the secants, of parabolas through neighbouring points of the line."""
-        windows = [slice(i, i + _WINDOW) for i in range(len(self.x) - _WINDOW + 1)]
-        return _root_mean_square([_residual(self.x[part], self.value[part]) for part in windows])
+    def measures(self, share: float) -> dict[str, Any]:
+        """Of secants of a width, for landscape.json: the error is the median of |slope - secant| / |secant|."""
+        _, secant, slope, residual = self.secants[share].T
+        apart, size, count = np.abs(slope - secant), np.abs(secant), len(secant)
+        # A flat place, where both are 0, is not an error.
+        relative = np.divide(apart, size, out=np.where(apart > 0, np.inf, 0.0), where=size > 0)
+        return {
+            "share": share,
+            "width": share * (self.tuned.high - self.tuned.low),
+            "secants": count,
+            "median_relative_error": float(np.median(relative)) if count else math.nan,
+            "sign_agreement": float(np.mean(np.sign(slope) == np.sign(secant))) if count else math.nan,
+            "ripple": _root_mean_square(residual),
+        }
 
 
 def lines_of(tuning: Tuning, table: pa.Table) -> list[Slice]:
     """The lines of a landscape's table, one a tuned parameter."""
-    names = np.array(table.column("line").to_pylist())
-    columns = {name: table.column(name).to_numpy() for name in ("centre", "width", "side", "objective")}
     lines = []
     for tuned in tuning.tuned:
-        here = names == tuned.name
-        of_line = here & (columns["side"] == 0)
-        x, slope = (table.column(name).to_numpy() for name in (tuned.name, f"gradient.{tuned.name}"))
-        line = Slice(tuned, x[of_line], columns["objective"][of_line], slope[of_line], ())
-        ends = {name: column[here & ~of_line] for name, column in (columns | {"x": x}).items()}
-        secants = tuple(_secants(line, ends, share) for share in WIDTHS)
-        lines.append(dataclasses.replace(line, secants=secants))
+        names = ("centre", "width", "side", tuned.name, "objective", f"gradient.{tuned.name}")
+        rows = table.filter(pc.equal(table["line"], tuned.name))
+        centre, width, side, at, objective, gradient = (rows[name].to_numpy() for name in names)
+        x, value, slope = (column[side == 0] for column in (at, objective, gradient))
+        secants = {}
+        for share in WIDTHS:
+            complete = list[tuple[float, ...]]()
+            for middle in np.unique(centre[side != 0]).tolist():
+                low, high = (np.flatnonzero((centre == middle) & (width == share) & (side == end)) for end in (-1, 1))
+                if not len(low) or not np.isfinite([value[middle], *objective[low], *objective[high]]).all():
+                    continue
+                secant = (objective[high] - objective[low]).item() / (at[high] - at[low]).item()
+                near = (centre == middle) & (width <= share)
+                residual = _residual(np.append(at[near], x[middle]), np.append(objective[near], value[middle]))
+                complete.append((x[middle], secant, slope[middle], residual))
+            secants[share] = np.array(complete, float).reshape(-1, 4)
+        lines.append(Slice(tuned, x, value, slope, secants))
     return lines
-
-
-def _secants(line: Slice, ends: dict[str, np.ndarray], share: float) -> Secants:
-    """The secants of one width from the ends (m,) of all of a line's secants."""
-    found, ripple = [], []
-    bounds = line.tuned.high - line.tuned.low
-    for centre in np.unique(ends["centre"]).tolist():
-        own = ends["centre"] == centre
-        low, high = (own & (ends["width"] == share) & (ends["side"] == side) for side in (-1, 1))
-        if not low.any() or not line.ok[centre] or not np.isfinite(ends["objective"][low | high]).all():
-            continue
-        rise, run = ((ends[name][high] - ends[name][low]).item() for name in ("objective", "x"))
-        found.append((line.x[centre], rise / run, line.slope[centre]))
-        near = own & (ends["width"] <= share)
-        x, value = np.append(ends["x"][near], line.x[centre]), np.append(ends["objective"][near], line.value[centre])
-        ripple.append(_residual(x, value))
-    centre_x, secant, slope = np.array(found, float).reshape(-1, 3).T
-    return Secants(share, share * bounds, centre_x, secant, slope, _root_mean_square(ripple))
 
 
 def _residual(x: Float[np.ndarray, " k"], value: Float[np.ndarray, " k"]) -> float:
@@ -248,8 +188,9 @@ def _residual(x: Float[np.ndarray, " k"], value: Float[np.ndarray, " k"]) -> flo
     return math.sqrt(float(residual.sum()) / (len(x) - 3))
 
 
-def _root_mean_square(values: list[float]) -> float:
-    good = np.array(values)[np.isfinite(values)] if values else np.array([])
+def _root_mean_square(residuals: Float[np.ndarray, " k"]) -> float:
+    """Of those that are known; NaN without any."""
+    good = residuals[np.isfinite(residuals)]
     return float(np.sqrt(np.mean(good**2))) if len(good) else math.nan
 
 
@@ -273,24 +214,24 @@ def batch_size(count: int) -> int:
     return math.ceil(count / math.ceil(count / most))
 
 
-def points_of(runs: Runs) -> pa.Table:
+def stored_points(runs: Runs) -> pa.Table:
     """The table of all points, which are there; its metadata is of the batches, `session` of the last one."""
     parts = [stored_table(part.path, "points that can be read any more") for part in runs.parts]
     notes = [{key.decode(): text.decode() for key, text in part.schema.metadata.items()} for part in parts]
     about = max(notes, key=lambda each: json.loads(each["session"])["started"])
     about |= {"wall_seconds": f"{sum(part.seconds for part in runs.parts):.3f}", "batches": str(len(parts))}
-    table = joined([part.replace_schema_metadata(None) for part in parts], np.arange(len(runs.numbers)))
-    return table.drop_columns(["row", "key"]).replace_schema_metadata(about)
+    points = joined([part.replace_schema_metadata(None) for part in parts], np.arange(len(runs.numbers)))
+    return points.drop_columns(["row", "key"]).replace_schema_metadata(about)
 
 
 def check_directory(out: Path, wanted: Mapping[str, Any]) -> None:
     """Raise `WrongDirectory` if a directory holds all points of another landscape; see `identity`."""
     content = content_of(out / TABLE)
-    table = None if content is None else parquet_table(content)
-    notes = {} if table is None else table.schema.metadata or {}
-    if table is not None and notes.get(KEY.encode()) != key(wanted).encode():
-        known = json.loads(notes.get(IDENTITY.encode(), b"null")) or wanted
-        apart = changes(*({name: each[name] for name in each if name != "digest"} for each in (known, wanted)))
+    points = None if content is None else parquet_table(content)
+    notes = {} if points is None else points.schema.metadata or {}
+    if points is not None and notes.get(KEY.encode()) != key(wanted).encode():
+        there = json.loads(notes.get(IDENTITY.encode(), b"null")) or wanted
+        apart = changes(*({name: each[name] for name in each if name != "digest"} for each in (there, wanted)))
         which = f", with another {', '.join(apart)}" if apart else ""
         raise WrongDirectory(f"{out} holds another landscape{which}; choose another directory.")
 
@@ -300,8 +241,7 @@ def identity(tuning: Tuning, points: int, span: float) -> dict[str, Any]:
     walk = tuning.without_path()
     about = walk.identity()
     lines = {"points": points, "span": span, "centres": CENTRES, "widths": list(WIDTHS)}
-    recorded = {"recording": about["recording"][:8], "digest": walk.digest()}
-    return about["fields"] | about["defaults"] | recorded | lines
+    return about["fields"] | about["defaults"] | {"recording": about["recording"][:8], "digest": walk.digest()} | lines
 
 
 def key(identity: Mapping[str, Any]) -> str:
@@ -310,32 +250,59 @@ def key(identity: Mapping[str, Any]) -> str:
     return hashlib.sha256(json.dumps(decisive).encode()).hexdigest()[:16]
 
 
-def _table(tuning: Tuning, plan: Plan, rows: np.ndarray, points: np.ndarray, found: Evaluation, code: str) -> pa.Table:
-    """The table of some rows of the plan, the first ones of a batch at these points (n, p)."""
-    table, parameters, own = Columns(), tuning.parameters, slice(len(rows))
-    table.add("row", rows, "index", "1", "position in the plan")
-    names = np.array(tuning.names, dtype=object)
-    table.add("line", names[plan.line[rows]], "index", "1", "parameter that changes along the line")
-    about = "of a secant's end: position in the line of its middle; else -1"
-    table.add("centre", plan.centre[rows], "index", "1", about)
-    table.add("width", plan.width[rows], "index", "1", "of a secant's end: share of the parameter's bounds; else 0")
-    table.add("side", plan.side[rows], "index", "1", "of a secant's end: -1 or 1; else 0")
+def _evaluate(
+    tuning: Tuning,
+    problem: Problem,
+    columns: dict[str, np.ndarray],
+    runs: Runs,
+    about: dict[str, str],
+    code: str,
+    watch: Watch,
+) -> None:
+    """Evaluate the points that are missing, in batches; `about` is noted in the metadata of each."""
+    total, names = len(columns["line"]), tuning.names
+    points, there, size = np.stack([columns[name] for name in names], axis=1), len(runs.numbers), batch_size(total)
+    missing = np.setdiff1d(np.arange(total), runs.numbers)
+    watch.progress(Progress(there / total, there, total, there))
+    for first in range(0, len(missing), size):
+        began, rows = time.perf_counter(), missing[first : first + size]
+        # The last batch is filled up, so that one program is compiled. In double precision, but at the very points that
+        # are evaluated: a secant divides by their distance.
+        worlds = jnp.asarray(points[np.pad(rows, (0, size - len(rows)), mode="edge")], float)
+        results = problem.evaluate(worlds, True)
+        batch = _table(tuning, rows, columns, np.asarray(worlds, float), results, code)
+        about |= {"batch": str(size), "precision": str(np.asarray(results.value).dtype)}
+        about |= {"wall_seconds": f"{time.perf_counter() - began:.3f}"}
+        keys = keys_of(runs.group, {name: columns[name][rows] for name in names}, len(rows))
+        runs.add(keys, batch.replace_schema_metadata(about))
+        done = len(runs.numbers)
+        watch.progress(Progress(done / total, done, total, there))
+
+
+def _table(
+    tuning: Tuning, rows: np.ndarray, index: Mapping[str, np.ndarray], points: np.ndarray, found: Evaluation, code: str
+) -> pa.Table:
+    """The table of some rows, the first ones of a batch at these points (n, p)."""
+    batch, parameters, count = Columns(), tuning.parameters, len(rows)
+    batch.add("row", rows, "index", "1", "position in the plan")
+    for name, meaning in _INDEX.items():
+        batch.add(name, index[name][rows], "index", "1", meaning)
     for i, name in enumerate(tuning.names):
-        table.add(name, points[own, i], "parameter", parameters[name].unit, parameters[name].doc)
-    ok, slopes = np.asarray(found.ok, bool)[own], np.asarray(found.gradient)[own]
-    value = np.where(ok, found.value[own], np.nan)
-    table.add("objective", value, "objective", "1", "value that is minimized; NaN where the robot fell")
+        batch.add(name, points[:count, i], "parameter", parameters[name].unit, parameters[name].doc)
+    ok, slopes = np.asarray(found.ok, bool)[:count], np.asarray(found.gradient)[:count]
+    value = np.where(ok, found.value[:count], np.nan)
+    batch.add("objective", value, "objective", "1", "value that is minimized; NaN where the robot fell")
     for i, name in enumerate(tuning.names):
         unit = "1" if parameters[name].unit == "1" else f"1/({parameters[name].unit})"
         slope = np.where(ok, slopes[:, i], np.nan)
-        table.add(f"gradient.{name}", slope, "gradient", unit, f"exact d objective / d {name}")
+        batch.add(f"gradient.{name}", slope, "gradient", unit, f"exact d objective / d {name}")
     for name, values in found.metrics.items():
         metric = (tuning.metrics | tuning.objective_metrics)[name]
-        table.add(name, np.asarray(values)[own], "metric", metric.unit, metric.doc)
-    table.add("ok", ok, "status", "1", "whether the robot walked to the end, with a finite gradient")
+        batch.add(name, np.asarray(values)[:count], "metric", metric.unit, metric.doc)
+    batch.add("ok", ok, "status", "1", "whether the robot walked to the end, with a finite gradient")
     made_by = "which code made the row, by its name in run.json; empty: not known"
-    table.add("code", np.full(len(rows), code), "code", "1", made_by)
-    return table.table({})
+    batch.add("code", np.full(count, code), "code", "1", made_by)
+    return batch.table({})
 
 
 # ---
@@ -362,9 +329,12 @@ def landscape_content(tuning: Tuning, points: pa.Table, lines: Sequence[Slice]) 
     notes = {key.decode(): value.decode() for key, value in (points.schema.metadata or {}).items()}
     parameters = {}
     for line in lines:
-        tuned, good = line.tuned, line.value[line.ok]
-        judged = [secants for secants in line.secants if secants.share in JUDGED]
-        known = all(len(secants.secant) for secants in judged)
+        tuned, widths = line.tuned, [line.measures(share) for share in WIDTHS]
+        walked = np.isfinite(line.value)
+        windows = [slice(i, i + _WINDOW) for i in range(len(line.x) - _WINDOW + 1)]
+        ripple = _root_mean_square(np.array([_residual(line.x[part], line.value[part]) for part in windows]))
+        judged = [width for width in widths if width["share"] in JUDGED]
+        agree = all(s["median_relative_error"] <= ERROR and s["sign_agreement"] >= SIGNS for s in judged)
         parameters[tuned.name] = {
             "unit": tuning.parameters[tuned.name].unit,
             "bounds": [tuned.low, tuned.high],
@@ -372,13 +342,13 @@ def landscape_content(tuning: Tuning, points: pa.Table, lines: Sequence[Slice]) 
             "from": float(line.x[0]),
             "to": float(line.x[-1]),
             "points": len(line.x),
-            "fell": int((~line.ok).sum()),
-            "lowest": float(good.min()) if len(good) else math.nan,
-            "lowest_at": float(line.x[np.nanargmin(line.value)]) if len(good) else math.nan,
-            "highest": float(good.max()) if len(good) else math.nan,
-            "ripple": line.ripple,
-            "widths": [secants.measures for secants in line.secants],
-            "follows": all(s.error <= ERROR and s.sign_agreement >= SIGNS for s in judged) if known else None,
+            "fell": int((~walked).sum()),
+            "lowest": float(np.nanmin(line.value)) if walked.any() else math.nan,
+            "lowest_at": float(line.x[np.nanargmin(line.value)]) if walked.any() else math.nan,
+            "highest": float(np.nanmax(line.value)) if walked.any() else math.nan,
+            "ripple": ripple,
+            "widths": widths,
+            "follows": agree if all(width["secants"] for width in judged) else None,
         }
     return {
         "objective": [written(term) for term in tuning.objective.terms],
@@ -406,10 +376,10 @@ def rows_of(content: Mapping[str, Any]) -> list[list[str]]:
 
 def sentences(content: Mapping[str, Any]) -> list[str]:
     """The conclusion, one sentence per parameter."""
-    found = []
+    conclusions = []
     for name, about in content["parameters"].items():
         if about["follows"] is None:
-            found.append(f"{name}: too few places where the robot walks to the end; nothing can be said.")
+            conclusions.append(f"{name}: too few places where the robot walks to the end; nothing can be said.")
             continue
         differs = " and ".join(
             f"{_percent(width['median_relative_error'])} from secants {100 * width['share']:g} % of the bounds wide "
@@ -418,49 +388,62 @@ def sentences(content: Mapping[str, Any]) -> list[str]:
             if width["share"] in JUDGED and width["secants"]
         )
         follow, mislead = "exact gradients can be followed", "exact gradients may mislead; take secants or CMA-ES"
-        found.append(f"{name}: {follow if about['follows'] else mislead}. The slope differs by {differs}.")
-    return found
+        conclusions.append(f"{name}: {follow if about['follows'] else mislead}. The slope differs by {differs}.")
+    return conclusions
+
+
+_REPORT: Final = """\
+# Can the gradients be trusted?
+
+{conclusions}
+
+A slope is the exact derivative of the objective at a point, a secant the difference quotient over a width about it. \
+Narrow secants show whether the derivative is correct; wide ones, as wide as a tuner's steps, whether it is useful. If \
+they differ only for wide secants, the landscape is rough: tune with the method `differences` or `cma`. If they differ \
+only for narrow ones, the ripple from rounding and contacts is larger than the difference between the two ends.
+
+{table}
+Median error: |slope - secant| / |secant|. Same sign: share of the places where the signs agree. Ripple: standard \
+deviation of the objective about a parabola through all points within the width.
+
+{parameters}
+## What was run
+
+- Objective: {objective}
+- {evaluations} walks with gradients in batches of {batch}, {precision}, in {wall_seconds:.0f} s, begun on {begun}
+- Command: `{command}`
+- Versions: {versions}
+- Machine: {machine}
+"""
 
 
 def report_text(content: Mapping[str, Any]) -> str:
     """The text of report.md."""
-    lines = ["# Can the gradients be trusted?\n", "\n".join(f"- {sentence}" for sentence in sentences(content)) + "\n"]
-    lines.append(
-        "A slope is the exact derivative of the objective at a point, a secant the difference quotient over a width "
-        "about it. Narrow secants show whether the derivative is correct; wide ones, as wide as a tuner's steps, "
-        "whether it is useful. If they differ only for wide secants, the landscape is rough: tune with the "
-        "method `differences` or `cma`. If they differ only for narrow ones, the ripple from "
-        "rounding and contacts is larger than the difference between the two ends.\n"
-    )
-    lines.append(
-        table([heading for heading, _ in HEADINGS], rows_of(content), "".join(side[0] for _, side in HEADINGS))
-    )
-    lines.append(
-        "Median error: |slope - secant| / |secant|. Same sign: share of the places where the signs agree. Ripple: "
-        "standard deviation of the objective about a parabola through all points within the width.\n"
-    )
+    sections = ""
     for name, about in content["parameters"].items():
         ends = shown("", about["unit"], np.array([about["from"], about["to"], about["start"], about["lowest_at"]]))
         first, last, start, best = (ends.shown(value) for value in ends.values.tolist())
         fell = f"; at {about['fell']} of {about['points']} points the robot fell" if about["fell"] else ""
-        lines += [
-            f"## {name}\n",
-            f"From {first} to {last}, start at {start}. The objective goes from {_number(about['lowest'])} (at {best}) "
-            f"to {_number(about['highest'])}; the ripple of neighbouring points is {_number(about['ripple'])}{fell}.\n",
-        ]
         plots = [plot for plot in content["plots"] if plot.endswith(f"-{name}.png")]
-        lines += [f"![Objective and slope along {name}]({plot})\n" for plot in plots]
-    terms = ", ".join(" ".join(f"{key} {value}" for key, value in term.items()) for term in content["objective"])
-    lines += [
-        "## What was run\n",
-        f"- Objective: {terms}",
-        f"- {content['evaluations']} walks with gradients in batches of {content['batch']}, {content['precision']}, in "
-        f"{content['wall_seconds']:.0f} s, begun on {local_time(content['started'])}",
-        f"- Command: `{content['command']}`",
-        f"- Versions: {listed(content['versions'])}",
-        f"- Machine: {listed(content['machine'])}",
-    ]
-    return "\n".join(lines).rstrip() + "\n"
+        sections += (
+            f"## {name}\n\nFrom {first} to {last}, start at {start}. The objective goes from "
+            f"{_number(about['lowest'])} (at {best}) to {_number(about['highest'])}; the ripple of neighbouring points "
+            f"is {_number(about['ripple'])}{fell}.\n\n"
+        ) + "".join(f"![Objective and slope along {name}]({plot})\n\n" for plot in plots)
+    texts = {
+        "conclusions": "\n".join(f"- {sentence}" for sentence in sentences(content)),
+        "table": table(
+            [heading for heading, _ in HEADINGS], rows_of(content), "".join(side[0] for _, side in HEADINGS)
+        ),
+        "parameters": sections.removesuffix("\n"),
+        "objective": ", ".join(
+            " ".join(f"{key} {each}" for key, each in term.items()) for term in content["objective"]
+        ),
+        "begun": local_time(content["started"]),
+        "versions": listed(content["versions"]),
+        "machine": listed(content["machine"]),
+    }
+    return _REPORT.format(**{**content, **texts})
 
 
 def _percent(share: float) -> str:
@@ -475,8 +458,6 @@ def _number(value: float) -> str:
 
 #: Points per line: with the secants around nine of them, 131 walks per parameter.
 POINTS = 41
-#: What is made from the table.
-_MADE = ("landscape.json", "report.md")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -527,64 +508,45 @@ def run_landscape(
         accept_new_code: reuse points that other code evaluated.
 
     Raises:
-        SpecError: the tuning is wrong; nothing has been written.
-        ParameterError: points or span is not allowed.
-        DirectoryError: the directory holds another landscape, is in use, or cannot be written; `OtherCode` if other
-            code began it.
-        Interrupted: Ctrl-C; the same call resumes.
+        SpecError, ParameterError, DirectoryError, OtherCode, Interrupted: see "Errors of jobs" in
+            docs/reference/python.md.
     """
     tuning = dataclasses.replace(Tuning.of(spec), method=Gradient())  # slopes are exact ones, however it is tuned
     if points < 5:
         raise ParameterError(f"points is {points}: allowed is 5 or more.")
     if not 0.0 < span <= 1.0:
         raise ParameterError(f"span is {span:g}: allowed is (0, 1].")
-    say = watch.warn
     with RunDirectory(out, "landscape") as held, clear_errors(held.out):
-        wanted, chosen, evaluated = identity(tuning, points, span), plan(tuning, points, span), 0
+        wanted, columns = identity(tuning, points, span), points_along(tuning, points, span)
         check_directory(held.out, wanted)
-        runs = Runs(held.out, key(wanted), warn=say, held=held)
-        if len(runs.numbers) < len(chosen):
+        runs = Runs(held.out, key(wanted), warn=watch.warn, held=held)
+        there, total = len(runs.numbers), len(columns["line"])
+        if there < total:
             made_by = stamp(tuning.setup.load().fingerprint, tuning.engine)
             runs.take_codes([made_by], accept=accept_new_code)
             problem = problem or WalkProblem(tuning)
-            held.set_aside("of another landscape", _MADE, say)
+            held.set_aside("of another landscape", ["landscape.json", "report.md"], watch.warn)
             here = session(points=points, span=span)
             held.note_session(here)
             about = {KEY: key(wanted), IDENTITY: json.dumps(wanted), "session": to_json(here).decode()}
-            there, total, size = len(runs.numbers), len(chosen), batch_size(len(chosen))
-            watch.progress(Progress(there / total, there, total, there))
-            missing = np.setdiff1d(np.arange(total), runs.numbers)
             try:
-                for first in range(0, len(missing), size):
-                    began, rows = time.perf_counter(), missing[first : first + size]
-                    # The last batch is filled up, so that one program is compiled. In double precision, but at the very
-                    # points that are evaluated: a secant divides by their distance.
-                    points_in = jnp.asarray(chosen.points[np.pad(rows, (0, size - len(rows)), mode="edge")], float)
-                    found = problem.evaluate(points_in, True)
-                    batch = _table(tuning, chosen, rows, np.asarray(points_in, float), found, made_by.id)
-                    about |= {"batch": str(size), "precision": str(np.asarray(found.value).dtype)}
-                    about |= {"wall_seconds": f"{time.perf_counter() - began:.3f}"}
-                    values = {name: chosen.points[rows, i] for i, name in enumerate(tuning.names)}
-                    runs.add(keys_of(runs.group, values, len(rows)), batch.replace_schema_metadata(about))
-                    evaluated += len(rows)
-                    done = there + evaluated
-                    watch.progress(Progress(done / total, done, total, there))
+                _evaluate(tuning, problem, columns, runs, about, made_by.id, watch)
             except KeyboardInterrupt:
                 kept = f"{len(runs.numbers)} of {total} walks are kept in {held.out}"
                 raise Interrupted(f"stopped; {kept}: run the same command again to resume.") from None
-        table = points_of(runs)
-        held.write(TABLE, parquet_bytes(table))  # before anything that can still fail
-        tuning = keep_recording(held, tuning, say)
-        write_described(held, TUNING, tuning, read_stored, say)
+        measured = stored_points(runs)
+        held.write(TABLE, parquet_bytes(measured))  # before anything that can still fail
+        tuning = keep_recording(held, tuning, watch.warn)
+        write_described(held, TUNING, tuning, read_stored, watch.warn)
         with Written(held) as files:  # landscape.json comes last, and marks completion
-            out, lines = held.out, lines_of(tuning, table)
-            plots = write_figures(figures_of(tuning, lines), out / "plots", files.write)
-            content = landscape_content(tuning, table, lines) | {"plots": [files.name(path) for path in plots]}
-            files.write(out / "report.md", report_text(content).encode())
-            files.write(out / "landscape.json", to_json(content))
+            lines = lines_of(tuning, measured)
+            plots = write_figures(figures_of_lines(tuning, lines), held.out / "plots", files.write)
+            content = landscape_content(tuning, measured, lines) | {"plots": [files.name(path) for path in plots]}
+            files.write(held.out / "report.md", report_text(content).encode())
+            files.write(held.out / "landscape.json", to_json(content))
         if files.aside:
-            say(files.sentence())
-        return LandscapeResult(out, tuning, table, content, tuple(plots), evaluated)
+            watch.warn(files.sentence())
+        return LandscapeResult(held.out, tuning, measured, content, tuple(plots), total - there)
 
 
 # ---
@@ -599,14 +561,14 @@ _TANGENT: Final = 0.8
 _CUT: Final = 2.5
 
 
-def figures_of(tuning: Tuning, lines: Sequence[Slice]) -> Iterator[tuple[str, Figure]]:
+def figures_of_lines(tuning: Tuning, lines: Sequence[Slice]) -> Iterator[tuple[str, Figure]]:
     """A figure for each line; one on which the robot nowhere walks has none."""
     for line in lines:
-        if line.ok.any():
+        if np.isfinite(line.value).any():
             yield f"line-{line.tuned.name}", line_figure(tuning, line)
 
 
-def figures(out: Path) -> Figures:
+def landscape_figures(out: Path) -> Figures:
     """The figures of a landscape's directory, from its table.
 
     Raises:
@@ -614,26 +576,27 @@ def figures(out: Path) -> Figures:
         DirectoryError: there is nothing to draw, or it cannot be read.
     """
     tuning, content = Tuning.from_file(out / TUNING, recorded=False), content_of(out / TABLE)
-    table = None if content is None else parquet_table(content)
-    if table is None or not set(tuning.names) <= set(table.column_names):
+    points = None if content is None else parquet_table(content)
+    if points is None or not set(tuning.names) <= set(points.column_names):
         raise DirectoryError(
             f"{out / TABLE} is missing, damaged, or another landscape's: run nermo-mjx landscape again."
         )
-    return figures_of(tuning, lines_of(tuning, table))
+    return figures_of_lines(tuning, lines_of(tuning, points))
 
 
 def line_figure(tuning: Tuning, line: Slice) -> Figure:
     """One line: the objective with a tangent at each point; below it the slope, and each secant over its width."""
-    known = tuning.parameters
-    starts = {each.name: shown(each.name, known[each.name].unit, np.array(each.start)) for each in tuning.tuned}
+    parameters = tuning.parameters
+    starts = {each.name: shown(each.name, parameters[each.name].unit, np.array(each.start)) for each in tuning.tuned}
     others = [f"{name} {q.shown(float(q.values))}" for name, q in starts.items() if name != line.tuned.name]
     note = "above: objective with its exact tangents, star: lowest; below: exact slope, and secants over their width"
     note += "; dashed: the given start" + (f"; there, and here, {', '.join(others)}" if others else "")
-    x = shown(line.tuned.name, known[line.tuned.name].unit, line.x)
+    x = shown(line.tuned.name, parameters[line.tuned.name].unit, line.x)
     figure = page(f"Objective and slope along {spoken(line.tuned.name)}", 7.4, 5.6, note)
     above, below = figure.subplots(2, 1, sharex=True)
-    _draw_objective(above, line, x)
-    _draw_slopes(below, line, x)
+    per_shown = np.ptp(line.x) / np.ptp(x.values)
+    _draw_objective(above, line, x, per_shown)
+    _draw_slopes(below, line, x, per_shown)
     for ax in (above, below):
         horizontal_grid(ax)
         ax.axvline(float(starts[line.tuned.name].values), color=MUTED, lw=0.9, ls=(0, (4, 3)), zorder=1)
@@ -643,9 +606,8 @@ def line_figure(tuning: Tuning, line: Slice) -> Figure:
     return figure
 
 
-def _draw_objective(ax: Axes, line: Slice, x: ShownValues) -> None:
+def _draw_objective(ax: Axes, line: Slice, x: ShownValues, per_shown: float) -> None:
     """Points with tangents, their lowest a star, and a cross where the robot fell."""
-    per_shown = np.ptp(line.x) / np.ptp(x.values)
     half = 0.5 * _TANGENT * np.ptp(x.values) / (len(line.x) - 1)
     rise = half * line.slope * per_shown
     ax.plot(x.values, line.value, color=BAND, lw=1.0, zorder=2)
@@ -658,36 +620,30 @@ def _draw_objective(ax: Axes, line: Slice, x: ShownValues) -> None:
     low, high = float(np.nanmin(line.value)), float(np.nanmax(line.value))
     room = 0.08 * (high - low) or 0.01 * max(abs(low), 1e-6)
     ax.set_ylim(low - room, high + room)
-    fell = x.values[~line.ok]
+    fell = x.values[~np.isfinite(line.value)]
     if len(fell):
         top = np.full(len(fell), 0.97)
         ax.plot(fell, top, "x", transform=ax.get_xaxis_transform(), color=INK, ms=5, mew=1.3, label="fell")
         legend(ax)
 
 
-def _draw_slopes(ax: Axes, line: Slice, x: ShownValues) -> None:
+def _draw_slopes(ax: Axes, line: Slice, x: ShownValues, per_shown: float) -> None:
     """Exact slopes as a line, each secant as a bar over its width."""
-    per_shown = np.ptp(line.x) / np.ptp(x.values)
     slope = line.slope * per_shown
     ax.plot(x.values, slope, "-o", color=LINE, lw=1.4, ms=2.8, mec="white", mew=0.4, zorder=2, label="exact slope")
-    drawn = []
-    for i, (secants, colour) in enumerate(zip(line.secants, _SECANTS, strict=True)):
-        centre, value, half = secants.centre / per_shown, secants.secant * per_shown, 0.5 * secants.width / per_shown
+    drawn = [slope[np.isfinite(slope)]]
+    for i, (share, colour) in enumerate(zip(WIDTHS, _SECANTS, strict=True)):
+        centre, value = line.secants[share][:, 0] / per_shown, line.secants[share][:, 1] * per_shown
+        half = 0.5 * share * (line.tuned.high - line.tuned.low) / per_shown
         # The narrow ones lie on top, smaller, so that those that agree are all seen.
         ax.hlines(value, centre - half, centre + half, color=colour, lw=2.0, zorder=4 - 0.1 * i)
-        look: dict[str, Any] = {
-            "color": colour,
-            "mec": "white",
-            "mew": 0.4,
-            "label": f"secants of {100 * secants.share:g} %",
-        }
-        ax.plot(centre, value, "D", ms=3.0 + 1.1 * i, zorder=5 - 0.1 * i, **look)
+        name, size, layer = f"secants of {100 * share:g} %", 3.0 + 1.1 * i, 5 - 0.1 * i
+        ax.plot(centre, value, "D", ms=size, color=colour, mec="white", mew=0.4, zorder=layer, label=name)
         drawn.append(value)
     ax.axhline(0.0, color=MUTED, lw=0.8, zorder=1)
     # What lies so far off that the slope could not be seen is left out, and counted.
-    known = slope[np.isfinite(slope)]
-    low, high = np.quantile(known, [0.02, 0.98])
-    room, everything = _CUT * max(high - low, 1e-9 + 1e-3 * abs(low)), np.concatenate([known, *drawn])
+    low, high = np.quantile(drawn[0], [0.02, 0.98])
+    room, everything = _CUT * max(high - low, 1e-9 + 1e-3 * abs(low)), np.concatenate(drawn)
     inside = everything[(everything >= low - room) & (everything <= high + room)]
     margin = 0.06 * (np.ptp(inside) or 1.0)
     ax.set_ylim(min(inside.min(), 0.0) - margin, max(inside.max(), 0.0) + margin)
@@ -696,10 +652,10 @@ def _draw_slopes(ax: Axes, line: Slice, x: ShownValues) -> None:
     legend(ax)
 
 
-def status(out: Path) -> Status:
+def landscape_status(out: Path) -> Status:
     """How many points of a landscape a directory holds."""
-    notes, table = list[str](), out / TABLE
-    about = metadata_of(table, notes, "it is made again of the points.")
+    notes, points = list[str](), out / TABLE
+    about = metadata_of(points, notes, "it is made again of the points.")
     complete = about is not None and (out / "landscape.json").exists()
     command = f"nermo-mjx plot {shlex.quote(str(out))}" if complete else last_command(out)
     parts = (metadata_of(path, notes, "its points will be evaluated again.") for path in part_files(out))

@@ -55,7 +55,7 @@ _Metric = Annotated[str, _Metrics(tuple(OBJECTIVE_METRICS))]
 
 
 @dataclasses.dataclass(frozen=True)
-class Term(Spec):
+class ObjectiveTerm(Spec):
     """A term of the objective, for a metric m: exactly one of `maximize`, `minimize` and `hold` names it."""
 
     __pydantic_config__ = ConfigDict(
@@ -110,7 +110,7 @@ class Term(Spec):
 class Objective:
     """A sum of terms; lower is better."""
 
-    terms: tuple[Term, ...]
+    terms: tuple[ObjectiveTerm, ...]
 
     @property
     def metrics(self) -> tuple[str, ...]:
@@ -129,7 +129,7 @@ class Objective:
         return total
 
 
-def read_objective(doc: Document, given: Sequence[Term] | None) -> Objective:
+def read_objective(doc: Document, given: Sequence[ObjectiveTerm] | None) -> Objective:
     """The weighted terms of a file; raises `SpecError`."""
     if not given:
         doc.fail(("objective",), f"is missing or empty: expected {TERMS}.")

@@ -21,8 +21,8 @@ from nermo_mjx.optimize.directory import (
     TUNING,
     VIDEO,
     Batches,
-    History,
     TuningDirectory,
+    TuningHistory,
     keep_recordings,
     publish,
 )
@@ -54,7 +54,7 @@ from nermo_mjx.rollout.run import START_SPREAD
 from nermo_mjx.runs import RunDirectory, session, stamp
 from nermo_mjx.runs.directory import engine_of
 from nermo_mjx.runs.files import to_json
-from nermo_mjx.runs.job import SILENT, JobFailed, Progress, Watch, resumable
+from nermo_mjx.runs.job import SILENT, Forecast, JobFailed, Progress, Watch, resumable
 from nermo_mjx.runs.rows import part_files
 from nermo_mjx.runs.workers import LocalWorkers, TaskFailed, Workers
 from nermo_mjx.runtime import cpu_count
@@ -75,8 +75,8 @@ class TuningResult:
     Attributes:
         out: its directory.
         tuning: what was tuned.
-        start: the given start as first evaluated (`History.start`).
-        best: content of best.json (`History.best`).
+        start: the given start as first evaluated (`TuningHistory.start`).
+        best: content of best.json (`TuningHistory.best`).
         history: the history's table (`nermo_mjx.optimize.directory`).
         state: after the last iteration.
         iterations_run: evaluations that this call made.
@@ -106,7 +106,7 @@ def run_tuning(
     """Tune parameters by gradient, or by another method, into a directory, or resume what it contains.
 
     A tuning evaluates its starts `iterations` + 1 times, the last time where its last step led, or stops when nothing
-    more is gained (`History.stalled`); every evaluation is one batch. After each, the
+    more is gained (`TuningHistory.stalled`); every evaluation is one batch. After each, the
     state is stored: killing the process loses the iteration in flight, and the resumed tuning ends with the same
     numbers, bit for bit, on the same machine. The best point is verified on the engine `c`, from starts that the tuning
     has not seen (`verified`).
@@ -124,11 +124,7 @@ def run_tuning(
             several workers numbers differ in their last digits from those of one.
 
     Raises:
-        SpecError: the tuning is wrong; nothing has been written.
-        DirectoryError: the directory holds something else, is in use, or cannot be read or written; `OtherCode` if
-            other code, or other defaults, made what it holds.
-        JobFailed: no robot walks to the end, or all workers are lost.
-        Interrupted: Ctrl-C or SIGTERM; the same call resumes.
+        SpecError, DirectoryError, OtherCode, JobFailed, Interrupted: see "Errors of jobs" in docs/reference/python.md.
     """
     tuning = Tuning.of(spec)
     with (
@@ -151,51 +147,58 @@ def run_tuning(
             shared = SharedProblem(tuning, problem or WalkProblem(tuning), workers or LocalWorkers())
             tuner = tuner_of(tuning, shared, history)
         directory.claim(history)
-        tuning = directory.tuning
         if goes_on:
             directory.held.note_session(session(begun_at=resumed))
             directory.held.set_aside("of another best point", [VIDEO], watch.warn)
         while not history.done:
             began = time.perf_counter()
-            state, found = tuner.step(state)
-            if not found.ok.any() and not np.isfinite(state.best_value).any():
+            state, iterate = tuner.step(state)
+            if not iterate.ok.any() and not np.isfinite(state.best_value).any():
                 raise JobFailed(
                     f"{directory.out}: no world of iteration {len(history)} walked to its end, nor did one before: "
                     "choose other starts or bounds."
                 )
-            history = history.extended(found, time.perf_counter() - began, made_by.id)
+            history = history.extended(iterate, time.perf_counter() - began, made_by.id)
             with interruption.shielded():
                 best = directory.keep(state, history)
             numbers: dict[str, float] = {}
-            if np.isfinite(found.value).any():
-                columns = found.metrics | {"objective": found.value}
-                numbers = {name: float(column[np.nanargmin(found.value)]) for name, column in columns.items()}
+            if np.isfinite(iterate.value).any():
+                columns = iterate.metrics | {"objective": iterate.value}
+                numbers = {name: float(column[np.nanargmin(iterate.value)]) for name, column in columns.items()}
             if best is not None:
                 numbers["simulated_seconds"] = best["simulated_seconds"]
             report(None if best is None else best["objective"], numbers)
-        best = directory.publish(history)
-        if best is None:
-            raise JobFailed(
-                f"{directory.out}: the robot walked to the end at no point of this tuning: choose other starts or "
-                "bounds."
-            )
-        start, table, notes = history.start(), history.table(), tuple[str, ...]()
         walker: Callable[[], SimulatorLike] | None = None  # nothing is simulated beside a given problem
         if simulator is not None or problem is None:
-            walker = functools.cache(lambda: simulator or Simulator(tuning.setup, "c"))
-            watch.progress(Progress(0.0, what="engine c"))
-            points = {"start": start["parameters"], "best": best["parameters"]}
-            try:
-                best |= {"verified": verified(tuning, points, walker())}
-                directory.held.write(BEST, to_json(best))
-            except ParameterError as error:
-                notes = (f"Start and best are not verified: {error}",)
-        pictures = make_pictures(directory, walker, watch, table, start, best)
-        pictures = dataclasses.replace(pictures, notes=(*notes, *pictures.notes))
-        return TuningResult(directory.out, tuning, start, best, table, state, len(history) - resumed, pictures)
+            walker = functools.cache(lambda: simulator or Simulator(directory.tuning.setup, "c"))
+        best, pictures = _publish(directory, history, walker, watch)
+        start, table = history.start(), history.table()
+        run = len(history) - resumed
+        return TuningResult(directory.out, directory.tuning, start, best, table, state, run, pictures)
 
 
-def tuner_of(tuning: Tuning, problem: Problem, history: History | None = None) -> Tuner:
+def _publish(
+    directory: TuningDirectory, history: TuningHistory, walker: Callable[[], SimulatorLike] | None, watch: Watch
+) -> tuple[dict[str, Any], Pictures]:
+    """Write what is made of a complete history; the content of best.json, and the pictures."""
+    best, start, notes = directory.publish(history), history.start(), tuple[str, ...]()
+    if best is None:
+        raise JobFailed(
+            f"{directory.out}: the robot walked to the end at no point of this tuning: choose other starts or bounds."
+        )
+    if walker is not None:
+        watch.progress(Progress(0.0, what="engine c"))
+        points = {"start": start["parameters"], "best": best["parameters"]}
+        try:
+            best |= {"verified": verified(directory.tuning, points, walker())}
+            directory.held.write(BEST, to_json(best))
+        except ParameterError as error:
+            notes = (f"Start and best are not verified: {error}",)
+    pictures = make_pictures(directory, walker, watch, history.table(), start, best)
+    return best, dataclasses.replace(pictures, notes=(*notes, *pictures.notes))
+
+
+def tuner_of(tuning: Tuning, problem: Problem, history: TuningHistory | None = None) -> Tuner:
     """What steps a tuning, after a history so far."""
     if not tuning.method.has_gradient:
         values = history.column("objective") if history else np.empty((0, tuning.starts))
@@ -339,11 +342,7 @@ def run_search(
         simulator: replaces `Simulator(search.setup, engine)`.
 
     Raises:
-        SpecError: the search is wrong; nothing has been written.
-        DirectoryError: the directory holds something else, is in use, or cannot be written; `OtherCode` if other code
-            made what it holds.
-        JobFailed: a simulation failed, all workers are lost, or nothing walked; what is finished is kept.
-        Interrupted: Ctrl-C or SIGTERM; the same call resumes.
+        SpecError, DirectoryError, OtherCode, JobFailed, Interrupted: see "Errors of jobs" in docs/reference/python.md.
     """
     search = Search.of(spec)
     check_library(search.method)
@@ -482,25 +481,8 @@ MJX_SLOWER: Final = 10.0
 MJX_WORLDS: Final = 4
 
 
-@dataclasses.dataclass(frozen=True)
-class MethodCost:
-    """The cost of a tuning by one method.
-
-    Attributes:
-        method: its name.
-        evaluations: walks; in MJX with their derivatives.
-        simulated_seconds: of all walks, gradients at their cost in forward runs [s].
-        wall_seconds: at this machine's speed, without compiling [s]; None if unknown, as for MJX on a GPU.
-    """
-
-    method: str
-    evaluations: int
-    simulated_seconds: float
-    wall_seconds: float | None
-
-
-def costs_of(tuning: Tuning) -> list[MethodCost]:
-    """The cost of all iterations by each method, that of the tuning first.
+def tuning_forecasts(tuning: Tuning) -> list[Forecast]:
+    """The cost of all iterations by each method, that of the tuning first; `evaluations` are walks.
 
     Raises:
         ParameterError: the tuning's recording cannot be compared with its walk.
@@ -508,25 +490,25 @@ def costs_of(tuning: Tuning) -> list[MethodCost]:
     seconds = tuning.seconds({each.name: each.low for each in tuning.tuned})
     if tuning.recording is not None:
         load_reference(tuning.recording, Rollout(tuning.setup, tuning.run), seconds)
-    here = pace_here(tuning)
-    methods = [tuning.method, *(each() for each in TUNING_METHODS.values() if not isinstance(tuning.method, each))]
-    return [_cost(dataclasses.replace(tuning, method=each), seconds, here) for each in methods]
+    here, forecasts = pace_here(tuning), []
+    others = (each() for each in TUNING_METHODS.values() if not isinstance(tuning.method, each))
+    for method in (tuning.method, *others):
+        engine, points = method.engine_for(len(tuning.names)), tuning.iterations + 1
+        points *= method.population if isinstance(method, Generations) else tuning.starts
+        walks = points * method.gradient_cost(len(tuning.names))
+        wall = walks * seconds / here
+        if engine != "c":
+            slower = MJX_SLOWER * max(1.0, MJX_WORLDS / tuning.starts)
+            wall = wall * slower if jax.default_backend() == "cpu" else math.nan
+        counts = {"evaluations": round(walks) if engine == "c" else points}
+        rate = f"{here:,.0f} simulated seconds/s on the engine c, measured now"
+        forecasts.append(Forecast(engine, counts, walks * seconds, wall, rate, method=method.name))
+    return forecasts
 
 
 def pace_here(tuning: Tuning) -> float:
     """Simulated seconds per second on the engine `c`, measured now."""
     return pace(Simulator(tuning.setup, "c"), tuning.setup, _WORLDS)
-
-
-def _cost(tuning: Tuning, seconds: float, here: float) -> MethodCost:
-    method, rounds = tuning.method, tuning.iterations + 1
-    points = rounds * (method.population if isinstance(method, Generations) else tuning.starts)
-    walks = points * method.gradient_cost(len(tuning.names))
-    if tuning.engine == "c":
-        return MethodCost(method.name, round(walks), walks * seconds, walks * seconds / here)
-    slower = MJX_SLOWER * max(1.0, MJX_WORLDS / tuning.starts)
-    wall = walks * slower * seconds / here if jax.default_backend() == "cpu" else None
-    return MethodCost(method.name, points, walks * seconds, wall)
 
 
 #: Points whose mean length of a run stands for all.
@@ -535,31 +517,10 @@ _TRIED = 256
 _ROW_BYTES = 700
 
 
-@dataclasses.dataclass(frozen=True)
-class Cost:
-    """The cost of a search.
+def search_forecast(search: Search, engine: str = "auto", simulator: SimulatorLike | None = None) -> Forecast:
+    """The cost of a search from the start, a run's length being its mean over the bounds.
 
-    Attributes:
-        engine: that it will run on.
-        batch: points of a batch.
-        batches, evaluations, runs: whole batches, and what is in them.
-        simulated_seconds: of all runs [s], by the mean over the bounds.
-        wall_seconds: at this machine's current speed, measured now [s].
-        disk_bytes: of the table.
-    """
-
-    engine: str
-    batch: int
-    batches: int
-    evaluations: int
-    runs: int
-    simulated_seconds: float
-    wall_seconds: float
-    disk_bytes: int
-
-
-def cost_of(search: Search, engine: str = "auto", simulator: SimulatorLike | None = None) -> Cost:
-    """The cost of a search from the start.
+    The counts are whole `batches`, the `evaluations` and `runs` in them, and `evaluations_per_batch`.
 
     Args:
         engine: of the simulator.
@@ -578,7 +539,7 @@ def cost_of(search: Search, engine: str = "auto", simulator: SimulatorLike | Non
     batches = math.ceil(wanted / batch)
     evaluations = batches * batch
     simulator = simulator or Simulator(search.setup, engine)
-    simulated = evaluations * point
-    wall = simulated / pace(simulator, search.setup, batch * search.repeats)
-    runs = evaluations * search.repeats
-    return Cost(engine, batch, batches, evaluations, runs, simulated, wall, runs * _ROW_BYTES)
+    rate, runs = pace(simulator, search.setup, batch * search.repeats), evaluations * search.repeats
+    counts = {"evaluations": evaluations, "batches": batches, "evaluations_per_batch": batch, "runs": runs}
+    said = f"{rate:,.0f} simulated seconds/s, measured now"
+    return Forecast(engine, counts, evaluations * point, evaluations * point / rate, said, runs * _ROW_BYTES)

@@ -24,7 +24,7 @@ from nermo_mjx.optimize.objective import (
     TRAJECTORY_ERROR,
     Bounds,
     Objective,
-    Term,
+    ObjectiveTerm,
     objective_metrics,
     read_objective,
 )
@@ -37,7 +37,7 @@ from nermo_mjx.rollout.setup import Setup
 from nermo_mjx.specs.controllers import code_identity, known_names
 from nermo_mjx.specs.described import Described, digest_of
 from nermo_mjx.specs.fields import Fields, JsonSchema, OneOf, Refused, optional, read
-from nermo_mjx.specs.model import Spec, named, one_of, written
+from nermo_mjx.specs.model import Spec, named_section, one_of, written
 from nermo_mjx.specs.reading import Document, FieldPath, SpecError, describe, dump, read_file
 from nermo_mjx.specs.values import (
     MEASURED,
@@ -51,7 +51,7 @@ from nermo_mjx.specs.values import (
     Whole,
     check_value,
 )
-from nermo_mjx.specs.walk import WalkFields, WalkSpec, check_sources, check_workspace, read_walk, written_out
+from nermo_mjx.specs.walk import WalkFields, WalkSpec, check_reach, check_sources, read_walk, written_out
 from nermo_mjx.sweep.sampling import Axis, read_axis, read_draw
 from nermo_mjx.sweep.spec import Randomized, Sweep, start_draws
 from nermo_mjx.sweep.structures import Structure
@@ -332,7 +332,7 @@ class TuningFile(WalkFields):
     sources: ClassVar = "'tune' or 'set'"
     tune: Annotated[dict[str, Tuned | None], ByParameter()] = Field({})
     """tuned parameters"""
-    objective: list[Term] = optional("terms whose sum is minimized", minItems=1)
+    objective: list[ObjectiveTerm] = optional("terms whose sum is minimized", minItems=1)
     recording: Any = optional("path of the NPZ that trajectory_error compares with", type=["string", "null"])
     method: Annotated[TuningMethod, one_of("TuningMethod", "is not a method", TUNING_METHODS)] = optional(
         "how an iteration finds its step: along exact gradients or secants, or by CMA-ES, whose generations replace "
@@ -370,15 +370,15 @@ class Tuning(WalkSpec, Described):
     kind: ClassVar = "tuning"
     tuned: tuple[Tuned, ...]
     objective: Objective
-    recording: Path | None = None
-    optimizer: Optimizer = dataclasses.field(default_factory=Optimizer)
-    starts: int = 1
-    iterations: int = 40
-    patience: int = 6
-    seed: int = 0
-    plots: bool = True
-    video: bool = False
-    method: TuningMethod = dataclasses.field(default_factory=Gradient)
+    recording: Path | None
+    optimizer: Optimizer
+    starts: int
+    iterations: int
+    patience: int
+    seed: int
+    plots: bool
+    video: bool
+    method: TuningMethod
 
     @classmethod
     def from_file(cls, path: str | os.PathLike[str], *, recorded: bool = True) -> Tuning:
@@ -431,7 +431,7 @@ class Tuning(WalkSpec, Described):
         if self.recording is not None:
             data["recording"] = self.recording.name if self.recording.parent == folder else str(self.recording)
         if self.method != default_method(len(self.tuned)):
-            data["method"] = named(self.method, TUNING_METHODS)
+            data["method"] = named_section(self.method, TUNING_METHODS)
         data["optimizer"] = self.optimizer.written()
         data |= {name: getattr(self, name) for name in _PLAIN}
         return {name: value for name, value in data.items() if name not in self.method.unread}
@@ -538,7 +538,7 @@ def _read_tuning(doc: Document, *, recorded: bool = True) -> Tuning:
                 "more, or give run: {duration: seconds}.",
             )
     ranges = {each.name: np.linspace(each.low, each.high, 5) for each in tuning.tuned}
-    check_workspace(doc, tuning.setup, tuning.fixed, {"tune": ranges})
+    check_reach(doc, tuning.setup, tuning.fixed, {"tune": ranges})
     return tuning
 
 
@@ -744,8 +744,8 @@ class SearchFile(WalkFields):
     sources: ClassVar = "'vary', 'set' or 'randomize'"
     vary: Annotated[dict[str, Axis], ByParameter()] = Field({})
     """searched parameters with their bounds"""
-    objective: Annotated[list[Term], OneOrMore()] = optional("a term, or several whose sum is minimized")
-    pareto: list[Term] = optional("several objectives, each a term")
+    objective: Annotated[list[ObjectiveTerm], OneOrMore()] = optional("a term, or several whose sum is minimized")
+    pareto: list[ObjectiveTerm] = optional("several objectives, each a term")
     atlas: dict[str, Annotated[list[float], Numbers("[low, high, cells]", 3, 3)]] = Field({})
     """measures by metric: [low, high, cells] of each"""
     subject_to: dict[str, Limit] = Field({})
@@ -789,11 +789,11 @@ class Search(Described):
     sweep: Sweep
     aim: Aim
     method: SearchMethod
-    evaluations: int | None = None
-    simulated_seconds: float | None = None
-    batch: int | None = None
-    keep: int = 0
-    plots: bool = True
+    evaluations: int | None
+    simulated_seconds: float | None
+    batch: int | None
+    keep: int
+    plots: bool
 
     @classmethod
     def of_document(cls, doc: Document) -> Search:
@@ -892,7 +892,7 @@ def _read_search(doc: Document) -> Search:
         "vary": {axis.name: axis.tried(grid=False) for axis in axes},
         "randomize": {draw.name: draw.tried() for draw in sweep.draws},
     }
-    check_workspace(doc, sweep.setup, sweep.fixed, tried)
+    check_reach(doc, sweep.setup, sweep.fixed, tried)
     if sweep.repeats > 1:
         sweep = dataclasses.replace(sweep, draws=(*sweep.draws, *start_draws(sweep)))
     if math.prod(each.cells for each in aim.measures) > MOST_CELLS:

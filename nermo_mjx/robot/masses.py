@@ -28,7 +28,7 @@ from nermo_mjx.robot.parts import PULLEY as SERVO_PLACE_41
 
 
 @dataclasses.dataclass(frozen=True)
-class Part:
+class RigidPart:
     """One rigid part of the robot.
 
     Attributes:
@@ -49,7 +49,7 @@ class Part:
         a, b, c = (edge**2 for edge in self.half_size)
         return self.mass / 3 * (b + c), self.mass / 3 * (a + c), self.mass / 3 * (a + b)
 
-    def stretched(self, axis: int, ratio: float) -> Part:
+    def stretched(self, axis: int, ratio: float) -> RigidPart:
         """The part with the same mass, stretched along one of its axes."""
 
         def longer(point: tuple[float, float, float]) -> tuple[float, float, float]:
@@ -60,29 +60,29 @@ class Part:
 
 
 #: Parts in front of the spine. Torso: frame of the spine base; includes electronics and the servos of the front legs.
-TORSO: Final = Part(0.14750, (0.0, -0.02873, -0.02647), (0.026, 0.036, 0.016))
-HEAD: Final = Part(0.01200, (0.0, -0.0180, 0.0150), (0.013, 0.022, 0.011))
+TORSO: Final = RigidPart(0.14750, (0.0, -0.02873, -0.02647), (0.026, 0.036, 0.016))
+HEAD: Final = RigidPart(0.01200, (0.0, -0.0180, 0.0150), (0.013, 0.022, 0.011))
 
 #: Parts behind the spine. Hip: frame of the spine end; includes the servos of spine, tail and rear legs, and the
 #: tail's base.
-HIP: Final = Part(0.07750, (0.0, 0.00966, -0.00849), (0.030, 0.014, 0.012), site="end")
-TAIL_SEGMENT: Final = Part(0.00050, (0.0, 0.0040, 0.0), (0.0045, 0.0040, 0.0045))
-TAIL_PULLEY: Final = Part(0.00050, (0.0, 0.0, 0.0), (0.004, 0.004, 0.001))
+HIP: Final = RigidPart(0.07750, (0.0, 0.00966, -0.00849), (0.030, 0.014, 0.012), site="end")
+TAIL_SEGMENT: Final = RigidPart(0.00050, (0.0, 0.0040, 0.0), (0.0045, 0.0040, 0.0045))
+TAIL_PULLEY: Final = RigidPart(0.00050, (0.0, 0.0, 0.0), (0.004, 0.004, 0.001))
 
 #: Skeleton of the spine: the first two vertebrae are counted to the front, the third to the rear.
-VERTEBRA: Final = Part(0.00100, (0.0070, 0.0, 0.0), (0.005, 0.007, 0.005))
+VERTEBRA: Final = RigidPart(0.00100, (0.0070, 0.0, 0.0), (0.005, 0.007, 0.005))
 
-PULLEY: Final = Part(0.00200, (0.0, 0.0, 0.0), (0.0010, 0.0056, 0.0056))
-SPINE_PULLEY: Final = Part(0.00200, (0.0, 0.0, 0.0), (0.0046, 0.0046, 0.0015))
-FRONT_UPPER: Final = Part(0.00090, (0.0, 0.0, -0.0148), (0.002, 0.002, 0.0148))
-FRONT_LOWER: Final = Part(0.00070, (0.0, 0.0, -0.0112), (0.002, 0.002, 0.0112))
-FRONT_FOOT: Final = Part(0.00040, (0.0, 0.0, -0.0080), (0.002, 0.002, 0.0072))
-REAR_UPPER: Final = Part(0.00130, (0.0, 0.0, -0.0158), (0.002, 0.002, 0.0158))
-REAR_LOWER: Final = Part(0.00110, (0.0, 0.0, -0.0152), (0.002, 0.002, 0.0152))
-REAR_FOOT: Final = Part(0.00060, (0.0, 0.0, -0.0110), (0.002, 0.002, 0.0103))
+PULLEY: Final = RigidPart(0.00200, (0.0, 0.0, 0.0), (0.0010, 0.0056, 0.0056))
+SPINE_PULLEY: Final = RigidPart(0.00200, (0.0, 0.0, 0.0), (0.0046, 0.0046, 0.0015))
+FRONT_UPPER: Final = RigidPart(0.00090, (0.0, 0.0, -0.0148), (0.002, 0.002, 0.0148))
+FRONT_LOWER: Final = RigidPart(0.00070, (0.0, 0.0, -0.0112), (0.002, 0.002, 0.0112))
+FRONT_FOOT: Final = RigidPart(0.00040, (0.0, 0.0, -0.0080), (0.002, 0.002, 0.0072))
+REAR_UPPER: Final = RigidPart(0.00130, (0.0, 0.0, -0.0158), (0.002, 0.002, 0.0158))
+REAR_LOWER: Final = RigidPart(0.00110, (0.0, 0.0, -0.0152), (0.002, 0.002, 0.0152))
+REAR_FOOT: Final = RigidPart(0.00060, (0.0, 0.0, -0.0110), (0.002, 0.002, 0.0103))
 
 #: Part of every moving body, keyed by the body's name without its side and number.
-PARTS: Final[dict[str, Part]] = {
+PARTS: Final[dict[str, RigidPart]] = {
     "torso": TORSO,
     "head": HEAD,
     "spine_vertebra": VERTEBRA,
@@ -117,16 +117,16 @@ _STRETCHED: Final[dict[str, tuple[int, Callable[[Geometry], Any]]]] = {
 #: lateral joint, and 2.5 g where that servo sits. Its vertebrae are each divided by a vertical joint, and its head, by
 #: its tilt, 1 : 2 into bracket and head as in the author's model. The position of the 5 g is not published.
 _SERVO_41: Final = 0.00250
-PARTS_41: Final[dict[str, Part]] = PARTS | {
-    "torso": Part(
+PARTS_41: Final[dict[str, RigidPart]] = PARTS | {
+    "torso": RigidPart(
         TORSO.mass + _SERVO_41,
         tuple(float(c) for c in np.average([TORSO.com, SERVO_PLACE_41], axis=0, weights=[TORSO.mass, _SERVO_41])),  # type: ignore[arg-type]
         TORSO.half_size,
     ),
-    "neck": Part(HEAD.mass / 3, (0.0, -0.0080, 0.0080), (0.009, 0.009, 0.008)),
-    "head": Part(2 * HEAD.mass / 3, (0.0, -0.0190, 0.0006), HEAD.half_size),
-    "spine_vertebra": Part(VERTEBRA.mass / 2, (0.0035, 0.0, 0.0), (0.0025, 0.007, 0.005)),
-    "spine_link": Part(VERTEBRA.mass / 2, (0.0035, 0.0, 0.0), (0.0025, 0.005, 0.007)),
+    "neck": RigidPart(HEAD.mass / 3, (0.0, -0.0080, 0.0080), (0.009, 0.009, 0.008)),
+    "head": RigidPart(2 * HEAD.mass / 3, (0.0, -0.0190, 0.0006), HEAD.half_size),
+    "spine_vertebra": RigidPart(VERTEBRA.mass / 2, (0.0035, 0.0, 0.0), (0.0025, 0.007, 0.005)),
+    "spine_link": RigidPart(VERTEBRA.mass / 2, (0.0035, 0.0, 0.0), (0.0025, 0.005, 0.007)),
     "spine_vertical_pulley": SPINE_PULLEY,
 }
 ROBOT_PARTS: Final = {"nermo_lite": PARTS, "nermo_41": PARTS_41}
@@ -154,7 +154,7 @@ def mass_values(robot: str) -> dict[str, float]:
     return dict(zip(("mass.front", "mass.rear"), ROBOT_MASSES[robot], strict=True))
 
 
-def part_of(body: str, robot: str = "nermo_lite", geometry: Geometry | None = None) -> Part:
+def part_of(body: str, robot: str = "nermo_lite", geometry: Geometry | None = None) -> RigidPart:
     """The part that a body represents, by the body's name (`front_left_upper` is the part `front_upper`).
 
     Args:

@@ -46,7 +46,7 @@ class TerrainShape:
     side: Any = quantity(0.0, "m", -0.4, 0.4, "how far to the left rough ground is moved")
 
 
-class Layout(NamedTuple):
+class TerrainGeoms(NamedTuple):
     """Positions, orientations and sizes of a terrain's geoms: (k, 3), (k, 4) and (k, 3), as in MuJoCo."""
 
     pos: Any
@@ -62,7 +62,7 @@ class TerrainKind:
         doc: description in one line.
         geom: type of its geoms.
         count: number of its geoms.
-        layout: from a shape and `numpy` or `jax.numpy` to a `Layout`.
+        layout: from a shape and `numpy` or `jax.numpy` to a `TerrainGeoms`.
         defaults: of the shape, where they differ from those of `TerrainShape`; their names are the parameters that the
         terrain reads.
         obstacle: whether it stops the robot, instead of carrying it.
@@ -72,7 +72,7 @@ class TerrainKind:
     doc: str
     geom: mujoco.mjtGeom
     count: int
-    layout: Callable[[TerrainShape, Any], Layout]
+    layout: Callable[[TerrainShape, Any], TerrainGeoms]
     defaults: Mapping[str, float]
     obstacle: bool = False
     material: str = "wood"
@@ -97,20 +97,20 @@ def _along(shape: TerrainShape, count: int) -> Any:
     return BEGIN + shape.shift + shape.spacing * np.arange(count)
 
 
-def _planks(shape: TerrainShape, xp: Any) -> Layout:
+def _planks(shape: TerrainShape, xp: Any) -> TerrainGeoms:
     y = -(_along(shape, 14) + 0.5 * shape.width)
     pos = _stacked(xp, 0.0, y, shape.height - 0.5 * BURIED)
-    return Layout(pos, _level(xp, 14), _stacked(xp, np.full(14, HALF_WIDTH), 0.5 * shape.width, 0.5 * BURIED))
+    return TerrainGeoms(pos, _level(xp, 14), _stacked(xp, np.full(14, HALF_WIDTH), 0.5 * shape.width, 0.5 * BURIED))
 
 
-def _logs(shape: TerrainShape, xp: Any) -> Layout:
+def _logs(shape: TerrainShape, xp: Any) -> TerrainGeoms:
     pos = _stacked(xp, 0.0, -(_along(shape, 18) + 0.5 * shape.spacing), shape.height - shape.radius)
     half = math.sqrt(0.5)
     quat = xp.asarray(np.tile([half, 0.0, half, 0.0], (18, 1)))
-    return Layout(pos, quat, _stacked(xp, np.full(18, 1.0) * shape.radius, HALF_WIDTH, 0.0))
+    return TerrainGeoms(pos, quat, _stacked(xp, np.full(18, 1.0) * shape.radius, HALF_WIDTH, 0.0))
 
 
-def _ramp(shape: TerrainShape, xp: Any) -> Layout:
+def _ramp(shape: TerrainShape, xp: Any) -> TerrainGeoms:
     """A plane that rises from the floor, and the platform that it leads to."""
     half, top, thick = 1.0, 1.0, 0.5 * BURIED
     cosine, sine, begin = xp.cos(shape.slope), xp.sin(shape.slope), BEGIN + shape.shift
@@ -126,19 +126,19 @@ def _ramp(shape: TerrainShape, xp: Any) -> Layout:
     turned = _stacked(xp, xp.cos(-0.5 * shape.slope), xp.sin(-0.5 * shape.slope), 0.0, 0.0)
     quat = xp.stack([turned, xp.asarray([1.0, 0.0, 0.0, 0.0])])
     size = xp.asarray([[HALF_WIDTH, half, thick], [HALF_WIDTH, top, thick]])
-    return Layout(pos, quat, size)
+    return TerrainGeoms(pos, quat, size)
 
 
-def _stairs(shape: TerrainShape, xp: Any) -> Layout:
+def _stairs(shape: TerrainShape, xp: Any) -> TerrainGeoms:
     """Seven steps; the last is the platform."""
     number, platform = np.arange(7), 1.0
     half = xp.where(number < 6, 0.5 * shape.spacing, 0.5 * platform)
     y = -(_along(shape, 7) + half)
     pos = _stacked(xp, 0.0, y, shape.height * (number + 1) - BURIED)
-    return Layout(pos, _level(xp, 7), _stacked(xp, HALF_WIDTH, half, BURIED))
+    return TerrainGeoms(pos, _level(xp, 7), _stacked(xp, HALF_WIDTH, half, BURIED))
 
 
-def _spiral(shape: TerrainShape, xp: Any) -> Layout:
+def _spiral(shape: TerrainShape, xp: Any) -> TerrainGeoms:
     """Steps about the point (radius, 0), `spacing` apart along the path, which is the circle to the left."""
     number, width = np.arange(15), 0.3
     angle = (BEGIN + shape.shift + shape.spacing * (number + 0.5)) / shape.radius
@@ -147,21 +147,21 @@ def _spiral(shape: TerrainShape, xp: Any) -> Layout:
     quat = _stacked(xp, xp.cos(0.5 * angle), 0.0, 0.0, xp.sin(0.5 * angle))
     # As deep as the outer end requires; further in, steps overlap and the higher one counts.
     deep = 0.5 * shape.spacing * (1.0 + 0.5 * width / shape.radius)
-    return Layout(pos, quat, _stacked(xp, np.full(15, 0.5 * width), deep, BURIED))
+    return TerrainGeoms(pos, quat, _stacked(xp, np.full(15, 0.5 * width), deep, BURIED))
 
 
-def _rough(shape: TerrainShape, xp: Any) -> Layout:
+def _rough(shape: TerrainShape, xp: Any) -> TerrainGeoms:
     pos = _stacked(xp, shape.side, FIELD_CENTRE - shape.shift, 0.0)[None]
-    return Layout(pos, _level(xp, 1), xp.asarray([[*FIELD_SIZE, 1.0]]))
+    return TerrainGeoms(pos, _level(xp, 1), xp.asarray([[*FIELD_SIZE, 1.0]]))
 
 
-def _slalom(shape: TerrainShape, xp: Any) -> Layout:
+def _slalom(shape: TerrainShape, xp: Any) -> TerrainGeoms:
     """Six gates of two poles, the left one first."""
     centres, radius = gates(shape, xp), POLE[0]
     apart = 0.5 * shape.gap + radius
     x = xp.stack([centres[:, 0] + apart, centres[:, 0] - apart], axis=-1).reshape(-1)
     pos = _stacked(xp, x, xp.repeat(centres[:, 1], 2), POLE[1])
-    return Layout(pos, _level(xp, 12), xp.asarray(np.tile([*POLE, 0.0], (12, 1))))
+    return TerrainGeoms(pos, _level(xp, 12), xp.asarray(np.tile([*POLE, 0.0], (12, 1))))
 
 
 def gates(shape: TerrainShape, xp: Any = np) -> Any:

@@ -90,7 +90,7 @@ def budget(sums: Mapping[str, Array], time: Scalar, supply: Supply) -> dict[str,
     return {"servo_net_work": sums["net_work"], "servo_damper_work": damping @ sums["damped"]} | shares
 
 
-def drawn(torque: Float[Array, "steps n"], velocity: Float[Array, "steps n"], servo: Servo) -> dict[str, Scalar]:
+def power_sums(torque: Float[Array, "steps n"], velocity: Float[Array, "steps n"], servo: Servo) -> dict[str, Scalar]:
     """Means over a tick of sums over the servos: their number, the motors' |torque| [N m], the power beside idle [W].
 
     Args:
@@ -105,7 +105,7 @@ def drawn(torque: Float[Array, "steps n"], velocity: Float[Array, "steps n"], se
     return {name: values.sum(axis=-1).mean() for name, values in zip(DRAWN, each, strict=True)}
 
 
-def result(sums: Mapping[str, Scalar], time: Scalar, supply: Supply) -> dict[str, Scalar]:
+def electrical_result(sums: Mapping[str, Scalar], time: Scalar, supply: Supply) -> dict[str, Scalar]:
     """The electrical metrics, from the integrals of `drawn` over the measured time [s]."""
     servo, battery, _ = supply
     per_torque = (servo.stall_current - servo.idle_current) / servo.torque_limit

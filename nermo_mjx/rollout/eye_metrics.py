@@ -38,14 +38,14 @@ class EyeState:
     square: Float[Array, " 2"]
 
 
-def init(sensors: Sensors) -> EyeState:
+def init_eye(sensors: Sensors) -> EyeState:
     """Accumulators before the first tick, from the readings at rest."""
     angles = attitude(head_orientation(sensors))[1:]
     zero = jnp.zeros_like(angles)
     return EyeState(angles, zero, zero)
 
 
-def update(state: EyeState, sensors: Sensors, weight: Scalar, share: Scalar) -> EyeState:
+def update_eye(state: EyeState, sensors: Sensors, weight: Scalar, share: Scalar) -> EyeState:
     """Add one tick, by its last readings, with the length of its measured part [s] and that part's share of the time
     measured so far."""
     angles = state.angles + wrapped(attitude(head_orientation(sensors))[1:] - state.angles)
@@ -55,7 +55,7 @@ def update(state: EyeState, sensors: Sensors, weight: Scalar, share: Scalar) -> 
     return EyeState(angles, mean, square)
 
 
-def result(state: EyeState, time: Scalar) -> dict[str, Scalar]:
+def eye_result(state: EyeState, time: Scalar) -> dict[str, Scalar]:
     """The metrics by name; `time` is the measured time [s]."""
     metrics: dict[str, Scalar] = {}
     for i, angle in enumerate(("pitch", "yaw")):

@@ -168,11 +168,11 @@ def init(sensors: Sensors, own: tuple[OwnMetric, ...] = (), switches: bool = Fal
         origin=position,
         end=position,
         heading=jnp.stack([angles[2], angles[2]]),
-        path=path_metrics.init(position),
-        eyes=eye_metrics.init(sensors),
+        path=path_metrics.init_path(position),
+        eyes=eye_metrics.init_eye(sensors),
         penetration=zero,
         driven=jnp.stack([sensors.servo_torque, sensors.servo_velocity]),
-        own=reduction.init(own, sensors) if own else None,
+        own=reduction.init_own(own, sensors) if own else None,
         switching_roll=zero if switches else None,
         on_path=no,
         lost=no,
@@ -277,7 +277,7 @@ def update(
         "sunk": jnp.mean(sensors.contact_distance < -SUNK),
         "square_error": error**2,
         "image": (image**2).mean(),
-        **electrical.drawn(torque, sensors.servo_velocity, servo or ModelParameters().servo),
+        **electrical.power_sums(torque, sensors.servo_velocity, servo or ModelParameters().servo),
         **electrical.spent(
             state.driven, sensors.servo_torque, sensors.servo_velocity, servo or ModelParameters().servo
         ),
@@ -305,15 +305,17 @@ def update(
         origin=origin,
         end=jnp.where(part.inside, _between(state.position, last.position, part.end), state.end),
         heading=heading,
-        path=path_metrics.update(
+        path=path_metrics.update_path(
             state.path, (last.position - origin)[:2], error, part.weight, part.rest, part.cycle_ends
         ),
-        eyes=eye_metrics.update(state.eyes, last, part.weight, share),
+        eyes=eye_metrics.update_eye(state.eyes, last, part.weight, share),
         penetration=jnp.where(
             judged & ~lost, jnp.maximum(state.penetration, -sensors.contact_distance.min()), state.penetration
         ),
         driven=jnp.stack([last.servo_torque, last.servo_velocity]),
-        own=None if state.own is None else reduction.update(own, state.own, sensors, part, share, ~lost & (time > 0.0)),
+        own=None
+        if state.own is None
+        else reduction.update_own(own, state.own, sensors, part, share, ~lost & (time > 0.0)),
         switching_roll=roll,
         on_path=jnp.asarray(path is not None),
         lost=lost,
@@ -398,10 +400,10 @@ def result(
     for i, angle in enumerate(ANGLES):
         values = {"mean": state.mean[i], "std": std[i], "min": state.low[i], "max": state.high[i]}
         metrics |= {f"{angle}_{name}": value for name, value in values.items()}
-    metrics |= eye_metrics.result(state.eyes, time) | {"picture_motion": root(sums["image"] / time)}
-    metrics |= {} if state.switching_roll is None else transitions.result(sums, state.switching_roll)
+    metrics |= eye_metrics.eye_result(state.eyes, time) | {"picture_motion": root(sums["image"] / time)}
+    metrics |= {} if state.switching_roll is None else transitions.transition_result(sums, state.switching_roll)
     supply = supply or electrical.Supply.of(ModelParameters())
-    metrics |= electrical.result(sums, time, supply) | electrical.budget(sums, time, supply)
+    metrics |= electrical.electrical_result(sums, time, supply) | electrical.budget(sums, time, supply)
     metrics |= {
         "electrical_cost_of_transport": jnp.where(
             moved, metrics["electrical_power"] * time / (mass * gravity * jnp.where(moved, state.way, 1.0)), jnp.nan
@@ -433,4 +435,4 @@ def result(
         "failure_time": jnp.where(state.fell | state.diverged, state.failure_time, jnp.nan),
     }
     found = {name: metrics[name] for name in (*METRICS, *transitions.TRANSITION) if name in metrics}
-    return found if state.own is None else found | reduction.result(own, state.own, begun, time)
+    return found if state.own is None else found | reduction.own_result(own, state.own, begun, time)

@@ -155,7 +155,7 @@ class PathState:
     third: Float[Array, " 2"]
 
 
-def init(position: Float[Array, " 3"]) -> PathState:
+def init_path(position: Float[Array, " 3"]) -> PathState:
     """Accumulators before the first tick; `position` gives the precision."""
     zero, two = jnp.zeros((), position.dtype), jnp.zeros((2,), position.dtype)
     return PathState(
@@ -173,7 +173,7 @@ def init(position: Float[Array, " 3"]) -> PathState:
     )
 
 
-def update(
+def update_path(
     state: PathState, place: Float[Array, " 2"], error: Scalar, weight: Scalar, rest: Scalar, cycle_ends: Truth
 ) -> PathState:
     """Add one tick.

@@ -41,14 +41,14 @@ class OwnState:
     final: Float[Array, " k"]
 
 
-def init(metrics: tuple[OwnMetric, ...], sensors: Sensors) -> OwnState:
+def init_own(metrics: tuple[OwnMetric, ...], sensors: Sensors) -> OwnState:
     """Accumulators before the first tick, from the readings at rest."""
     value = _values(metrics, sensors)
     zero = jnp.zeros_like(value)
     return OwnState(value, zero, zero, zero + jnp.inf, zero - jnp.inf, value)
 
 
-def update(
+def update_own(
     metrics: tuple[OwnMetric, ...], state: OwnState, sensors: Sensors, part: MeasuredPart, share: Scalar, meant: Truth
 ) -> OwnState:
     """Add one control tick.
@@ -80,7 +80,7 @@ def update(
     return jax.tree.map(lambda new, old: jnp.where(part.inside, new, old), measured, passed)
 
 
-def result(metrics: tuple[OwnMetric, ...], state: OwnState, begun: Truth, time: Scalar) -> dict[str, Scalar]:
+def own_result(metrics: tuple[OwnMetric, ...], state: OwnState, begun: Truth, time: Scalar) -> dict[str, Scalar]:
     """The metrics of one world by name; NaN if nothing was measured. `time` is the measured one [s], never 0."""
     variance = state.square / time
     reduced = {

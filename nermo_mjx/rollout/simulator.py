@@ -31,7 +31,7 @@ from nermo_mjx.rollout.run import LONGEST, Lanes, Run, StartPose, too_many
 from nermo_mjx.rollout.saving import Keeper, Saving, Series
 from nermo_mjx.rollout.setup import Setup, Window, WorldParameters, with_own, without_presettings
 from nermo_mjx.runs.code import versions
-from nermo_mjx.runs.files import plain
+from nermo_mjx.runs.files import plain_json
 
 # ---
 # The results of a batch of worlds: metrics, how each ended, and the recording if requested.
@@ -115,7 +115,7 @@ class RunResult:
             raise ParameterError("record is False: a recording needs Simulator.run(..., record=True).")
         if not 0 <= world < len(self.status):
             raise ParameterError(f"world is {world}: allowed is 0 to {len(self.status) - 1}.")
-        model, metadata = self.setup.load().model, plain(self.about(world))
+        model, metadata = self.setup.load().model, plain_json(self.about(world))
         return recording_of(self.trace.until(int(self.ticks[world])), model, world=world, metadata=metadata)
 
     def about(self, world: int = 0) -> dict[str, Any]:

@@ -62,7 +62,7 @@ def integrals(
     }
 
 
-def result(sums: Mapping[str, Array], roll: Scalar) -> dict[str, Scalar]:
+def transition_result(sums: Mapping[str, Array], roll: Scalar) -> dict[str, Scalar]:
     """The metrics, named as in `TRANSITION`, of `integrals` and of the largest roll; NaN where nothing was measured."""
     time, way = sums["switching_time"], sums["switching_way"]
     there, some = time > 0.0, sums["switching_loaded"] > 0.0

@@ -95,7 +95,7 @@ def stamp(model: str, engine: str, more: tuple[str, ...] = ()) -> CodeStamp:
     )
 
 
-def known(fields: Any) -> CodeStamp | None:
+def stored_stamp(fields: Any) -> CodeStamp | None:
     """The stamp in a JSON file; None if it has no readable one."""
     try:
         return CodeStamp(**{field.name: str(fields[field.name]) for field in dataclasses.fields(CodeStamp)})

@@ -22,7 +22,7 @@ from typing import Any, Final, TypeVar
 from pydantic import BaseModel
 
 from nermo_mjx.files import MOST_FILE, MOST_JSON, FileError, UnfitFile, json_of, read_bytes
-from nermo_mjx.runs.code import CodeStamp, known
+from nermo_mjx.runs.code import CodeStamp, stored_stamp
 from nermo_mjx.runs.files import (
     TEMPORARY,
     DirectoryError,
@@ -150,7 +150,7 @@ class RunDirectory:
             if self.shard is None and not holds_rows:
                 codes.clear()
             if stamp.id not in codes:
-                begun = known(next(reversed(codes.values()), None))
+                begun = stored_stamp(next(reversed(codes.values()), None))
                 if begun is not None and any_model:
                     begun = dataclasses.replace(begun, model=stamp.model)
                 if begun is not None and begun != stamp and not accept:
@@ -231,7 +231,7 @@ def kind_of(out: Path) -> str | None:
 
 def codes_of(out: Path) -> dict[str, CodeStamp]:
     """The codes that made a directory's contents, by their short names, in order."""
-    found = {name: known(fields) for name, fields in read_record(out).get("codes", {}).items()}
+    found = {name: stored_stamp(fields) for name, fields in read_record(out).get("codes", {}).items()}
     return {name: stamp for name, stamp in found.items() if stamp is not None}
 
 

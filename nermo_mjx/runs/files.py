@@ -221,14 +221,14 @@ def clear_errors(out: Path) -> Iterator[None]:
 MISSING: Final = "–"
 
 
-def plain(value: Any) -> Any:
+def plain_json(value: Any) -> Any:
     """The value as plain JSON: arrays as lists, non-finite numbers as null."""
     if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
+        return {str(key): plain_json(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
-        return [plain(item) for item in value]
+        return [plain_json(item) for item in value]
     if hasattr(value, "tolist"):  # numpy and JAX
-        return plain(value.tolist())
+        return plain_json(value.tolist())
     if isinstance(value, float) and not math.isfinite(value):
         return None
     if value is None or isinstance(value, (bool, int, float, str)):
@@ -238,7 +238,7 @@ def plain(value: Any) -> Any:
 
 def to_json(content: Mapping[str, Any]) -> bytes:
     """A JSON file's content; see `plain`."""
-    return (json.dumps(plain(content), indent=2, allow_nan=False) + "\n").encode()
+    return (json.dumps(plain_json(content), indent=2, allow_nan=False) + "\n").encode()
 
 
 def table(headings: Sequence[str], rows: Iterable[Sequence[str]], sides: str = "") -> str:

@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from types import FrameType
-from typing import Final, Self
+from typing import Any, Final, Self
 
 from nermo_mjx.runs.files import WrongDirectory
 from nermo_mjx.runs.workers import WorkersLost
@@ -62,6 +62,37 @@ class Watch:
 
 #: Nobody watches.
 SILENT: Final = Watch()
+
+
+@dataclasses.dataclass(frozen=True)
+class Forecast:
+    """What a job would cost on this machine, before it starts.
+
+    Attributes:
+        engine: that would run.
+        counts: how many there are of what it is made of, by name, such as rows or evaluations.
+        simulated_seconds: of all worlds, gradients at their cost in forward runs [s].
+        wall_seconds: of that, without compiling [s]; NaN if it is not known.
+        rate_from: the rate and its source, in words.
+        disk_bytes: of what would be written, without figures; None if it is not known.
+        method: of a tuning.
+        notes: sentences.
+    """
+
+    engine: str
+    counts: Mapping[str, int]
+    simulated_seconds: float
+    wall_seconds: float
+    rate_from: str
+    disk_bytes: int | None = None
+    method: str | None = None
+    notes: tuple[str, ...] = ()
+
+    @property
+    def content(self) -> dict[str, Any]:
+        """For programs: the counts beside the other fields, but for those that are not known."""
+        others = {name: value for name, value in vars(self).items() if name != "counts" and value is not None}
+        return {**self.counts, **others}
 
 
 class JobFailed(RuntimeError):

@@ -64,7 +64,7 @@ def keys_of(identity: str, values: Mapping[str, np.ndarray], runs: int) -> np.nd
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
-class Part:
+class PartFile:
     """A part's file, of which ten thousand may be held.
 
     Attributes:
@@ -83,7 +83,7 @@ class Part:
     series_name: str
 
     @classmethod
-    def of(cls, path: Path, rows: int, metadata: Mapping[bytes, bytes]) -> Part:
+    def of(cls, path: Path, rows: int, metadata: Mapping[bytes, bytes]) -> PartFile:
         """With what a file's metadata says."""
         about = {key: metadata.get(key, b"").decode() for key in (b"engine", b"steps", b"wall_seconds", b"series")}
         engine, steps, seconds, series = about.values()
@@ -171,7 +171,7 @@ class Runs:
         self.__dict__.pop("_index", None)
         self._table.cache_clear()
 
-    def _intact(self, out: Path, own: bool) -> list[Part]:
+    def _intact(self, out: Path, own: bool) -> list[PartFile]:
         """The intact parts of a directory, those of the job itself or the other ones; damaged ones are moved aside."""
         parts = []
         with clear_errors(out):
@@ -181,7 +181,7 @@ class Runs:
                 content, flaw = _content(path)
                 if content is not None:
                     with parquet_file(pa.BufferReader(content)) as file:
-                        part = Part.of(path, file.metadata.num_rows, file.metadata.metadata or {})
+                        part = PartFile.of(path, file.metadata.num_rows, file.metadata.metadata or {})
                         row = file.read(["row"])["row"]
                         flaw = "has rows without a number" if row.null_count else ""
                         numbers = row.to_numpy() if own and not flaw else None
@@ -244,7 +244,7 @@ class Runs:
             number = self._table(part.path).column("row")[row].as_py()
             yield self._table(part.series).filter(pc.equal(self._table(part.series).column("row"), number))
 
-    def add(self, keys: np.ndarray, table: pa.Table, series: pa.Table | None = None) -> Part:
+    def add(self, keys: np.ndarray, table: pa.Table, series: pa.Table | None = None) -> PartFile:
         """Store runs, atomically and durably: other processes see all of them, with their time series, or none.
 
         Args:
@@ -260,7 +260,7 @@ class Runs:
             about[b"series"] = self._write(SERIES, series).name.encode()
         column = pa.field("key", pa.string(), metadata={"unit": "1", "description": "what decides it", "role": "key"})
         table = table.append_column(column, pa.array(keys.astype(str))).replace_schema_metadata(about)
-        part = Part.of(self._write(RESULTS, table), table.num_rows, about)
+        part = PartFile.of(self._write(RESULTS, table), table.num_rows, about)
         self._note(table["row"].to_numpy())
         self.parts.append(part)
         return part
@@ -278,7 +278,7 @@ class Runs:
         if retire(self.held, self.group):
             self._warn(f"{self.out} has parts of another job, or made with other defaults: now in {FORMER}.")
 
-        def moved(part: Part) -> Part:
+        def moved(part: PartFile) -> PartFile:
             here = part.group != self.group and part.folder == self.out / RESULTS
             return dataclasses.replace(part, folder=self.out / FORMER / RESULTS) if here else part
 
@@ -316,7 +316,7 @@ class Runs:
         parts = [*self.parts, *self.others]
         keys, places = [np.empty(0, "S32")], [np.empty((0, 2), np.int64)]
         for number, part in enumerate(parts):
-            with opened(part.path) as file:
+            with opened_part(part.path) as file:
                 own = file.read(["key"])["key"].to_numpy(zero_copy_only=False).astype("S32")
             keys.append(own)
             places.append(np.column_stack([np.full(len(own), number), np.arange(len(own))]))
@@ -337,7 +337,7 @@ def part_files(out: Path, group: str = "*", folder: str = RESULTS) -> list[Path]
 
 
 @contextlib.contextmanager
-def opened(path: Path) -> Iterator[pq.ParquetFile]:
+def opened_part(path: Path) -> Iterator[pq.ParquetFile]:
     """A part's file, whose pages are checked as they are read; what is wrong with it is a `DirectoryError`."""
     try:
         with parquet_file(path, pre_buffer=False) as file:
@@ -387,7 +387,7 @@ class _Index(NamedTuple):
 
     keys: np.ndarray
     places: np.ndarray
-    parts: list[Part]
+    parts: list[PartFile]
 
 
 class Columns:

@@ -26,7 +26,7 @@ from pydantic import ConfigDict, Field, GetCoreSchemaHandler, GetJsonSchemaHandl
 from pydantic_core import core_schema
 
 from nermo_mjx.specs.fields import JsonSchema, OneOf, Refused, Section
-from nermo_mjx.specs.reading import plain
+from nermo_mjx.specs.reading import plain_data
 
 
 class Spec(Section):
@@ -111,11 +111,11 @@ def written(spec: Spec) -> dict[str, Any]:
     for field in dataclasses.fields(spec):  # type: ignore[arg-type]
         value = getattr(spec, field.name)
         if field.name not in spec.elsewhere and (value is not None or field.default is not None):
-            data[field.name] = plain(value)
+            data[field.name] = plain_data(value)
     return data
 
 
-def named(spec: Any, models: Mapping[str, type[Spec]]) -> dict[str, Any]:
+def named_section(spec: Any, models: Mapping[str, type[Spec]]) -> dict[str, Any]:
     """One of several sections as a file has it, see `one_of`."""
     name = next(name for name, model in models.items() if isinstance(spec, model))
     return {name: written(spec)}

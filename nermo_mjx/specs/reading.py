@@ -122,7 +122,7 @@ def read_mapping(data: Mapping[str, Any], what: str = "sweep") -> Document:
     """A document of a dict given in Python; arrays and tuples count as lists. `what` names its kind."""
     if not isinstance(data, Mapping):
         raise SpecError(f"{what}: a {what} is a mapping of fields, not {describe(data)}.")
-    return Document(what, plain(data))
+    return Document(what, plain_data(data))
 
 
 def dump(data: Mapping[str, Any]) -> str:
@@ -247,12 +247,12 @@ def _tagged(node: Node) -> str:
     return kind if node.tag in _PLAIN_TAGS else f"{kind} with the tag {tag}"
 
 
-def plain(value: Any) -> Any:
+def plain_data(value: Any) -> Any:
     """Plain dicts, lists, strings and numbers of what Python gave."""
     if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
+        return {str(key): plain_data(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
-        return [plain(item) for item in value]
+        return [plain_data(item) for item in value]
     if hasattr(value, "tolist"):  # numpy and JAX arrays and scalars
         return value.tolist()
     for kind in (bool, int, float, str):  # and what derives from them

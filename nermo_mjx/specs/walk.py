@@ -160,12 +160,12 @@ class Waypoints(Fields):
     )
 
 
-class OpenLoop(Fields):
+class OpenLoopFields(Fields):
     what: ClassVar = "an option of the pilot 'open_loop'"
     turn_rate: float = optional(**number_of("pilot.turn_rate"))
 
 
-class Pilot(OneOf):
+class PilotFields(OneOf):
     alone: ClassVar = ("straight", "arc", "open_loop")
     expected: ClassVar = "straight, arc, waypoints or open_loop as a name or {name: {option: value}}"
     other: ClassVar = "is {name!r}"
@@ -173,7 +173,7 @@ class Pilot(OneOf):
     straight: Straight | None = optional("along the y axis")
     arc: Arc | None = optional("along a circle")
     waypoints: Waypoints = optional("along a course")
-    open_loop: OpenLoop | None = optional("at a constant turn rate")
+    open_loop: OpenLoopFields | None = optional("at a constant turn rate")
 
     @classmethod
     def written_out(cls, given: Any) -> Any:
@@ -207,7 +207,7 @@ class WalkFields(SetupFields):
     """Fields of a file that describes a walk."""
 
     sources: ClassVar[str]  #: sections that give parameters their values, for messages
-    pilot: Pilot = Field(Pilot(straight=None), description="what steers the robot")
+    pilot: PilotFields = Field(PilotFields(straight=None), description="what steers the robot")
     run: RunFields = optional("how long a run lasts")
     set: Annotated[dict[str, float], ByParameter(numbers=True)] = Field({}, description="one value for all runs")
     schedule: list[SwitchFields] = Field([], description="what changes while the robot walks")
@@ -440,7 +440,7 @@ _MOST_TRIED: Final = 50_000
 _TOGETHER: Final = ("stride", "stance.*", "limb.*", "geometry.*", "servo.kp", "servo.kv")
 
 
-def check_workspace(
+def check_reach(
     doc: Document, setup: Setup, fixed: Mapping[str, float], tried: Mapping[str, Mapping[str, np.ndarray]]
 ) -> None:
     """Fail at the field whose values `Setup.check` refuses, by themselves or combined: what is derived from them is out

@@ -82,7 +82,7 @@ class Arm:
         return dataclasses.replace(self, runs=self.runs[np.asarray(chosen)])
 
 
-def opened(source: Source) -> tuple[str, Results, SweepRecord | None, list[str]]:
+def opened_table(source: Source) -> tuple[str, Results, SweepRecord | None, list[str]]:
     """The name of a table, the table, what is known of its sweep, and notes on missing rows.
 
     Raises:
@@ -106,7 +106,7 @@ def two_tables(base: Source, other: Source) -> tuple[list[Arm], list[str]]:
     """All runs of two tables, and notes on how their sweeps differ."""
     arms, notes, sweeps = [], [], []
     for source in (base, other):
-        name, results, sweep, incomplete = opened(source)
+        name, results, sweep, incomplete = opened_table(source)
         arms.append(Arm(name, results, _runs_of(results)))
         sweeps.append(sweep)
         notes += incomplete
@@ -129,13 +129,13 @@ def two_tables(base: Source, other: Source) -> tuple[list[Arm], list[str]]:
     return arms, notes
 
 
-def values_of(source: Source, by: str, base: Value | None) -> tuple[list[Arm], list[str]]:
+def arms_of_values(source: Source, by: str, base: Value | None) -> tuple[list[Arm], list[str]]:
     """The runs of one table, split by a varied column; the base's come first.
 
     Raises:
         ParameterError: there is no such column, or it has no such value, or one value only.
     """
-    _, results, _, notes = opened(source)
+    _, results, _, notes = opened_table(source)
     runs = _runs_of(results)
     check_name(by, [*runs], "by")
     values = _values(runs[by])
@@ -303,7 +303,7 @@ def _numbered(keys: pd.DataFrame) -> np.ndarray:
     return label
 
 
-def differences(
+def difference_rows(
     pairing: Pairing, groups: Sequence[str], metrics: Sequence[str], progress: Callable[[float], None]
 ) -> Iterator[dict[str, Any]]:
     """The rows of the table about each combination of the groups' values, and each metric."""
@@ -531,7 +531,7 @@ def compare(
     """
     if (b is None) == (by is None):
         raise ParameterError("compare two directories, or with by two values of a column in one, and not both.")
-    arms, notes = values_of(a, str(by), base) if b is None else two_tables(a, b)
+    arms, notes = arms_of_values(a, str(by), base) if b is None else two_tables(a, b)
     for i, arm in enumerate(arms):
         for name, wanted in (where or {}).items():
             check_name(name, [*arm.runs], "where")
@@ -627,7 +627,7 @@ def _lines(
 ) -> list[dict[str, Any]]:
     """Rows of the table about all variants, whose metrics form one family of tests, or about each group, where
     the tests of one metric form a family."""
-    found = differences(pairing, groups, metrics, progress)
+    found = difference_rows(pairing, groups, metrics, progress)
     lines: list[dict[str, Any]] = [{"other": pairing.sides[1].name, **line} for line in found]
     families = [[line for line in lines if line["metric"] == name] for name in metrics] if groups else [lines]
     for family in families:
@@ -691,7 +691,7 @@ _FAR: Final = 1.0
 _MARKS: Final = "filled: beyond noise; hollow: within it; bars: 95 % intervals"
 
 
-def figures_of(table: pa.Table) -> Iterator[tuple[str, Figure]]:
+def figures_of_comparison(table: pa.Table) -> Iterator[tuple[str, Figure]]:
     """(file name, figure) of a comparison's table, for each other side; by groups, of the metrics that it names."""
     about = table.schema.metadata or {}
     base, metrics = about[b"comparison"].decode(), about[b"drawn"].decode().split()
@@ -714,13 +714,13 @@ def figures_of(table: pa.Table) -> Iterator[tuple[str, Figure]]:
             yield f"{what}-by-{'-and-'.join(groups)}{tail}", drawn
 
 
-def figures(out: Path) -> Figures:
+def comparison_figures(out: Path) -> Figures:
     """The figures of a comparison's directory.
 
     Raises:
         DirectoryError: its table is absent or damaged.
     """
-    return figures_of(report_table(out, "comparison"))
+    return figures_of_comparison(report_table(out, "comparison"))
 
 
 def _forest(rows: Sequence[Row], against: str, profile: str) -> Figure:

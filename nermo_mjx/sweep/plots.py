@@ -60,19 +60,19 @@ MOST_POINTS = 50_000
 MOST_PAIRED = 4
 
 
-def figures_of(results: Results, metric: str = LEADING, remark: str = "") -> Iterator[tuple[str, Figure]]:
+def figures_of_results(results: Results, metric: str = LEADING, remark: str = "") -> Iterator[tuple[str, Figure]]:
     """(file name, figure) of one metric; only successful runs count. Notes begin with the remark and the profile."""
     if not results.well.any():
         return
     remark += f"{profile_text(profiles_of(results))}; "
     z = metric_of(results, metric)
-    varied = [x for x in quantities(results, columns_of(results, "varied")) if not alike(x.values)]
+    varied = [x for x in shown_columns(results, columns_of(results, "varied")) if not alike(x.values)]
     numbers = [x for x in varied if not x.names]
     groups = groups_of([x for x in varied if x.names])
     if groups is not None:
         yield from structure_figures(groups, numbers, z, remark, grid=results.is_grid)
     if not results.is_grid or not varied:
-        drawn = varied or quantities(results, columns_of(results, "randomized"))
+        drawn = varied or shown_columns(results, columns_of(results, "randomized"))
         if groups is not None:
             drawn = [x for x in numbers if not np.isnan(x.values).any()]
         yield from _scatter_figures(drawn, z, remark)
@@ -105,7 +105,7 @@ def _gain_figures(results: Results, metric: str, start: str) -> Iterator[tuple[s
     if metric != LEADING or not {"spine.amplitude", "spine.phase"} <= set(names):
         return
     data = spine_ratio(results)
-    varied = {name: quantity(results, name, data[name]) for name in names}
+    varied = {name: shown_column(results, name, data[name]) for name in names}
     x, y = varied.pop("spine.amplitude"), varied.pop("spine.phase")
     z = ShownValues("speed relative to the stiff spine", "%", 100 * (data["ratio"] - 1))
     bends = x.values > 0
@@ -177,7 +177,7 @@ def findings(
             found = comparing.compare(
                 results, by=by, base=base, groups=groups, drawn=() if metric == LEADING else (metric,)
             )
-            yield "comparison", found.table, found.about(only=found.drawn), comparing.figures_of(found.table)
+            yield "comparison", found.table, found.about(only=found.drawn), comparing.figures_of_comparison(found.table)
     except ParameterError as error:
         notify(f"There is no comparison: {error}")
     try:
@@ -185,7 +185,7 @@ def findings(
             from nermo_mjx.sweep import sensitivity
 
             indices = sensitivity.sensitivity(results, metric)
-            yield "sensitivity", indices.table, indices.about(), sensitivity.figures_of(indices.table)
+            yield "sensitivity", indices.table, indices.about(), sensitivity.figures_of_indices(indices.table)
     except ParameterError as error:
         notify(f"There is no sensitivity: {error}")
 
@@ -194,7 +194,7 @@ def findings(
 # The figures of a sweep's directory, from its table alone: the default ones, or one of columns that a user names.
 
 
-def figures(
+def sweep_figures(
     out: Path,
     *,
     x: str | None = None,
@@ -236,7 +236,7 @@ def figures(
 
     def usual() -> Figures:  # each is drawn when it is asked for, in the style that holds then
         some = False
-        for named in figures_of(results, color or LEADING, remark):
+        for named in figures_of_results(results, color or LEADING, remark):
             some = True
             yield named
         if not some:
@@ -286,10 +286,10 @@ def _chosen(results: Results, x: str, y: str, color: str | None, remark: str) ->
     if color is None and not {x, y} & set(metrics):
         color = LEADING
     if results.is_grid and color in metrics and {x, y} <= set(varied) and x != y:
-        others = {each.name: each for each in quantities(results, varied)}
+        others = {each.name: each for each in shown_columns(results, varied)}
         differing = [each for each in others.values() if not alike(each.values)]
         return heat_map(others[x], others[y], differing, metric_of(results, color), remark + repeats_remark(results))
-    drawn = [quantities(results, [each])[0] for each in (x, y, color) if each]
+    drawn = [shown_columns(results, [each])[0] for each in (x, y, color) if each]
     places = np.flatnonzero(results.well & np.logical_and.reduce([np.isfinite(each.values) for each in drawn]))
     kept, count = _drawn_of(drawn[-1].side, drawn[-1].values[places])
     across, up, *by = (dataclasses.replace(each, values=each.values[places[kept]]) for each in drawn)
@@ -335,7 +335,7 @@ class Points:
     def of(self, names: Sequence[str], chosen: np.ndarray) -> list[ShownValues]:
         """Columns of the chosen points, as shown; only those columns are read, and only those points kept."""
         rows = self.rows[chosen]
-        return [quantity(self.results, name, values[rows]) for name, values in self.results.columns(names)]
+        return [shown_column(self.results, name, values[rows]) for name, values in self.results.columns(names)]
 
     @property
     def differing(self) -> tuple[str, ...]:
@@ -358,19 +358,19 @@ def points_of(results: Results, metrics: Sequence[str]) -> Points:
     columns = results.columns(["variant", *metrics])
     variant = next(columns)[1]
     if not varied:
-        found = {name: quantity(results, name, values[well]) for name, values in columns}
+        found = {name: shown_column(results, name, values[well]) for name, values in columns}
         drawn = tuple(columns_of(results, "randomized"))
         return Points(results, drawn, np.flatnonzero(well), found, int(well.sum()))
     variants = Variants.of(variant)
     some = np.bincount(variants.place, well) > 0
     found = {
-        name: quantity(results, name, variants.tally(values, counts(name, values, well)).mean[some])
+        name: shown_column(results, name, variants.tally(values, counts(name, values, well)).mean[some])
         for name, values in columns
     }
     return Points(results, tuple(varied), variants.first[some], found, int(well.sum()))
 
 
-def quantity(results: Results, name: str, values: np.ndarray | Sequence[float]) -> ShownValues:
+def shown_column(results: Results, name: str, values: np.ndarray | Sequence[float]) -> ShownValues:
     """Values of a column as shown."""
     about = meta(results.schema.field(name))
     if about.get("scale") == "structure":
@@ -380,9 +380,9 @@ def quantity(results: Results, name: str, values: np.ndarray | Sequence[float]) 
     return shown(name, about["unit"], values, log=about.get("scale") == "log", side=side)
 
 
-def quantities(results: Results, names: Sequence[str]) -> list[ShownValues]:
+def shown_columns(results: Results, names: Sequence[str]) -> list[ShownValues]:
     """Columns as shown."""
-    return [quantity(results, name, values) for name, values in results.columns(names)]
+    return [shown_column(results, name, values) for name, values in results.columns(names)]
 
 
 def alike(values: np.ndarray) -> bool:
@@ -393,7 +393,7 @@ def alike(values: np.ndarray) -> bool:
 def metric_of(results: Results, metric: str) -> ShownValues:
     """A metric as shown, NaN where a run is lost."""
     values = results.column(metric)
-    return quantity(results, metric, np.where(counts(metric, values, results.well), values, np.nan))
+    return shown_column(results, metric, np.where(counts(metric, values, results.well), values, np.nan))
 
 
 def repeats_remark(results: Results) -> str:

@@ -20,8 +20,8 @@ from nermo_mjx.recording import Recording, RecordingError, recording_of
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.rollout import History, Setup, Simulator
 from nermo_mjx.runs.directory import RunDirectory
-from nermo_mjx.runs.files import DirectoryError, plain
-from nermo_mjx.runs.rows import opened, part_files
+from nermo_mjx.runs.files import DirectoryError, plain_json
+from nermo_mjx.runs.rows import opened_part, part_files
 from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.sweep.counting import Variants, counts
 from nermo_mjx.sweep.spec import Keep, Rows, Sample, Sweep, sides_in
@@ -128,7 +128,7 @@ class Replay:
         Raises:
             RecordingError: it was lost in its first tick.
         """
-        return recording_of(self.history, self.model, metadata=plain(self.about))
+        return recording_of(self.history, self.model, metadata=plain_json(self.about))
 
 
 def find_row(out: str | os.PathLike[str], row: int) -> SweepRow:
@@ -149,7 +149,7 @@ def find_row(out: str | os.PathLike[str], row: int) -> SweepRow:
     if not 0 <= row < len(rows):
         raise SpecError(f"row is {row}: allowed is 0 to {len(rows) - 1}.")
     for path in part_files(out):
-        with contextlib.suppress(DirectoryError), opened(path) as file:  # a damaged part has no rows
+        with contextlib.suppress(DirectoryError), opened_part(path) as file:  # a damaged part has no rows
             about, span = file.metadata.metadata, file.metadata.row_group(0).column(0).statistics
             skipped = span is not None and span.has_min_max and not span.min <= row <= span.max
             here = np.empty(0, int) if skipped else np.flatnonzero(file.read(["row"])["row"].to_numpy() == row)
@@ -349,7 +349,7 @@ def record_rows(
         if replay.comparison is not None and not replay.comparison.equal:
             warn(f"row {row} as it is recorded: {report['compared']}")
         about = {**report, "kept": why, "sweep": digest}
-        content = dataclasses.replace(replay.recording(), metadata=plain(about)).content()
+        content = dataclasses.replace(replay.recording(), metadata=plain_json(about)).content()
         held.move_aside(path.relative_to(held.out))
         held.write(path.relative_to(held.out), content)
         files.append(path)

@@ -29,13 +29,13 @@ from nermo_mjx.rollout.run import too_many
 from nermo_mjx.runs.code import session
 from nermo_mjx.runs.directory import RunDirectory, engine_of
 from nermo_mjx.runs.files import DirectoryError, WrongDirectory, parquet_bytes, parquet_table, to_json
-from nermo_mjx.runs.job import SILENT, JobFailed, Progress, TensorBoard, Watch, require_tensorboard, resumable
+from nermo_mjx.runs.job import SILENT, Forecast, JobFailed, Progress, TensorBoard, Watch, require_tensorboard, resumable
 from nermo_mjx.runs.rows import Runs
 from nermo_mjx.runs.workers import LocalWorkers, TaskFailed, Workers
 from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.specs.walk import unread
 from nermo_mjx.sweep.counting import counts
-from nermo_mjx.sweep.plots import figures_of, findings
+from nermo_mjx.sweep.plots import figures_of_results, findings
 from nermo_mjx.sweep.simulating import (
     PROBE,
     WORLD_BYTES,
@@ -53,13 +53,13 @@ from nermo_mjx.sweep.store import (
     check_source,
     chunk_with_series,
     claim,
-    differences,
+    first_few,
     fixed_differences,
     keys_of_rows,
-    listed,
     refusal,
     series_table,
     simulated_seconds,
+    sweep_differences,
     sweep_in,
 )
 from nermo_mjx.sweep.table import HELD, Results, better, chunk_table, columns_of, read_table, summarize
@@ -73,9 +73,11 @@ from nermo_mjx.trust import only_reading
 _NO_MEMORY = re.compile("RESOURCE_EXHAUSTED|out of memory|failed to allocate", re.IGNORECASE)
 #: Rows that are taken from other directories at once, if they have no time series.
 _TAKEN: Final = 65_536
+#: How often rows are simulated again that are damaged each time they are read back.
+ATTEMPTS: Final = 2
 
 
-class Batch(NamedTuple):
+class RowBatch(NamedTuple):
     """Rows that are simulated together (n,), all of one structure, in so many worlds, n or more."""
 
     structure: int
@@ -178,7 +180,7 @@ class Work:
             if (places >= 0).any():
                 yield index[places >= 0], places[places >= 0]
 
-    def batches(self, rows: np.ndarray, reused: int = 0) -> list[Batch]:
+    def batches(self, rows: np.ndarray, reused: int = 0) -> list[RowBatch]:
         """The batches for some rows, of few shapes, so that no engine compiles again.
 
         Args:
@@ -194,7 +196,7 @@ class Work:
             own = rows[self._structure[rows] == at]
             split = np.array_split(own, math.ceil(len(own) / whole[at]))
             worlds = len(split[0]) if reused else whole[at]
-            batches += [Batch(at, index, worlds) for index in split]
+            batches += [RowBatch(at, index, worlds) for index in split]
         return batches
 
     def reuse(self, accept_new_code: bool) -> None:
@@ -220,6 +222,17 @@ class Work:
                 ).replace_schema_metadata({"sweep": self.sweep.digest()})
             self._add(index, metrics, status, code, about | {"code": str(code[0])}, series)
             self.reused += len(index)
+
+    def finish(self, computer: SweepSimulator, workers: Workers, accept_new_code: bool) -> None:
+        """Simulate what is missing, and once more what was damaged on its way to the disk; see `simulate`."""
+        for _ in range(ATTEMPTS):
+            self.simulate(computer, workers, accept_new_code)
+            if not self.simulated:
+                return
+            self.runs.survey()
+            if not len(self.unfinished):
+                return
+        raise DirectoryError(f"{self.out} loses what is written to it: it is damaged again and again.")
 
     def simulate(self, simulator: SweepSimulator, workers: Workers, accept_new_code: bool) -> None:
         """Simulate what is unfinished; each batch is written while the next one is simulated.
@@ -267,7 +280,7 @@ class Work:
                 if written is not None:
                     written.result()
         except TaskFailed as failed:
-            rows, error = f"rows {listed(batches[failed.key].rows)}", failed.__cause__
+            rows, error = f"rows {first_few(batches[failed.key].rows)}", failed.__cause__
             if isinstance(error, ParameterError):
                 raise SpecError(f"{rows} are refused: {error}") from error
             reason = (str(error).strip().splitlines() or [""])[0].rstrip(".")[:300]
@@ -285,7 +298,7 @@ class Work:
         fraction = 1.0 if self._finished == count else 1.0 - (self._left - current) / whole
         self._watch.progress(Progress(fraction, self._finished, count, self._resumed + self.reused))
 
-    def _write(self, batch: Batch, result: Simulated, stamps: Mapping[int, Any]) -> None:
+    def _write(self, batch: RowBatch, result: Simulated, stamps: Mapping[int, Any]) -> None:
         stamp, count = stamps[batch.structure], len(batch.rows)
         about = {"engine": stamp.engine, "code": stamp.id, "steps": result.steps, "wall_seconds": result.seconds}
         metrics = {name: column[:count] for name, column in result.metrics.items()}
@@ -353,10 +366,6 @@ class BatchLog:
 
 # ---
 # Running a sweep.
-
-
-#: How often rows are simulated again that are damaged each time they are read back.
-ATTEMPTS = 2
 
 
 @dataclasses.dataclass(frozen=True)
@@ -435,11 +444,7 @@ def run_sweep(
         simulator: replaces `Simulator(spec.setup, engine)`.
 
     Raises:
-        SpecError: the sweep is wrong; nothing has been written.
-        OtherCode: other code, another model or another engine made rows of the directory.
-        DirectoryError: the directory holds something else, is in use, or cannot be written.
-        JobFailed: a simulation failed, or all workers are lost; what is finished is kept.
-        Interrupted: Ctrl-C or SIGTERM; the same call resumes.
+        SpecError, OtherCode, DirectoryError, JobFailed, Interrupted: see "Errors of jobs" in docs/reference/python.md.
     """
     sweep = Sweep.of(spec)
     if extend and shard is not None:
@@ -463,60 +468,50 @@ def run_sweep(
     if simulate and (wrong := too_many(min(size, sweep.variants * sweep.repeats))):
         raise SpecError(f"chunk is {size:,}: {wrong}")
     with (
-        RunDirectory(out, "sweep", shard) as held,
-        resumable(held.out, f"sweep {held.out / 'sweep.yaml'}") as interruption,
+        RunDirectory(out, "sweep", shard) as directory,
+        resumable(directory.out, f"sweep {directory.out / 'sweep.yaml'}") as interruption,
         contextlib.ExitStack() as stack,
     ):
         watch = interruption.watched(watch)
-        sweep = claim(held, dataclasses.replace(sweep, chunk=size), extend=extend)
+        sweep = claim(directory, dataclasses.replace(sweep, chunk=size), extend=extend)
         board = None
         if tensorboard:
             part = "" if shard is None else "shard-{}-of-{}".format(*shard)
-            board = stack.enter_context(TensorBoard(held.out, part))
-        work = Work(sweep, held.out, sweep.chunk or size, sources, shard, watch, held, board)
-        check_room(sweep, held.out, work.seconds[work.unfinished])
-        begun = engine_of(held.out) or next((part.engine for part in work.runs.parts), None)
-        ran = engine_name(engine, simulator, begun)
-        simulates = SweepSimulator(sweep.structures, ran, simulator, watch.notify, sweep.save)
+            board = stack.enter_context(TensorBoard(directory.out, part))
+        work = Work(sweep, directory.out, sweep.chunk or size, sources, shard, watch, directory, board)
+        check_room(sweep, directory.out, work.seconds[work.unfinished])
+        begun_on = engine_of(directory.out) or next((part.engine for part in work.runs.parts), None)
+        name = engine_name(engine, simulator, begun_on)
+        computer = SweepSimulator(sweep.structures, name, simulator, watch.notify, sweep.save)
         work.reuse(accept_new_code)
-        for _ in range(ATTEMPTS if simulate else 0):
-            work.simulate(simulates, workers, accept_new_code)
-            if not work.simulated:
-                break
-            work.runs.survey()
-            if not len(work.unfinished):
-                break
-        else:
-            if simulate:
-                raise DirectoryError(f"{held.out} loses what is written to it: it is damaged again and again.")
-        done, recordings, summary, plots = work.done, list[Path](), dict[str, Any](), list[Path]()
+        if simulate:
+            work.finish(computer, workers, accept_new_code)
+        done, summary, plots, recordings = work.done, dict[str, Any](), list[Path](), list[Path]()
         if done.all():
             results = Results([part.path for part in work.runs.parts])
-            summary, figures = {**summarize(results), **work.effort()}, figures_of(results)
-            compared = None if sweep.compare is None else sweep.compare.written()
-            for name, table, about, drawn in findings(results, compared, notify=watch.warn):
-                held.write(f"{name}.parquet", parquet_bytes(table))
-                summary[name] = about
-                figures = itertools.chain(figures, drawn)
-            held.write("summary.json", to_json(summary))
-            plots = write_figures(figures, held.out / "plots") if sweep.plots else plots
+            summary, plots = _publish(directory, sweep, results, work.effort(), watch)
             if sweep.keep is not None:
                 from nermo_mjx.sweep.replay import record_rows
 
                 recordings = record_rows(
-                    held, sweep.digest(), results, sweep.keep, simulates.used, interruption.check, watch.warn
+                    directory, sweep.digest(), results, sweep.keep, computer.used, interruption.check, watch.warn
                 )
-        return SweepResult(
-            out=held.out,
-            summary=summary,
-            plots=plots,
-            recordings=recordings,
-            complete=bool(done.all()),
-            chunks_run=work.simulated,
-            rows_done=int(done.sum()),
-            rows=len(done),
-            missing=work.missing(),
-        )
+        rows: dict[str, Any] = {"rows_done": int(done.sum()), "rows": len(done), "missing": work.missing()}
+        return SweepResult(directory.out, summary, plots, recordings, bool(done.all()), work.simulated, **rows)
+
+
+def _publish(
+    directory: RunDirectory, sweep: Sweep, results: Results, effort: Mapping[str, Any], watch: Watch
+) -> tuple[dict[str, Any], list[Path]]:
+    """Write what is made of a complete table; the content of summary.json, and the files of the figures."""
+    summary, figures = {**summarize(results), **effort}, figures_of_results(results)
+    comparison = None if sweep.compare is None else sweep.compare.written()
+    for name, table, about, drawn in findings(results, comparison, notify=watch.warn):
+        directory.write(f"{name}.parquet", parquet_bytes(table))
+        summary[name] = about
+        figures = itertools.chain(figures, drawn)
+    directory.write("summary.json", to_json(summary))
+    return summary, write_figures(figures, directory.out / "plots") if sweep.plots else []
 
 
 # ---
@@ -632,43 +627,7 @@ C_WORLD_BYTES: Final = 100_000
 _WORLDS: Final = 64
 
 
-@dataclasses.dataclass(frozen=True)
-class Forecast:
-    """What a sweep would cost.
-
-    Attributes:
-        rows, chunks: of the sweep, and the batches in which it would be simulated in one go.
-        rows_left: to be simulated; the others are in the directory, or known from other directories.
-        batches: that would be simulated.
-        structures: setups that are compiled and simulated, one after the other.
-        engine: that would run.
-        steps: physics steps that would be simulated, all worlds together.
-        steps_per_second: at that rate; NaN if it is not known.
-        rate_from: source of the rate, in words.
-        seconds: time for the steps [s]; NaN if the rate is unknown. Compilation comes in addition.
-        disk_bytes: that the missing part of the table will take, without figures.
-        disk_free: free space at the directory's location [bytes].
-        memory_bytes: of this process; on a GPU, that of the batch is the device's.
-        notes: sentences.
-    """
-
-    rows: int
-    chunks: int
-    rows_left: int
-    batches: int
-    structures: int
-    engine: str
-    steps: float
-    steps_per_second: float
-    rate_from: str
-    seconds: float
-    disk_bytes: int
-    disk_free: int
-    memory_bytes: int
-    notes: tuple[str, ...]
-
-
-def forecast(
+def sweep_forecast(
     sweep: Sweep,
     out: str | os.PathLike[str] | None = None,
     *,
@@ -684,7 +643,9 @@ def forecast(
 
     The rate is that of the directory's rows, if it has any; otherwise 64 worlds of the engine `c` are simulated for
     half a second, which takes some seconds in all. For other engines it is then not known, since they compile for
-    minutes.
+    minutes. The counts are `rows` and `chunks` of the sweep in one go, the `rows_left` to be simulated (the others are
+    in the directory, or known from other directories), their `batches`, the `structures` that are compiled, one after
+    the other, and physics `steps`.
 
     Args:
         out: the directory, which need not be there.
@@ -703,7 +664,7 @@ def forecast(
     if folder is not None and (folder / "sweep.yaml").exists():
         begun = Sweep.from_directory(folder)
         if begun.digest() != sweep.digest() and ((why := refusal(begun, sweep)) or not extend):
-            hint = why or f"{differences(begun, sweep)}; --extend would extend it"
+            hint = why or f"{sweep_differences(begun, sweep)}; --extend would extend it"
             raise WrongDirectory(f"{folder} holds the results of another sweep: {hint}.")
     wanted = engine if engine != "auto" else (engine_of(folder) if folder is not None else None) or "auto"
     runs = resolve_engine(wanted)
@@ -715,22 +676,18 @@ def forecast(
     left = unfinished[np.isin(unfinished, left)]
     batches = work.batches(left, len(unfinished) - len(left))
     # Each batch lasts as long as its longest row, in all of its worlds.
-    steps = sum(
-        batch.worlds * float(work.seconds[batch.rows].max()) / float(sweep.structures[batch.structure].setup.timestep)
-        for batch in batches
-    )
+    seconds = np.array([batch.worlds * float(work.seconds[batch.rows].max()) for batch in batches])
+    steps = sum(seconds / [float(sweep.structures[batch.structure].setup.timestep) for batch in batches])
     rate, rate_from = math.nan, "not needed: nothing is left to be simulated"
     there = [part for part in (*work.runs.parts, *work.runs.others) if folder is not None and part.directory == folder]
     done = np.array([(part.steps, part.seconds) for part in there if part.engine == runs and part.seconds > 0])
     if len(done):
-        rate, rate_from = (
-            float(done[:, 0].sum() / done[:, 1].sum()),
-            f"measured: {len(done):,} chunks of the directory",
-        )
+        rate = float(done[:, 0].sum() / done[:, 1].sum())
+        rate_from = f"{rate:,.0f} steps/s, measured: {len(done):,} chunks of the directory"
     elif steps and runs == "c":
         setup = sweep.setup
         rate = measure(sweep, runs) if measure else pace(Simulator(setup, runs), setup, _WORLDS) / setup.timestep
-        rate_from = f"measured now: {_WORLDS} worlds for {PROBE:g} simulated s"
+        rate_from = f"{rate:,.0f} steps/s, measured now: {_WORLDS} worlds for {PROBE:g} simulated s"
     elif steps:
         rate_from = f"not known: no chunk of the engine {runs} has been measured in the directory"
     if there:  # as much per row as those take
@@ -744,29 +701,18 @@ def forecast(
         disk = math.ceil(len(left) * len(parquet_bytes(table.append_column("key", key))) / len(index))
     above = (folder or Path.cwd()).absolute()
     free = shutil.disk_usage(next(each for each in (above, *above.parents) if each.is_dir())).free
-    if disk > free:
-        notes.append(f"There is no room for it: {free / 1e9:.1f} GB are free.")
+    notes.append(f"{'There is no room for it: ' if disk > free else ''}{free / 1e9:,.1f} GB are free.")
     worlds = max((batch.worlds for batch in batches), default=0)
     points = 0 if sweep.sampler in ("grid", "rows") else sweep.variants * len(sweep.axes) * 8
     summary = min(len(work.rows) * 8 * (len(METRICS) + len(sweep.axes)), HELD * 8) * 2
+    memory = PROCESS_BYTES + worlds * C_WORLD_BYTES * (runs == "c") + len(work.rows) * 24 + points + summary
+    notes.append(f"The process takes about {memory / 1e9:.1f} GB of memory.")
     if runs != "c" and worlds:
         notes.append(
             f"The batch of {worlds:,} worlds takes about {worlds * WORLD_BYTES[runs] / 1e9:.2g} GB of the devices' "
             "memory, besides."
         )
-    return Forecast(
-        rows=len(work.rows),
-        chunks=len(work.layout),
-        rows_left=len(left),
-        batches=len(batches),
-        structures=len({batch.structure for batch in batches}),
-        engine=runs,
-        steps=steps,
-        steps_per_second=rate,
-        rate_from=rate_from,
-        seconds=steps / rate if rate > 0 else 0.0 if not steps else math.nan,
-        disk_bytes=disk,
-        disk_free=free,
-        memory_bytes=PROCESS_BYTES + worlds * C_WORLD_BYTES * (runs == "c") + len(work.rows) * 24 + points + summary,
-        notes=tuple(notes),
-    )
+    counts = {"rows": len(work.rows), "rows_left": len(left), "chunks": len(work.layout), "batches": len(batches)}
+    counts |= {"structures": len({batch.structure for batch in batches}), "steps": round(steps)}
+    wall = steps / rate if rate > 0 else math.nan if steps else 0.0
+    return Forecast(runs, counts, float(seconds.sum()), wall, rate_from, disk, notes=tuple(notes))

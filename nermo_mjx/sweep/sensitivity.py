@@ -20,7 +20,7 @@ from nermo_mjx.plotting.files import Figures
 from nermo_mjx.plotting.shown import spoken
 from nermo_mjx.plotting.style import BAND, GRID, INK, LINE, MUTED, OKABE_ITO
 from nermo_mjx.robot.quantity import ParameterError, did_you_mean
-from nermo_mjx.sweep.comparing import Source, opened
+from nermo_mjx.sweep.comparing import Source, opened_table
 from nermo_mjx.sweep.counting import Variants, counts
 from nermo_mjx.sweep.sampling import saltelli_size, unit_problem
 from nermo_mjx.sweep.table import LEADING, Columns, Results, columns_of, labelled, report_table
@@ -94,7 +94,7 @@ def sensitivity(source: Source, metric: str = LEADING) -> Sensitivity:
         ParameterError: there is no such metric, or the table is of a grid, or too small.
         DirectoryError, SpecError: the directory holds no results, or cannot be read.
     """
-    _, results, _, notes = opened(source)
+    _, results, _, notes = opened_table(source)
     known = columns_of(results, "metric")
     if metric not in known:
         raise ParameterError(f"metric is {metric!r}: not one of the table{did_you_mean(metric, known)}")
@@ -249,16 +249,16 @@ _COLOURS: Final = {"first": LINE, "total": BAND, "second": OKABE_ITO["purple"]}
 _WORDS: Final = {"first": "alone (first)", "total": "with all others (total)", "second": "of a pair (second)"}
 
 
-def figures(out: Path) -> Figures:
+def sensitivity_figures(out: Path) -> Figures:
     """The figures of a sensitivity's directory.
 
     Raises:
         DirectoryError: its table is absent or damaged.
     """
-    return figures_of(report_table(out, "sensitivity"))
+    return figures_of_indices(report_table(out, "sensitivity"))
 
 
-def figures_of(table: pa.Table) -> Iterator[tuple[str, Figure]]:
+def figures_of_indices(table: pa.Table) -> Iterator[tuple[str, Figure]]:
     """(file name, figure) of a table of indices; a panel for each structure, and one for its pairs."""
     about = {key.decode(): value.decode() for key, value in (table.schema.metadata or {}).items()}
     lines, metric, structures = table.to_pylist(), about["sensitivity"], labelled(table)

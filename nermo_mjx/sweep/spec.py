@@ -29,7 +29,7 @@ from nermo_mjx.specs.described import Described, digest_of
 from nermo_mjx.specs.fields import Fields, OneOf, Refused, documented, optional, read
 from nermo_mjx.specs.reading import Document, describe, read_file, read_mapping
 from nermo_mjx.specs.values import Choice, Positive, Whole, refuse_parameter
-from nermo_mjx.specs.walk import WalkFields, WalkSpec, check_sources, check_workspace, unread, written_out
+from nermo_mjx.specs.walk import WalkFields, WalkSpec, check_reach, check_sources, unread, written_out
 from nermo_mjx.sweep.sampling import Axis, Draw, Saltelli, read_axis, read_draw, saltelli_points, saltelli_size
 from nermo_mjx.sweep.structures import (
     RowList,
@@ -246,7 +246,7 @@ def check_together(doc: Document, sweep: Sweep) -> None:
     if sweep.rows is None:
         tried["vary"] = {axis.name: axis.tried(grid=sweep.sampler == "grid") for axis in sweep.axes}
     for setup in {(each.gait, each.routing): each for each in setups}.values():
-        check_workspace(doc, setup, sweep.fixed, tried)
+        check_reach(doc, setup, sweep.fixed, tried)
     if sweep.compare is not None:
         check_comparison(doc, sweep, sweep.compare)
     if (rows := sweep.rows) is None:

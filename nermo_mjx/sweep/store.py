@@ -64,7 +64,7 @@ def fixed_differences(there: Sweep, here: Sweep) -> str:
     return _sentence(apart)
 
 
-def differences(there: Sweep, here: Sweep) -> str:
+def sweep_differences(there: Sweep, here: Sweep) -> str:
     """How two sweeps differ: the first fields, each with both values: `seed is 0 there and 5 here`."""
     # The same values, but another row 0.
     return _sentence(_apart(there, here)) or ("the parameters under vary or randomize stand in another order")
@@ -144,7 +144,7 @@ def known(values: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     return {name: column for name, column in values.items() if not np.isnan(column).any()}
 
 
-def listed(numbers: np.ndarray) -> str:
+def first_few(numbers: np.ndarray) -> str:
     """The first few of some numbers, for a sentence: 3, 7, 11, 15 and 60 more."""
     shown, more = sorted(np.asarray(numbers).tolist())[:_NAMED_BATCH], len(numbers) - _NAMED_BATCH
     return ", ".join(map(str, shown)) + (f" and {more:,} more" if more > 0 else "")
@@ -321,8 +321,8 @@ def claim(held: RunDirectory, sweep: Sweep, *, extend: bool = False) -> Sweep:
             if not extend:
                 also = "" if why else ", or add these rows to it with --extend"
                 raise DirectoryError(
-                    f"{out} holds the results of another sweep: {differences(begun, sweep)}; choose another directory, "
-                    f"or resume with {path}{also}."
+                    f"{out} holds the results of another sweep: {sweep_differences(begun, sweep)}; choose another "
+                    f"directory, or resume with {path}{also}."
                 )
             # Killed at any moment, the results are in one of two folders, and both sweeps find them there.
             (out / FORMER).mkdir(exist_ok=True)

@@ -32,7 +32,7 @@ from nermo_mjx.specs.controllers import code_identity
 from nermo_mjx.specs.fields import Fields, JsonSchema, Refused, optional, read
 from nermo_mjx.specs.reading import Document, FieldPath, SpecError, describe, read_text
 from nermo_mjx.specs.values import Checked, by_parameter, refuse_parameter
-from nermo_mjx.specs.walk import Pilot, SetupFields, WalkFields, WalkSpec, read_walk, unread
+from nermo_mjx.specs.walk import PilotFields, SetupFields, WalkFields, WalkSpec, read_walk, unread
 from nermo_mjx.sweep.sampling import Axis, settled
 
 #: Combinations in one sweep: each is a simulator, and is checked before anything runs.
@@ -83,7 +83,7 @@ class Listed(Checked):
     def schema(self, own: JsonSchema) -> JsonSchema:
         item = _ABOUT[self.name].json_schema_extra
         if self.name == "pilot":
-            item = {"anyOf": [*Pilot.short, {"type": "object", "minProperties": 1, "maxProperties": 1}]}
+            item = {"anyOf": [*PilotFields.short, {"type": "object", "minProperties": 1, "maxProperties": 1}]}
         listed = {"type": "array", "items": item, "minItems": 1}
         values = {"properties": {"values": listed}, "required": ["values"], "additionalProperties": False}
         return {"anyOf": [listed, {"type": "object", **values}]}
@@ -130,7 +130,7 @@ class Vary(_Structures):
         refuse_parameter(key, more=STRUCTURES)
 
 
-class Choice(NamedTuple):
+class StructureValue(NamedTuple):
     """A structure's value in a file, its path there, and `file:line` where it is another file than the sweep's."""
 
     value: Any
@@ -146,7 +146,7 @@ class _Alone(Document):
         chosen: what is chosen, by the name of the structure.
     """
 
-    chosen: Mapping[str, Choice] = dataclasses.field(default_factory=dict)
+    chosen: Mapping[str, StructureValue] = dataclasses.field(default_factory=dict)
 
     def where(self, path: FieldPath) -> str:
         if path[:1] and path[0] in self.chosen:
@@ -162,17 +162,17 @@ def about_structure(name: str) -> str:
 
 def choices_of(name: str) -> list[str]:
     """The names that a structure may have; a pilot may have options, too, and a scene be the path of an MJCF file."""
-    extra: Any = Pilot.short[0] if name == "pilot" else _ABOUT[name].json_schema_extra
+    extra: Any = PilotFields.short[0] if name == "pilot" else _ABOUT[name].json_schema_extra
     return list((extra["anyOf"][0] if "anyOf" in extra else extra)["enum"])
 
 
-def combinations_of(doc: Document, vary: Vary) -> list[dict[str, Choice]]:
+def combinations_of(doc: Document, vary: Vary) -> list[dict[str, StructureValue]]:
     """Every combination of the varied structures, the first of the file slowest; one, of nothing, where none varies."""
-    listed: dict[str, list[Choice]] = {}
+    listed: dict[str, list[StructureValue]] = {}
     for name, given in doc.data.get("vary", {}).items():
         if name in STRUCTURES:
             path = ("vary", name, "values") if isinstance(given, Mapping) else ("vary", name)
-            listed[name] = [Choice(value, (*path, i)) for i, value in enumerate(getattr(vary, name))]
+            listed[name] = [StructureValue(value, (*path, i)) for i, value in enumerate(getattr(vary, name))]
     count = math.prod(map(len, listed.values()))
     if count > MOST_STRUCTURES:
         doc.fail(("vary",), f"makes {count:,} combinations of structures; allowed are {MOST_STRUCTURES:,}.")
@@ -180,7 +180,7 @@ def combinations_of(doc: Document, vary: Vary) -> list[dict[str, Choice]]:
 
 
 def read_structures(
-    doc: Document, model: type[WalkFields], combinations: Sequence[Mapping[str, Choice]]
+    doc: Document, model: type[WalkFields], combinations: Sequence[Mapping[str, StructureValue]]
 ) -> list[Structure]:
     """The walk of each combination, checked as if it stood in a file of its own.
 
@@ -209,7 +209,9 @@ def read_structures(
     return found
 
 
-def check_repeats(doc: Document, combinations: Sequence[Mapping[str, Choice]], found: Sequence[Structure]) -> None:
+def check_repeats(
+    doc: Document, combinations: Sequence[Mapping[str, StructureValue]], found: Sequence[Structure]
+) -> None:
     """Fail where a structure lists a value twice."""
     seen: dict[tuple[str, str], FieldPath] = {}
     for chosen, structure in zip(combinations, found, strict=True):
@@ -272,11 +274,11 @@ class RowTable:
         """Raise a `SpecError` about a value."""
         raise SpecError(f"{self.place(row)}: field '{name}' {message}") from None
 
-    def combinations(self) -> tuple[list[dict[str, Choice]], np.ndarray]:
+    def combinations(self) -> tuple[list[dict[str, StructureValue]], np.ndarray]:
         """The different combinations of structures, and which one each row has, (n,)."""
         names = [name for name in self.columns if name in STRUCTURES]
         found: dict[str, int] = {}
-        chosen: list[dict[str, Choice]] = []
+        chosen: list[dict[str, StructureValue]] = []
         which = np.zeros(self.rows, int)
         for row in range(self.rows):
             given = {name: self.columns[name][row] for name in names}
@@ -288,7 +290,7 @@ class RowTable:
             if len(found) > len(chosen):
                 values = {name: value_of(value) if isinstance(value, str) else value for name, value in given.items()}
                 place = ("rows", row), self.place(row)
-                chosen.append({name: Choice(value, *place) for name, value in values.items()})
+                chosen.append({name: StructureValue(value, *place) for name, value in values.items()})
         return chosen, which
 
 

@@ -38,7 +38,7 @@ from nermo_mjx.runs.files import (
     to_json,
 )
 from nermo_mjx.runs.rows import Columns as Columns
-from nermo_mjx.runs.rows import opened, part_files
+from nermo_mjx.runs.rows import opened_part, part_files
 from nermo_mjx.runs.status import Status, metadata_of, status_of
 from nermo_mjx.sweep.counting import OF_ALL_RUNS, Tally, Variants, counts, losses
 from nermo_mjx.sweep.spec import OBJECTIVES, SIDES, Rows, Sweep, sides_in
@@ -225,7 +225,7 @@ class Results:
         if isinstance(source, pa.Table):
             schema = source.schema
         else:
-            with opened(source[0]) as file:
+            with opened_part(source[0]) as file:
                 schema = file.schema_arrow
                 schema = pa.schema([field for field in schema if field.name != "key"], schema.metadata)
         self.schema = schema.with_metadata(_common(schema))
@@ -274,7 +274,7 @@ class Results:
         for start in range(0, len(self._source), _JOINED):
             few = [wanted]
             for path in self._source[start : start + _JOINED]:
-                with opened(path) as file:
+                with opened_part(path) as file:
                     # With `row`, which each has: without any column it would have no rows.
                     read = file.read([*dict.fromkeys(["row", *names])], use_threads=False)
                     few.append(read.replace_schema_metadata(None))
@@ -298,7 +298,7 @@ def read_table(out: str | os.PathLike[str]) -> pa.Table:
     """
     parts = []
     for path in part_files(Path(out)):
-        with contextlib.suppress(DirectoryError), opened(path) as file:  # a damaged one is left out
+        with contextlib.suppress(DirectoryError), opened_part(path) as file:  # a damaged one is left out
             parts.append(file.read([name for name in file.schema_arrow.names if name != "key"]))
     if not parts:
         raise DirectoryError(f"{out} holds no results of a sweep.")
@@ -346,7 +346,7 @@ def _common(schema: pa.Schema) -> dict[bytes, bytes]:
     return {key: value for key, value in (schema.metadata or {}).items() if key not in PART_KEYS}
 
 
-def status(out: Path) -> Status:
+def sweep_status(out: Path) -> Status:
     """How many runs of its sweep a directory holds."""
     notes, rows, done, engines = list[str](), None, 0, list[str]()
     try:

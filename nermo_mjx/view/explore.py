@@ -43,7 +43,7 @@ _SIDES: Final = {"max": "high", "min": "low", "nearest zero": "zero"}
 
 
 @dataclasses.dataclass(frozen=True)
-class Column:
+class ExplorerColumn:
     """A column of the table.
 
     Attributes:
@@ -78,7 +78,7 @@ class Column:
 
 
 @dataclasses.dataclass(frozen=True)
-class Runs:
+class ExplorerRuns:
     """The runs of a directory.
 
     Attributes:
@@ -93,7 +93,7 @@ class Runs:
     """
 
     kind: str
-    columns: Mapping[str, Column]
+    columns: Mapping[str, ExplorerColumn]
     rows: np.ndarray
     total: int
     leading: str
@@ -107,12 +107,12 @@ class Runs:
         values, status = self.columns[self.leading].values, self.columns.get("status")
         return counts(self.leading, values, np.full(len(values), True) if status is None else status.values == "ok")
 
-    def of(self, *roles: str) -> list[Column]:
+    def of(self, *roles: str) -> list[ExplorerColumn]:
         """Columns of these roles that differ between the runs."""
         return [each for each in self.columns.values() if each.role in roles and len(each.distinct) > 1]
 
 
-def runs_of(path: Path, kept: Collection[int] = (), most: int = MOST_ROWS) -> Runs:
+def runs_of(path: Path, kept: Collection[int] = (), most: int = MOST_ROWS) -> ExplorerRuns:
     """The runs of a directory.
 
     Args:
@@ -159,7 +159,7 @@ def runs_of(path: Path, kept: Collection[int] = (), most: int = MOST_ROWS) -> Ru
         columns[leading] = dataclasses.replace(columns[leading], better=side)
     kind = "atlas" if atlas is not None else kind_of(path) or "sweep"
     grid = about.get(b"sampler") == b"grid"
-    return Runs(kind, columns, number[places].astype(np.int64), len(number), leading, grid, atlas)
+    return ExplorerRuns(kind, columns, number[places].astype(np.int64), len(number), leading, grid, atlas)
 
 
 class _Aim(BaseModel, extra="allow"):
@@ -177,7 +177,7 @@ class _Atlas(BaseModel, extra="allow"):
     measures: Annotated[list[_Aim], Field(min_length=1, max_length=2)]
 
 
-def _column(name: str, about: Mapping[str, str], sides: Mapping[str, str], values: np.ndarray) -> Column:
+def _column(name: str, about: Mapping[str, str], sides: Mapping[str, str], values: np.ndarray) -> ExplorerColumn:
     role = about["role"]
     better = _SIDES[sides[name]] if role == "metric" and name in sides else ""
     if values.dtype.kind in "OUS" and any(isinstance(value, str) for value in values):
@@ -185,7 +185,7 @@ def _column(name: str, about: Mapping[str, str], sides: Mapping[str, str], value
     else:
         values = values.astype(float)  # None of a nullable column becomes NaN
     unit, log = about.get("unit", "1"), about.get("scale") == "log"
-    return Column(name, unit, about.get("description", ""), role, better, log, values)
+    return ExplorerColumn(name, unit, about.get("description", ""), role, better, log, values)
 
 
 #: Choices that are options of `nermo-mjx walk`, with the values that it takes.
@@ -200,7 +200,7 @@ _PILOTS: Final = {"straight": (), "arc": ("radius", "direction"), "open_loop": (
 _TURNS: Final = {"left": 1.0, "right": -1.0}
 
 
-def commands_of(path: Path, runs: Runs) -> dict[str, Any]:
+def commands_of(path: Path, runs: ExplorerRuns) -> dict[str, Any]:
     """Commands of a directory's rows.
 
     Returns:
@@ -215,7 +215,7 @@ def commands_of(path: Path, runs: Runs) -> dict[str, Any]:
     return {"replay": f"nermo-mjx replay {shlex.quote(str(path))} --row", "walk": walk}
 
 
-def _walk(spec: Mapping[str, Any], runs: Runs) -> dict[str, Any] | None:
+def _walk(spec: Mapping[str, Any], runs: ExplorerRuns) -> dict[str, Any] | None:
     """The `nermo-mjx walk` command for a row of a resolved file; None if it has no option for one of its choices."""
     varied = [each for each in runs.columns.values() if each.role in ("varied", "randomized")]
     names = {each.name: set(each.values) for each in varied if each.is_text}
@@ -346,7 +346,7 @@ def explore(
     return Page(html, height, rows=len(runs.rows), recordings=len(clips))
 
 
-def with_gain(path: Path, runs: Runs) -> Runs:
+def with_gain(path: Path, runs: ExplorerRuns) -> ExplorerRuns:
     """The runs with the gain that their file asks for, in the first metric; without one, as they are.
 
     It is over the base of the comparison, or over the stiff spine where a grid varies the amplitude of the spine from 0
@@ -380,13 +380,13 @@ def with_gain(path: Path, runs: Runs) -> Runs:
     values = np.where(well & ~of_base & np.isfinite(gain), gain, np.nan)
     text = by.values[of_base][0] if by.is_text else f"{by.name} {float(base):g}"
     about = f"{runs.leading.replace('_', ' ')} relative to the mean of {text}, all else equal"
-    found = Column(f"{runs.leading}_gain", "%", about, "metric", leading.better, False, values)
+    found = ExplorerColumn(f"{runs.leading}_gain", "%", about, "metric", leading.better, False, values)
     return dataclasses.replace(
         runs, columns={found.name: found, **runs.columns}, gain_over=tuple(comparison.get("for") or ())
     )
 
 
-def start_of(runs: Runs) -> dict[str, Any]:
+def start_of(runs: ExplorerRuns) -> dict[str, Any]:
     """Initial view of the page: columns for both axes and the colour, cells or points, and which run a cell shows.
 
     A gain is the colour, over the parameters that it is compared for.
@@ -417,7 +417,7 @@ def start_of(runs: Runs) -> dict[str, Any]:
     return {"x": x, "y": y, "colour": colour, "cells": cells, "of": of}
 
 
-def _field(column: Column, grid: bool, packer: Packer) -> dict[str, Any]:
+def _field(column: ExplorerColumn, grid: bool, packer: Packer) -> dict[str, Any]:
     """The header of a column, and its values packed."""
     unit = shown(column.name, column.unit, [1.0])
     gain = column.unit == "%" and column.name.endswith("_gain")

@@ -40,7 +40,7 @@ SHOWN_CYCLES: Final = 4
 
 
 @dataclasses.dataclass(frozen=True)
-class Walk:
+class RecordedGait:
     """A recording, with the gait from its metadata."""
 
     recording: Recording
@@ -109,7 +109,7 @@ def name_of(limb: str) -> str:
     return limb.replace("_", " ")
 
 
-def gait_diagram(walk: Walk) -> Figure | None:
+def gait_diagram(walk: RecordedGait) -> Figure | None:
     """Hildebrand's bars: the measured contact in the foot's colour, the planned one as a thin black bar above it."""
     if walk.contact is None:
         return None
@@ -161,7 +161,7 @@ def gait_diagram(walk: Walk) -> Figure | None:
 _MOST_CYCLES = 30
 
 
-def orientation(walk: Walk) -> Figure | None:
+def orientation(walk: RecordedGait) -> Figure | None:
     """Roll, pitch and yaw over the whole recording."""
     if walk.angles is None:
         return None
@@ -191,7 +191,7 @@ def orientation(walk: Walk) -> Figure | None:
     )
 
 
-def ground_path(walk: Walk) -> Figure | None:
+def ground_path(walk: RecordedGait) -> Figure | None:
     """The torso's path from above, its mean over a gait cycle, and the footfalls."""
     position = walk.recording.sensors.get("position")
     if position is None:
@@ -229,7 +229,7 @@ def ground_path(walk: Walk) -> Figure | None:
     return page.finish(handles, "the robot starts to the right; ring: start; dots: where a foot is put down")
 
 
-def _cycle_mean(walk: Walk, places: np.ndarray) -> np.ndarray:
+def _cycle_mean(walk: RecordedGait, places: np.ndarray) -> np.ndarray:
     """Running mean (T', 2) over a gait cycle of positions (T, 2); empty if there is no whole cycle."""
     if walk.cycle is None or len(places) < 2:
         return places[:0]
@@ -240,7 +240,7 @@ def _cycle_mean(walk: Walk, places: np.ndarray) -> np.ndarray:
     return (sums[ticks:] - sums[:-ticks]) / ticks
 
 
-def leg_paths(walk: Walk, robot: Robot) -> Figure | None:
+def leg_paths(walk: RecordedGait, robot: Robot) -> Figure | None:
     """Each foot in its leg's plane, from the hip or shoulder axis: measured, and as commanded to the servos."""
     if walk.recording.ctrl.shape[1] < 2 * len(LIMBS):
         return None
@@ -267,7 +267,7 @@ def leg_paths(walk: Walk, robot: Robot) -> Figure | None:
     return page.finish(handles, f"{what}; the axis is the shoulder's or the hip's; the robot walks to the right")
 
 
-def over_ground(walk: Walk) -> Figure | None:
+def over_ground(walk: RecordedGait) -> Figure | None:
     """The height of each foot over its path along the robot's course; thick where it is loaded."""
     feet, position = walk.recording.sensors.get("foot_position"), walk.recording.sensors.get("position")
     if feet is None or position is None or walk.angles is None:
@@ -330,7 +330,7 @@ _HIP, _KNEE, _OTHER = SERIES[0], SERIES[1], SERIES[2]
 _STILL = 0.5
 
 
-def servo_angles(walk: Walk) -> Figure | None:
+def servo_angles_figure(walk: RecordedGait) -> Figure | None:
     """Hip and knee of each leg, and the other servos that move."""
     measured = walk.recording.sensors.get("servo_angle")
     if measured is None:
@@ -365,7 +365,7 @@ def servo_angles(walk: Walk) -> Figure | None:
     return page.finish(handles, f"{what}; hip 0: leg straight down, positive: backward; spine positive: to the left")
 
 
-def figures_of(
+def figures_of_recording(
     recording: Recording, notify: Callable[[str], None], robot: Robot | None = None
 ) -> Iterator[tuple[str, Figure]]:
     """The figures of a recording: `gait-diagram`, `orientation`, `foot-paths`, `foot-paths-over-ground`,
@@ -376,13 +376,13 @@ def figures_of(
         notify: called with a message about each figure that cannot be drawn.
         robot: that was recorded; by default assembled from the recording's setup.
     """
-    walk = Walk(recording)
+    walk = RecordedGait(recording)
     for name, draw in (
         ("gait-diagram", gait_diagram),
         ("orientation", orientation),
         ("foot-paths", lambda walk: leg_paths(walk, robot or robot_of(recording))),
         ("foot-paths-over-ground", over_ground),
-        ("servo-angles", servo_angles),
+        ("servo-angles", servo_angles_figure),
         ("ground-path", ground_path),
     ):
         try:

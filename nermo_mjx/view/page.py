@@ -130,7 +130,7 @@ class Page:
 def template(kind: str) -> str:
     """The document of a `viewer` or an `explore` page, with places for what it shows."""
     main = "main.js" if kind == "viewer" else f"{kind}/main.js"
-    return _filled(text("frame.html"), {"kind": kind, "main": main, "body": text(f"{kind}.html").rstrip()})
+    return _filled(web_file("frame.html"), {"kind": kind, "main": main, "body": web_file(f"{kind}.html").rstrip()})
 
 
 def _filled(document: str, content: Mapping[str, str]) -> str:
@@ -152,16 +152,16 @@ def document(
     styles = [name for each in folders if (_WEB / (name := f"{each}/style.css".lstrip("/"))).is_file()]
     data = [f'<script type="text/plain" data-part="{part.part}">{part.text()}</script>' for part in parts]
     # An import map: the libraries, and each of our modules as `viewer/[FOLDER/]NAME.js`, as data URLs.
-    sources = {name: text(path) for name, path in _LIBRARIES.items()}
+    sources = {name: web_file(path) for name, path in _LIBRARIES.items()}
     for folder in folders:
         for each in sorted(each.name for each in (_WEB / folder).iterdir() if each.name.endswith(".js")):
             name = f"viewer/{folder}/{each}".replace("//", "/")
-            sources[name] = f"{text(name.removeprefix('viewer/'))}\n//# sourceURL={name}\n"
+            sources[name] = f"{web_file(name.removeprefix('viewer/'))}\n//# sourceURL={name}\n"
     encoded = {name: base64.b64encode(source.encode()).decode("ascii") for name, source in sources.items()}
     modules = {name: f"data:text/javascript;base64,{content}" for name, content in encoded.items()}
     content = {
         "title": html.escape(title),
-        "style": "\n".join(map(text, styles)),
+        "style": "\n".join(map(web_file, styles)),
         "imports": as_json({"imports": modules}),
         "header": as_json(header),
         "data": "\n".join(data),
@@ -169,7 +169,7 @@ def document(
     return _filled(template(kind), content)
 
 
-def text(name: str) -> str:
+def web_file(name: str) -> str:
     """A file of `web/`."""
     return (_WEB / name).read_text(encoding="utf-8")
 

@@ -106,7 +106,7 @@ class Tendon:
 
 
 @dataclasses.dataclass(frozen=True)
-class Contact:
+class RecordedContact:
     """A contact point between two geoms over time.
 
     Attributes:
@@ -134,7 +134,7 @@ class Motion:
     position: Float[np.ndarray, "T nbody 3"]
     quaternion: Float[np.ndarray, "T nbody 4"]
     tendons: tuple[Tendon, ...]
-    contacts: tuple[Contact, ...]
+    contacts: tuple[RecordedContact, ...]
 
 
 def motion_of(
@@ -185,7 +185,7 @@ def motion_of(
         nearest = there[np.maximum(np.searchsorted(there, np.arange(len(places)), side="right") - 1, 0)]
         bodies = [model.body(model.geom_bodyid[geom]).name for geom in key[:2]]
         limb = next((i for i, limb in enumerate(LIMBS) if any(body.startswith(limb) for body in bodies)), -1)
-        contacts.append(Contact(limb, places[nearest], forces))
+        contacts.append(RecordedContact(limb, places[nearest], forces))
     return Motion(recording.time[samples].astype(float), position, quaternion, tuple(tendons), tuple(contacts))
 
 

@@ -12,7 +12,7 @@ from matplotlib import rc_context
 
 from nermo_mjx.learn.directory import EVALUATION, POLICY_FILE, SPEC
 from nermo_mjx.learn.evaluation import POLICY, recorded, summary_of
-from nermo_mjx.learn.plots import figures
+from nermo_mjx.learn.plots import training_figures
 from nermo_mjx.learn.policy import judged_in, load_policy
 from nermo_mjx.learn.spec import Training
 from nermo_mjx.plotting.files import lay_out
@@ -21,7 +21,7 @@ from nermo_mjx.robot.scene import scene_name
 from nermo_mjx.runs.files import content_of, parquet_table
 from nermo_mjx.runtime import start_jax
 from nermo_mjx.view.clip import page_of
-from nermo_mjx.view.page import Page, text
+from nermo_mjx.view.page import Page, web_file
 
 _HEADINGS: Final = ("", "", "success [%]", "speed [mm/s]", "distance [m]", "cost, mechanical", "cost, electrical")
 #: Of a walk in the evaluation's summary: factor and digits.
@@ -44,7 +44,7 @@ def trained(path: Path, *, engine: str = "c") -> Page:
         DirectoryError: no section of it is finished, or it cannot be read.
     """
     start_jax()
-    training, drawn = Training.from_file(path / SPEC), figures(path)
+    training, drawn = Training.from_file(path / SPEC), training_figures(path)
     name, parts, samples = html.escape(path.resolve().name), list[str](), 0
     if (path / POLICY_FILE).exists():
         for scene, recording in recorded(training, load_policy(path / POLICY_FILE), engine):
@@ -64,7 +64,7 @@ def trained(path: Path, *, engine: str = "c") -> Page:
             source = f"data:image/svg+xml;base64,{base64.b64encode(file.getvalue()).decode('ascii')}"
             parts.append(f'<h2>{title.capitalize()}</h2><img alt="{html.escape(title)}" src="{source}">')
     head = '<meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">'
-    head += f"<title>Nermo: {name}, a training</title><style>{text('trained.css')}</style>"
+    head += f"<title>Nermo: {name}, a training</title><style>{web_file('trained.css')}</style>"
     body = f"<header><h1>{name}</h1></header><main>{''.join(parts)}</main>"
     whole = f'<!doctype html><html lang="en"><head>{head}</head><body>{body}</body></html>'
     return Page(whole, 680, samples)

@@ -101,7 +101,7 @@ _WIDEST: Final = 4000
 
 
 @dataclasses.dataclass(frozen=True)
-class Panel:
+class StripPanel:
     """One row of a strip.
 
     Attributes:
@@ -121,11 +121,11 @@ class Panel:
 class Strip:
     """A strip of one recording, `width` pixels wide, for times of the recording [s]."""
 
-    def __init__(self, recording: Recording, panels: list[Panel], width: int) -> None:
+    def __init__(self, recording: Recording, panels: list[StripPanel], width: int) -> None:
         self.begin, self.end = float(recording.time[0]), float(recording.time[-1])
         self._width = width
         self._rate = (width - MARGIN) / min(PAST + AHEAD, max(self.end - self.begin, 1e-3))  # pixels per second
-        self._rows, top = list[tuple[int, Panel]](), GAP
+        self._rows, top = list[tuple[int, StripPanel]](), GAP
         for panel in panels:
             self._rows.append((top, panel))
             top += panel.height + GAP
@@ -172,7 +172,7 @@ class Strip:
             yield pixels(figure)
 
 
-def gait_panels(recording: Recording) -> list[Panel]:
+def gait_panels(recording: Recording) -> list[StripPanel]:
     """A bar for each foot in stance (a Hildebrand diagram), and for the tail while it is loaded."""
     force = np.asarray(recording.sensors["foot_force"])
     rows = {SHORT[limb]: COLOURS[limb] for limb in LIMBS}
@@ -186,10 +186,10 @@ def gait_panels(recording: Recording) -> list[Panel]:
             axes.broken_barh(spans(standing[:, row], recording.time), (top - row + 0.12, 0.76), color=colour)
 
     notes = tuple((top + 0.5 - row, name, colour) for row, (name, colour) in enumerate(rows.items()))
-    return [Panel(13 * len(rows), 0.0, float(len(rows)), draw, notes)]
+    return [StripPanel(13 * len(rows), 0.0, float(len(rows)), draw, notes)]
 
 
-def servo_panels(recording: Recording) -> list[Panel]:
+def servo_panels(recording: Recording) -> list[StripPanel]:
     """Angles of hips, knees and spine [degrees]: measured, and, paler, commanded."""
     measured = np.degrees(np.asarray(recording.sensors["servo_angle"]))
     commanded = np.degrees(np.asarray(recording.ctrl))
@@ -207,13 +207,13 @@ def servo_panels(recording: Recording) -> list[Panel]:
 
         ends = [(at, f"{at:.0f}°", INK) for at in (middle + half, middle - half)]
         notes = (ends[0], (middle, name, COLOURS.get(name, INK)), ends[1])
-        panels.append(Panel(46, middle - 1.15 * half, middle + 1.15 * half, draw, notes))
+        panels.append(StripPanel(46, middle - 1.15 * half, middle + 1.15 * half, draw, notes))
     return panels
 
 
 #: Sensors that an overlay needs, and what makes its rows of the strip below the image; None: drawn into the scene.
 #: `gait`: a bar for each standing foot; `servos`: their angles; `support`: polygon and centre of mass on the ground.
-OVERLAYS: Final[dict[str, tuple[tuple[str, ...], Callable[[Recording], list[Panel]] | None]]] = {
+OVERLAYS: Final[dict[str, tuple[tuple[str, ...], Callable[[Recording], list[StripPanel]] | None]]] = {
     "gait": (("foot_force",), gait_panels),
     "servos": (("servo_angle",), servo_panels),
     "support": (("foot_force", "foot_position"), None),
@@ -400,7 +400,7 @@ def render(
     count = min(map(len, samples))
     samples = [each[:count] for each in samples]
     drawn = [
-        draw(pane.recording, pane.model or model, each, width, height, camera, speed / fps, overlays)
+        draw_frames(pane.recording, pane.model or model, each, width, height, camera, speed / fps, overlays)
         for pane, each in zip(panes, samples, strict=True)
     ]
     pictures, height = drawn[0]
@@ -480,7 +480,7 @@ def frame_samples(recording: Recording, fps: float, speed: float) -> Int[np.ndar
     return np.where(wanted - time[before] < time[after] - wanted, before, after)
 
 
-def draw(
+def draw_frames(
     recording: Recording,
     model: mujoco.MjModel,
     samples: Int[np.ndarray, " F"],

@@ -311,7 +311,7 @@ def back(y: float) -> float:
 def torso_frame(geometry: Geometry) -> Shape:
     """Back beam with its crests, breastbone, and the bracket that holds four servos and the neck's."""
     crests = [crest(y) for y in (*(numbers[0] for numbers in RIBS), -47.0, -55.0)]
-    return join(beam(BEAM, 1.0), *crests, beam(BREASTBONE, 0.5), *shoulders(geometry))
+    return join(beam(BEAM, 1.0), *crests, beam(BREASTBONE, 0.5), *shoulder_bracket(geometry))
 
 
 def crest(y: float) -> Shape:
@@ -323,7 +323,7 @@ def crest(y: float) -> Shape:
     return loft(rings)
 
 
-def shoulders(geometry: Geometry) -> list[Shape]:
+def shoulder_bracket(geometry: Geometry) -> list[Shape]:
     """The bracket between and around the stacked servos of both front legs."""
     place = geometry.shoulder
     x, y, z = (MM * float(value) for value in (place.x, place.y, place.z))
