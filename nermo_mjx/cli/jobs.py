@@ -118,13 +118,20 @@ def _shard(text: str) -> tuple[int, int]:
     type=FileKind(".csv", ".parquet", exists=True, dir_okay=False),
 )
 @flag("--extend", "Add rows to DIR: more values, repeats, structures or Sobol points.")
+@options.text("--optimum", "YAML", "What is best, as the field optimum of a file has it; also of a finished DIR.")
 @options.text("--use", "DIR2", "Reuse rows from DIR2 instead of running them.", multiple=True, type=options.PATH)
 @flag("--tensorboard", _tensorboard.format("chunk"))
 @flag("--dry-run", "Estimate the cost in time, disk and memory; write nothing.")
 @flag("--list-parameters", "List what vary, set and randomize can name.")
 @_on_engine
 def sweep_command(
-    spec: Path | None, out: Path | None, rows: Path | None, dry_run: bool, list_parameters: bool, **how: Any
+    spec: Path | None,
+    out: Path | None,
+    rows: Path | None,
+    dry_run: bool,
+    list_parameters: bool,
+    optimum: str | None,
+    **how: Any,
 ) -> Outcome:
     """Run every variant of a sweep file.
 
@@ -143,6 +150,7 @@ def sweep_command(
       nermo-mjx sweep finer.yaml --out runs/quickstart --extend
       nermo-mjx sweep runs/quickstart/sweep.yaml --rows front.csv --out runs/front
       nermo-mjx sweep sweeps/quickstart.yaml --dry-run
+      nermo-mjx sweep runs/gaits/sweep.yaml --out runs/gaits --optimum '{over: [spine.phase], base: {spine: none}}'
       nermo-mjx sweep --list-parameters
     """
     if list_parameters:
@@ -156,6 +164,7 @@ def sweep_command(
 
     sweep = Sweep.from_rows(rows, spec) if rows is not None else Sweep.from_file(str(spec))
     sweep = dataclasses.replace(sweep, **_fields(how, "seed"))
+    sweep = sweep if optimum is None else sweep.seeking(optimum)
     if dry_run or out is None:
         cost = forecast(sweep, out, **{name: how[name] for name in ("engine", "chunk", "shard", "extend", "use")})
         return Outcome(dataclasses.asdict(cost), lambda: _print_forecast(cost))
@@ -205,6 +214,7 @@ def _print_sweep(result: SweepResult) -> None:
     effort = f"{summary['steps_per_second']:,.0f} steps/s on the engine {summary['engine']}"
     from nermo_mjx.runs.rows import part_files
     from nermo_mjx.sweep.counting import told
+    from nermo_mjx.sweep.optimum import optimum_cells, optimum_in
     from nermo_mjx.sweep.table import Results, meta, profile_text
 
     profile = profile_text(summary["profiles"])
@@ -226,7 +236,11 @@ def _print_sweep(result: SweepResult) -> None:
             rows.append([name, best["side"], f"{mean:.4g}{half}", shown, lost, ", ".join(at)])
     if rows:
         print_table("Best variants", "metric, best is, mean ± 95 % interval>, , runs lost, at", rows)
-    places = {name: f"{name}.parquet" for name in ("comparison", "sensitivity") if name in summary}
+    if sought := optimum_in(result.out):
+        print_table(f"{sought.title}; {profile}", *optimum_cells(sought))
+        for sentence in sought.how():
+            click.echo(sentence)
+    places = {name: f"{name}.parquet" for name in ("comparison", "sensitivity", "optimum") if name in summary}
     print_places(result.out, table="results", summary="summary.json", **places, plots=result.plots and "plots")
     if result.recordings:
         print_pairs([("kept", f"{len(result.recordings)} recordings in {result.recordings[0].parent}")])

@@ -35,6 +35,7 @@ from nermo_mjx.runs.workers import LocalWorkers, TaskFailed, Workers
 from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.specs.walk import unread
 from nermo_mjx.sweep.counting import counts
+from nermo_mjx.sweep.optimum import find_optimum
 from nermo_mjx.sweep.plots import figures_of, findings
 from nermo_mjx.sweep.simulating import (
     PROBE,
@@ -115,7 +116,7 @@ class Work:
         held: RunDirectory | None = None,
         board: TensorBoard | None = None,
     ) -> None:
-        self.sweep, self.out, self.rows, self._watch = sweep, out, Sample(sweep), watch
+        self.sweep, self.out, self.rows, self._size, self._watch = sweep, out, Sample(sweep), size, watch
         self._structure, self.seconds = self.rows.structures(), simulated_seconds(sweep, self.rows)
         # Rows of one batch share structure and duration; batches are of equal size, to one row.
         order, self.layout = np.argsort(self.seconds, kind="stable"), list[np.ndarray]()
@@ -131,19 +132,38 @@ class Work:
                 if table is not None and np.isin(table["row"].to_numpy(), self._share).any():
                     self._log.add(table)
         self._resumed, self.simulated, self.reused = len(self._share) - len(self.unfinished), 0, 0
-        self._finished, self._left = 0, 0.0
+        self._finished, self._left, self._further = 0, 0.0, np.empty(0, int)
 
     @property
     def done(self) -> np.ndarray:
         """Which rows are there, (rows,) bool."""
-        done = np.zeros(len(self.rows), bool)
-        done[self.runs.numbers] = True
-        return done
+        return self._there[: len(self.rows)]
+
+    @property
+    def _there(self) -> np.ndarray:
+        """The same of all numbers up to that of the last further row."""
+        there, numbers = np.zeros(len(self.seconds), bool), self.runs.numbers
+        there[numbers[numbers < len(there)]] = True
+        return there
+
+    def add_further(self, index: np.ndarray) -> None:
+        """Make this process care for further repeats of some variants, by the numbers of their rows, (n,)."""
+        self._further = np.union1d(self._further, index)
+        size, own = int(self._further[-1]) + 1, len(self.rows)
+        self._structure, self.seconds = (np.resize(each[:own], size) for each in (self._structure, self.seconds))
+        self._structure[self._further] = self.rows.take(self._further).structure
+        self.seconds[self._further] = simulated_seconds(self.sweep, self.rows, self._further)
+        self._share = np.concatenate([self._share[self._share < own], self._further])
+
+    @property
+    def count(self) -> tuple[int, int]:
+        """How many rows are there, and are to be there: the sweep's and further ones."""
+        return int(self.done.sum() + self._there[self._further].sum()), len(self.rows) + len(self._further)
 
     @property
     def unfinished(self) -> np.ndarray:
         """The rows of this process that are not there, (n,), those of one batch together."""
-        return self._share[~self.done[self._share]]
+        return self._share[~self._there[self._share]]
 
     def effort(self) -> dict[str, Any]:
         """Engines, physics steps and the time they took, over all sessions."""
@@ -192,7 +212,7 @@ class Work:
         batches = []
         for at in np.unique(self._structure[rows]).tolist():
             own = rows[self._structure[rows] == at]
-            split = np.array_split(own, math.ceil(len(own) / whole[at]))
+            split = np.array_split(own, math.ceil(len(own) / (self._size if reused else whole[at])))
             worlds = len(split[0]) if reused else whole[at]
             batches += [Batch(at, index, worlds) for index in split]
         return batches
@@ -231,7 +251,8 @@ class Work:
             DirectoryError: a batch cannot be written.
         """
         unfinished = self.unfinished
-        batches = self.batches(unfinished, self.reused)
+        # On the engine c nothing is compiled, and the few further rows fill no batch.
+        batches = self.batches(unfinished, self.reused or (simulator.engine == "c" and len(self._further)))
         self._finished, self._left = len(self._share) - len(unfinished), float(self.seconds[unfinished].sum())
         self._tell()
         if not batches:
@@ -479,23 +500,39 @@ def run_sweep(
         ran = engine_name(engine, simulator, begun)
         simulates = SweepSimulator(sweep.structures, ran, simulator, watch.notify, sweep.save)
         work.reuse(accept_new_code)
-        for _ in range(ATTEMPTS if simulate else 0):
-            work.simulate(simulates, workers, accept_new_code)
-            if not work.simulated:
+
+        def complete() -> None:
+            """Simulate what is unfinished, and read it back."""
+            for _ in range(ATTEMPTS):
+                before = work.simulated
+                work.simulate(simulates, workers, accept_new_code)
+                if work.simulated == before:
+                    return
+                work.runs.survey()
+                if not len(work.unfinished):
+                    return
+            raise DirectoryError(f"{held.out} loses what is written to it: it is damaged again and again.")
+
+        if simulate:
+            complete()
+        while simulate and sweep.optimum is not None and work.done.all():
+            at = sweep.repeats, sweep.variants
+            further = find_optimum(Results([part.path for part in work.runs.parts]), sweep.optimum, *at).further
+            if not len(further):
                 break
-            work.runs.survey()
-            if not len(work.unfinished):
-                break
-        else:
-            if simulate:
-                raise DirectoryError(f"{held.out} loses what is written to it: it is damaged again and again.")
+            work.add_further(further)
+            work.reuse(accept_new_code)
+            complete()
         done, recordings, summary, plots = work.done, list[Path](), dict[str, Any](), list[Path]()
         if done.all():
             results = Results([part.path for part in work.runs.parts])
             summary, figures = {**summarize(results), **work.effort()}, figures_of(results)
             compared = None if sweep.compare is None else sweep.compare.written()
-            for name, table, about, drawn in findings(results, compared, notify=watch.warn):
+            sought = None if sweep.optimum is None else (sweep.optimum, sweep.repeats, sweep.variants)
+            for name, table, about, drawn, files in findings(results, compared, sought, notify=watch.warn):
                 held.write(f"{name}.parquet", parquet_bytes(table))
+                for file, content in files.items():
+                    held.write(file, content)
                 summary[name] = about
                 figures = itertools.chain(figures, drawn)
             held.write("summary.json", to_json(summary))
@@ -513,8 +550,8 @@ def run_sweep(
             recordings=recordings,
             complete=bool(done.all()),
             chunks_run=work.simulated,
-            rows_done=int(done.sum()),
-            rows=len(done),
+            rows_done=work.count[0],
+            rows=work.count[1],
             missing=work.missing(),
         )
 
@@ -587,7 +624,9 @@ def merged(places: Sequence[Path]) -> Sweep:
             rows.setdefault(json.dumps(same), row)
     repeats = max(sweep.repeats for sweep in sweeps)
     data = {
-        name: value for name, value in sweeps[0].resolved().items() if name not in ("vary", "sample", "rows", *labelled)
+        name: value
+        for name, value in sweeps[0].resolved().items()
+        if name not in ("vary", "sample", "rows", "optimum", *labelled)
     }
     data["set"] = {name: value for name, value in data["set"].items() if name not in varied}
     if "physics" in labelled:

@@ -176,6 +176,8 @@ class SweepRecord:
         labelled: names of the varied structures.
         parameters: value of each parameter that is not varied, None where structures differ or do not read it.
         comparison: the section `compare`, if there is one.
+        optimum: the section `optimum`, if there is one.
+        variants, repeats: before further runs of some variants.
     """
 
     rows: int
@@ -183,6 +185,9 @@ class SweepRecord:
     labelled: Sequence[str]
     parameters: Mapping[str, float | None]
     comparison: _Asked | None
+    optimum: Mapping[str, Any] | None = None
+    variants: int = 0
+    repeats: int = 0
 
     @classmethod
     def of_directory(cls, out: Path) -> SweepRecord | None:
@@ -360,7 +365,7 @@ def status(out: Path) -> Status:
             engines.append((about.metadata or {}).get(b"engine", b"").decode())
     if kept := len(list((out / RECORDINGS).glob("row-*.npz"))):
         notes.append(f"{kept} of its runs {'are' if kept > 1 else 'is'} recorded in {RECORDINGS}/.")
-    complete = done == rows and (out / "summary.json").exists()
+    complete = rows is not None and done >= rows and (out / "summary.json").exists()
     # The figures need no simulation; the others are distinguished by the table's columns.
     engine = ", ".join(dict.fromkeys(filter(None, engines))) or None
     return status_of("runs", out, done, rows, complete, command="sweep", spec="sweep.yaml", engine=engine, notes=notes)
