@@ -215,7 +215,7 @@ def _print_sweep(result: SweepResult) -> None:
     from nermo_mjx.runs.rows import part_files
     from nermo_mjx.sweep.counting import told
     from nermo_mjx.sweep.optimum import optimum_cells, optimum_in
-    from nermo_mjx.sweep.table import Results, meta, profile_text
+    from nermo_mjx.sweep.table import LEADING, Results, meta, profile_text
 
     profile = profile_text(summary["profiles"])
     click.echo(f"{summary['rows']:,} runs, {profile} ({counts}) in {duration(summary['wall_seconds'])}, {effort}")
@@ -224,7 +224,7 @@ def _print_sweep(result: SweepResult) -> None:
     def unit(name: str) -> str:
         return meta(schema.field(name))["unit"]
 
-    for name, best in summary["best"].items():
+    for name, best in [*summary["best"].items(), *((LEADING, each) for each in summary["best_of_each"])]:
         if best is not None:
             at = [
                 f"{key} {value if isinstance(value, str) else _with_unit(key, unit(key), value)}"

@@ -215,7 +215,9 @@ class FoundOptimum:
     def title(self) -> str:
         """What was sought, in words."""
         most = "Highest" if self.asked.side == "max" else "Lowest"
-        return f"{most} {spoken(self.asked.metric)} over {' and '.join(map(spoken, self.asked.over))}, and {self.base}"
+        return (
+            f"{most} {spoken(self.asked.metric)} over {' and '.join(map(spoken, self.asked.over))}, against {self.base}"
+        )
 
     @property
     def base(self) -> str:
@@ -230,7 +232,7 @@ class FoundOptimum:
         if isinstance(value, str):
             return spoken(value)
         quantity = shown(name, meta(self.results.schema.field(name))["unit"], [value])
-        return quantity.shown(float(quantity.values[0]))
+        return f"{round(float(quantity.values[0]), 9) + 0.0:.3g} {quantity.unit}".rstrip().replace("-", "−")
 
     def called(self, answer: OptimumAnswer) -> str:
         """A group in words, as a title begins with it."""
@@ -257,21 +259,19 @@ class FoundOptimum:
 
     def how(self) -> list[str]:
         """What the answers rest on, in sentences."""
-        said = [f"Intervals: 95 %, over {self.over}, of fresh runs that chose nothing."]
+        said = [f"Gains and costs are of fresh runs, which chose nothing, with 95 % intervals over {self.over}."]
         for answer in self.answers:
             found, name = answer.judged, self.called(answer) or "All"
             why = {
-                "few": f"the second stage ended with {found.region.sum()} points left",
+                "few": f"only {found.region.sum()} points are left",
                 "budget": "the budget is spent" if self.asked.budget else "no second stage was asked for",
-                "lost": "no point has two repeats in which all contenders have a number",
+                "lost": "of no two repeats all contenders have a number",
                 "": f"{len(answer.further):,} more runs are needed",
             }[found.ended]
             out = int((~found.contenders).sum()) if found.ended and not found.spent else 0
             lost = f"; {out} points are out, because they lost runs" if out else ""
-            fresh = f"; {answer.pairs} fresh pairs{told(answer.lost)}" if answer.lines else "; no fresh runs yet"
-            said.append(
-                f"{name}: {found.runs} runs a point, {found.spent} of them in the second stage; {why}{lost}{fresh}."
-            )
+            fresh = f", {answer.pairs} fresh pairs{told(answer.lost)}" if answer.lines else ", no fresh runs yet"
+            said.append(f"{name}: {found.runs} runs a point{fresh}; {why}{lost}.")
         return said
 
     def about(self) -> dict[str, Any]:
@@ -544,7 +544,10 @@ def optimum_figure(found: FoundOptimum) -> Iterator[tuple[str, Figure]]:
             set_scales(ax, x)
         name, (_, share, ends) = found.called(answer), found.numbers(answer, found.asked.metric)
         place = ", ".join(found.text(key, value) for key, value in answer.at.items())
-        ax.set_title(f"{name}\n{share} {ends}\nat {place}".lstrip(), color=INK)
+        ax.set_title(f"{share} {ends}\nat {place}", color=INK)
+        ax.annotate(
+            name, (0.5, 1), (0, 29), "axes fraction", "offset points", ha="center", fontweight="bold", color=INK
+        )
         ax.set_xlabel(x.label)
         if i % columns == 0:
             ax.set_ylabel(more[0].label if flat else f"gain in {spoken(found.asked.metric)} [%]")
@@ -569,12 +572,10 @@ def optimum_figure(found: FoundOptimum) -> Iterator[tuple[str, Figure]]:
     notes += (
         [f"{len(found.answers) - len(answers)} more are in the table."] if len(found.answers) > len(answers) else []
     )
-    word = "Highest" if found.asked.side == "max" else "Lowest"
-    title = f"{word} {spoken(found.asked.metric)}, against {found.base}"
-    note = (
-        " ".join([*found.how(), *notes]) + f" Map: runs that chose, mean; {profile_text(profiles_of(found.results))}."
+    note = " ".join(
+        [*found.how(), *notes, f"Map: mean of the runs that chose; {profile_text(profiles_of(found.results))}."]
     )
-    yield "optimum", around(figure, title, note, handles)
+    yield "optimum", around(figure, found.title, note, handles)
 
 
 def _axis(found: FoundOptimum, name: str, values: np.ndarray) -> ShownValues:
@@ -624,7 +625,7 @@ def _draw_costs(found: FoundOptimum, answers: Sequence[OptimumAnswer], axes: Seq
             ax.plot([low, high], [place] * 2, color=colour, lw=2.2, solid_capstyle="butt")
             ax.plot(middle, place, "o", ms=5.5, color=colour, mfc=colour if sure else "white")
         ax.set_yticks(range(len(own)), [_SHORT.get(name, titled(name)) for name in found.metrics] if i == 0 else [])
-        ax.set(ylim=(len(own) - 0.5, -0.5), xlim=(-far, far), xlabel="against it [%]")
+        ax.set(ylim=(len(own) - 0.5, -0.5), xlim=(-far, far), xlabel=f"against {found.base} [%]")
         ax.grid(axis="x", color=GRID, lw=0.8)
         ax.spines["left"].set_visible(False)
         ax.tick_params(axis="y", length=0, labelcolor=INK)

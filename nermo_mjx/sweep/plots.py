@@ -72,6 +72,7 @@ def figures_of(results: Results, metric: str = LEADING, remark: str = "") -> Ite
     groups = groups_of([x for x in varied if x.names])
     if groups is not None:
         yield from structure_figures(groups, numbers, z, remark, grid=results.is_grid)
+        yield from _gain_figures(results, metric, remark) if results.is_grid else ()
     if not results.is_grid or not varied:
         drawn = varied or quantities(results, columns_of(results, "randomized"))
         if groups is not None:
@@ -106,13 +107,18 @@ def _gain_figures(results: Results, metric: str, start: str) -> Iterator[tuple[s
     if metric != LEADING or not {"spine.amplitude", "spine.phase"} <= set(names):
         return
     data = spine_ratio(results)
-    varied = {name: quantity(results, name, data[name]) for name in names}
+    bent = np.isfinite(data["spine.amplitude"]) & np.isfinite(data["spine.phase"])  # a structure may have none
+    varied = {name: quantity(results, name, data[name][bent]) for name in names if name != "spine"}
     x, y = varied.pop("spine.amplitude"), varied.pop("spine.phase")
-    z = ShownValues("speed relative to the stiff spine", "%", 100 * (data["ratio"] - 1))
+    z = ShownValues("speed relative to the stiff spine", "%", 100 * (data["ratio"][bent] - 1))
     bends = x.values > 0
     if not np.isfinite(z.values[bends]).any() or len(np.unique(y.values)) < 2:
         return
-    panels, remark = _panels([other for other in varied.values() if len(np.unique(other.values)) > 1], len(z.values))
+    rest = [other for other in varied.values() if not alike(other.values)]
+    panels, remark = _panels([other for other in rest if not other.names], len(z.values))
+    if (groups := groups_of([other for other in rest if other.names])) is not None:
+        remark = "".join(f"mean over {other.spoken}; " for other in rest if not other.names)
+        panels = [(name, groups.of == place) for place, name in enumerate(groups.names[:MOST_PANELS])]
     title = f"Speed gained by the spine over {x.spoken} and {y.spoken}"
     note = f"{start}{remark}stiff: mean at {x.spoken} 0; "
     yield f"{metric}-gain-over-{x.name}-and-{y.name}", heat_maps(x, y, z, panels, title, note, gain=bends)
