@@ -219,6 +219,10 @@ def _print_sweep(result: SweepResult) -> None:
 
     profile = profile_text(summary["profiles"])
     click.echo(f"{summary['rows']:,} runs, {profile} ({counts}) in {duration(summary['wall_seconds'])}, {effort}")
+    if sought := optimum_in(result.out):
+        print_table(f"{sought.title}; {profile}", *optimum_cells(sought))
+        for sentence in sought.how():
+            click.echo(sentence)
     schema, rows = Results(part_files(result.out)).schema, []
 
     def unit(name: str) -> str:
@@ -236,10 +240,6 @@ def _print_sweep(result: SweepResult) -> None:
             rows.append([name, best["side"], f"{mean:.4g}{half}", shown, lost, ", ".join(at)])
     if rows:
         print_table("Best variants", "metric, best is, mean ± 95 % interval>, , runs lost, at", rows)
-    if sought := optimum_in(result.out):
-        print_table(f"{sought.title}; {profile}", *optimum_cells(sought))
-        for sentence in sought.how():
-            click.echo(sentence)
     places = {name: f"{name}.parquet" for name in ("comparison", "sensitivity", "optimum") if name in summary}
     print_places(result.out, table="results", summary="summary.json", **places, plots=result.plots and "plots")
     if result.recordings:

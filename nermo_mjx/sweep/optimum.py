@@ -30,6 +30,7 @@ from scipy import optimize, special, stats
 from nermo_mjx.plotting.charts import around, blank, cell_edges, cell_means, colour_bar, set_scales, signed
 from nermo_mjx.plotting.shown import LEVEL, ShownValues, half_width, shown, spoken, titled
 from nermo_mjx.plotting.style import BEST, GAIN_COLOURS, GRID, INK, MISSING, MUTED, SERIES
+from nermo_mjx.runs.files import plain
 from nermo_mjx.runs.rows import part_files
 from nermo_mjx.sweep.counting import Variants, counts, losses, matched, told, two_stage
 from nermo_mjx.sweep.spec import SoughtOptimum
@@ -231,6 +232,8 @@ class FoundOptimum:
         """A value of a varied column for people, with its unit."""
         if isinstance(value, str):
             return spoken(value)
+        if value is None or value != value:  # a structure does not read it
+            return "–"
         quantity = shown(name, meta(self.results.schema.field(name))["unit"], [value])
         return f"{round(float(quantity.values[0]), 9) + 0.0:.3g} {quantity.unit}".rstrip().replace("-", "−")
 
@@ -271,6 +274,7 @@ class FoundOptimum:
             out = int((~found.contenders).sum()) if found.ended and not found.spent else 0
             lost = f"; {out} points are out, because they lost runs" if out else ""
             fresh = f", {answer.pairs} fresh pairs{told(answer.lost)}" if answer.lines else ", no fresh runs yet"
+            fresh = ", no run of the base" if math.isnan(answer.base_mean) else fresh
             said.append(f"{name}: {found.runs} runs a point{fresh}; {why}{lost}.")
         return said
 
@@ -309,9 +313,11 @@ def find_optimum(results: Results, asked: SoughtOptimum, repeats: int, variants:
     value = {name: column[found.first] for name, column in zip(names, columns, strict=False)}
     metric = dict(zip(metrics, columns[len(names) :], strict=True))
     good = {name: counts(name, column, results.well) for name, column in metric.items()}
-    groups = [name for name in names if name not in (*asked.over, by)] if asked.groups is None else asked.groups
+    groups = asked.grouped(names)
     of_base = np.array([same_value(each, base) for each in value[by]])
-    labels = list(dict.fromkeys(zip(*(value[name][~of_base] for name in groups), strict=True))) if groups else [()]
+    labels = (
+        list(dict.fromkeys(zip(*(plain(value[name][~of_base]) for name in groups), strict=True))) if groups else [()]
+    )
     status, answers = results.column("status"), []
     for label in labels:
         group = dict(zip(groups, label, strict=True))

@@ -47,7 +47,7 @@ from nermo_mjx.sweep.simulating import (
     engine_name,
     pace,
 )
-from nermo_mjx.sweep.spec import SIDES, Sample, Sweep
+from nermo_mjx.sweep.spec import SIDES, Sample, Sweep, varied_values
 from nermo_mjx.sweep.store import (
     batch_values,
     check_room,
@@ -758,6 +758,13 @@ def forecast(
         batch.worlds * float(work.seconds[batch.rows].max()) / float(sweep.structures[batch.structure].setup.timestep)
         for batch in batches
     )
+    if sweep.optimum is not None:  # rows beyond the sweep's own last as long as those do on average
+        known = varied_values(sweep)
+        groups = math.prod(len(known[name] or ()) for name in sweep.optimum.grouped(known))
+        more = groups * (sweep.optimum.budget + 2 * sweep.optimum.fresh)
+        more = max(more - int((work.runs.numbers >= len(work.rows)).sum()), 0)
+        steps += more * float(work.seconds.mean()) / float(sweep.setup.timestep)
+        notes.append(f"The optimum takes up to {more:,} further runs, which the time contains.")
     rate, rate_from = math.nan, "not needed: nothing is left to be simulated"
     there = [part for part in (*work.runs.parts, *work.runs.others) if folder is not None and part.directory == folder]
     done = np.array([(part.steps, part.seconds) for part in there if part.engine == runs and part.seconds > 0])

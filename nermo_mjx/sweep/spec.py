@@ -10,7 +10,7 @@ import functools
 import hashlib
 import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Final
 
@@ -123,6 +123,10 @@ class SoughtOptimum(Fields):
     def side(self) -> str:
         """Which values of it are better, as `plotting.shown.cost` has it."""
         return "min" if self.minimize else "max"
+
+    def grouped(self, varied: Iterable[str]) -> list[str]:
+        """The columns that make groups, of those that vary."""
+        return [name for name in varied if name not in (*self.over, *self.base)] if self.groups is None else self.groups
 
     def written(self) -> dict[str, Any]:
         """As written in a sweep file."""
@@ -392,8 +396,7 @@ def check_optimum(doc: Document, sweep: Sweep, asked: SoughtOptimum) -> None:
         if field == "for" and name in (*asked.over, by):
             doc.fail(("optimum", field), f"names {name!r}, of which the best value is sought: name other columns.")
     check_base(doc, ("optimum", "base"), by, base, values[by] or [])
-    groups = values if asked.groups is None else asked.groups
-    left = [name for name in values if name not in (*asked.over, by, *groups)]
+    left = [name for name in values if name not in (*asked.over, by, *asked.grouped(values))]
     if left:
         doc.fail(("optimum", "for"), f"leaves out {', '.join(left)}, which varies, too: name it under over or for.")
     if sweep.repeats < 2:
