@@ -5,12 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from matplotlib.text import Text
 from scipy import stats
 from sweep_fake import FakeSimulator
 
 from nermo_mjx.sweep import SpecError, Sweep, run_sweep
 from nermo_mjx.sweep.counting import two_stage
 from nermo_mjx.sweep.optimum import hsu_margin, judged
+from nermo_mjx.sweep.plots import figures
 from nermo_mjx.sweep.spec import SoughtOptimum
 
 REPEATS, FRESH, TRIALS = 4, 24, 400
@@ -131,7 +133,7 @@ class Noisy(FakeSimulator):
         alike = {"spine.phase": np.minimum(values["spine.phase"], 0.0)} if "spine.phase" in values else {}
         result = super().run({**values, **alike}, run)
         parts = [values[name] for name in ("spine.amplitude", "spine.phase", "start.x") if name in values]
-        speed = result.metrics["speed"] + 2e-4 * np.sin(1e4 * sum(parts) + 1e5 * values["contact.friction"])
+        speed = result.metrics["speed"] + 2e-4 * np.sin(1e4 * sum(parts) + 1e5 * values.get("contact.friction", 1.0))
         costs = {"cost_of_transport": 1.0 - speed, "electrical_cost_of_transport": 8.0 + speed}
         result.metrics.update(speed=speed, **costs)
         return result
@@ -158,7 +160,7 @@ def test_further_runs_are_rows_of_the_table_and_fresh_ones_chose_nothing(done):
         best = fresh[fresh.spine != "none"]
         assert (best["spine.amplitude"] == answer["at"]["spine.amplitude"]).all()
         assert (best["spine.phase"] == answer["at"]["spine.phase"]).all()
-        assert len(best) == 4 == answer["pairs"]
+        assert len(best) == 4 == answer["metrics"]["speed"]["pairs"]
         base = fresh[fresh.spine == "none"].set_index("seed").speed
         gain = best.set_index("seed").speed - base
         line = answer["metrics"]["speed"]
@@ -185,6 +187,55 @@ def test_files_say_the_same(done):
     assert f"+{share:.1f} \\%" in latex
     assert "Lateral walk" in latex
     assert "the stiff spine" in latex
+
+
+def texts(figure) -> str:
+    """All that stands in a figure."""
+    return " ".join(" ".join(each.get_text() for each in figure.findobj(Text)).split())
+
+
+def test_the_figure_has_a_map_for_each_gait_with_the_gain_on_fresh_runs(done):
+    figure = dict(figures(done.out))["optimum"]
+    for answer, ax in zip(done.summary["optimum"]["answers"], figure.axes, strict=False):
+        line = answer["metrics"]["speed"]
+        assert f"{100 * line['relative']:+.1f} %" in ax.get_title()
+        (colours,) = (each for each in ax.collections if each.get_array() is not None)
+        assert colours.get_array().size == 6
+    said = texts(figure)
+    for words in (
+        "Trot",
+        "Lateral walk",
+        "Mechanical cost",
+        "intervals over contact",
+        "exact",
+    ):
+        assert words in said
+
+
+def test_one_parameter_is_a_line_and_less_may_be_better(tmp_path):
+    spec = SPEC | {"vary": {"spine": ["none", "stride_extension"], "spine.amplitude": [0.1, 0.2, 0.3]}}
+    spec["randomize"] = {"repeats": 3, "paired": ["spine.amplitude"]}
+    asked = {"minimize": "cost_of_transport", "over": ["spine.amplitude"], "base": {"spine": "none"}, "fresh": 4}
+    spec["optimum"] = asked
+    result = run_sweep(spec, tmp_path, simulator=Noisy())
+    (answer,) = result.summary["optimum"]["answers"]
+    assert answer["at"] == {"spine.amplitude": 0.3}
+    assert answer["metrics"]["cost_of_transport"]["relative"] < 0
+    figure = dict(figures(tmp_path))["optimum"]
+    assert "Lowest mechanical cost of transport over spine amplitude" in texts(figure)
+    assert figure.axes[0].get_xlabel() == "spine amplitude [deg]"
+
+
+def test_gains_and_best_variants_are_told_for_each_structure(tmp_path):
+    """A grid from amplitude 0 over two gaits: a map of the gain for each, and no mean over the stiff runs."""
+    vary = {"gait": ["trot", "lateral_walk"], "spine.amplitude": [0.0, 0.2, 0.4], "spine.phase": [-1.0, 0.0, 1.0]}
+    spec = {"run": {"duration": 0.2, "warmup": 0}, "plots": False, "vary": vary, "spine": "stride_extension"}
+    result = run_sweep(spec, tmp_path, simulator=FakeSimulator())
+    figure = dict(figures(tmp_path))["speed-gain-over-spine.amplitude-and-spine.phase"]
+    assert [ax.get_title() for ax in figure.axes[:2]] == ["trot", "lateral walk"]
+    best = result.summary["best_of_each"]
+    assert len({each["parameters"]["gait"] for each in best}) == len(best) == 2
+    assert all(each["parameters"]["spine.amplitude"] == 0.4 for each in best)
 
 
 @pytest.mark.parametrize("stop", [2, 5, 6, 7])
@@ -217,7 +268,7 @@ def test_it_may_be_sought_in_a_finished_directory(tmp_path):
     (answer,) = result.summary["optimum"]["answers"]
     assert answer["at"]["spine.amplitude"] == 0.3
     assert answer["points"] == 6
-    assert answer["pairs"] == 0
+    assert answer["metrics"]["speed"]["pairs"] == 0
     fresh = result.table.slice(len(first)).to_pandas()
     best, base = (fresh[fresh["spine.amplitude"] == each].speed for each in (0.3, 0.0))
     welch = stats.ttest_ind(best, base, equal_var=False)

@@ -215,6 +215,7 @@ def _print_sweep(result: SweepResult) -> None:
     from nermo_mjx.runs.rows import part_files
     from nermo_mjx.sweep.counting import told
     from nermo_mjx.sweep.optimum import optimum_cells, optimum_in
+    from nermo_mjx.sweep.replay import recording_file
     from nermo_mjx.sweep.table import LEADING, Results, meta, profile_text
 
     profile = profile_text(summary["profiles"])
@@ -223,6 +224,10 @@ def _print_sweep(result: SweepResult) -> None:
         print_table(f"{sought.title}; {profile}", *optimum_cells(sought))
         for sentence in sought.how():
             click.echo(sentence)
+        films = [recording_file(result.out, row) for row in sought.shown_rows()]
+        if films and {*films} <= {*result.recordings}:
+            film = f"{' '.join(map(str, films))} --camera top --out {result.out / 'optimum.webp'}"
+            click.echo(f"The best points beside their bases, from above: nermo-mjx render {film}")
     schema, rows = Results(part_files(result.out)).schema, []
 
     def unit(name: str) -> str:

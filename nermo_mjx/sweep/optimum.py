@@ -165,8 +165,8 @@ class OptimumAnswer:
         points: the columns that tell the k points apart, (k,) each, SI units.
         mean: of the runs that chose, (k,), and `base_mean` that of the base; the same in fresh runs is in `lines`.
         judged: the best point, and its region.
-        lines: metric -> what fresh runs say of it: means of the best point and the base, and their difference.
-        pairs: fresh runs of the best point whose partner in the base has a number, too.
+        lines: metric -> what fresh runs say of it: means of the best point and the base, their difference, and the
+            number of pairs, 0 where no seeds are common.
         lost: fresh runs that are lost, and why.
         rows: of the fresh run of the best point that is nearest to its mean, and of its partner in the base.
         further: numbers of the rows that are to be run, (m,).
@@ -178,7 +178,6 @@ class OptimumAnswer:
     base_mean: float
     judged: Judged
     lines: Mapping[str, Mapping[str, float]]
-    pairs: int
     lost: Mapping[str, int]
     rows: tuple[int, ...]
     further: np.ndarray
@@ -250,7 +249,7 @@ class FoundOptimum:
         own = shown(metric, unit, [line["mean"], line["mean_high"] - line["mean"]])
         digits = max(0, 1 - math.floor(math.log10(own.values[1]))) if own.values[1] > 0 else 2
         mean = f"{own.values[0]:.{digits}f} ± {own.values[1]:.{digits}f} {own.unit}".rstrip()
-        return mean, *(_gain(line, self.asked.side) if math.isfinite(line["relative"]) else ("–", ""))
+        return mean, *(_gain(line) if math.isfinite(line["relative"]) else ("–", ""))
 
     def region(self, answer: OptimumAnswer) -> str:
         """The region in words: 3 of 48 points: amplitude 0.3 to 0.4 rad, ..."""
@@ -273,10 +272,23 @@ class FoundOptimum:
             }[found.ended]
             out = int((~found.contenders).sum()) if found.ended and not found.spent else 0
             lost = f"; {out} points are out, because they lost runs" if out else ""
-            fresh = f", {answer.pairs} fresh pairs{told(answer.lost)}" if answer.lines else ", no fresh runs yet"
+            fresh = (
+                f", {next(iter(answer.lines.values()))['pairs']} fresh pairs{told(answer.lost)}"
+                if answer.lines
+                else ", no fresh runs yet"
+            )
             fresh = ", no run of the base" if math.isnan(answer.base_mean) else fresh
             said.append(f"{name}: {found.runs} runs a point{fresh}; {why}{lost}.")
         return said
+
+    def shown_rows(self) -> dict[int, str]:
+        """A typical fresh run of each best point and its partner in the base, and what each is."""
+        sides = (f"best by {self.asked.metric}", self.base)
+        return {
+            row: f"{self.called(answer)}, {side}".lstrip(", ")
+            for answer in self.answers
+            for row, side in zip(answer.rows, sides, strict=False)
+        }
 
     def about(self) -> dict[str, Any]:
         """All of it for JSON, SI units."""
@@ -286,7 +298,7 @@ class FoundOptimum:
             places = np.flatnonzero(found.region).tolist() if found.best >= 0 else []
             region = [{name: column[i] for name, column in answer.points.items()} for i in places]
             about = {"for": answer.group, "at": answer.at, "region": region, "points": len(found.region)}
-            about |= {"ended": found.ended, "spent": found.spent, "runs": found.runs, "pairs": answer.pairs}
+            about |= {"ended": found.ended, "spent": found.spent, "runs": found.runs}
             each.append(about | {"lost": answer.lost, "rows": answer.rows, "metrics": answer.lines})
         asked = {"metric": self.asked.metric, "side": self.asked.side, "base": self.asked.base}
         return {**asked, "intervals_over": self.over, "profiles": profiles_of(self.results), "answers": each}
@@ -306,9 +318,8 @@ def find_optimum(results: Results, asked: SoughtOptimum, repeats: int, variants:
     """
     names, ((by, base),) = columns_of(results, "varied"), asked.base.items()
     metrics = tuple(dict.fromkeys([asked.metric, *(name for name in _COSTS if name in results.schema.names)]))
-    number, repeat, seed, *columns = (
-        column for _, column in results.columns(["variant", "repeat", "seed", *names, *metrics])
-    )
+    wanted = ["row", "variant", "repeat", "seed", *names, *metrics]
+    row, number, repeat, seed, *columns = (column for _, column in results.columns(wanted))
     found = Variants.of(number)
     value = {name: column[found.first] for name, column in zip(names, columns, strict=False)}
     metric = dict(zip(metrics, columns[len(names) :], strict=True))
@@ -345,7 +356,7 @@ def find_optimum(results: Results, asked: SoughtOptimum, repeats: int, variants:
         base_mean = float(metric[asked.metric][of_bases].mean()) if of_bases.any() else math.nan
         further = verdict.wanted[0] * variants + found.number[points[verdict.wanted[1]]]
         lines, lost = dict[str, dict[str, float]](), dict[str, int]()
-        pairs, rows = 0, tuple[int, ...]()
+        rows = tuple[int, ...]()
         if verdict.best >= 0 and len(bases):
             sides = [bases[0], points[verdict.best]]
             fresh = [np.flatnonzero((found.place == side) & ~chose) for side in sides]
@@ -358,11 +369,15 @@ def find_optimum(results: Results, asked: SoughtOptimum, repeats: int, variants:
                 lines = {name: line for name, line in lines.items() if line}
                 both = np.concatenate(fresh)
                 lost = losses(status[both], good[asked.metric][both])
-                known = [set(seed[side[good[asked.metric][side]]].tolist()) for side in fresh]
-                pairs = len(known[0] & known[1])
-                rows = _shown_rows(metric[asked.metric], good[asked.metric], seed, fresh, results.column("row"))
+                told_of = [side[good[asked.metric][side]] for side in fresh]
+                if lines:  # the run that is nearest to the mean, and its partner in the base, or another one of it
+                    typical = told_of[1][
+                        np.abs(metric[asked.metric][told_of[1]] - lines[asked.metric]["mean"]).argmin()
+                    ]
+                    partner = told_of[0][np.argmax(seed[told_of[0]] == seed[typical])]
+                    rows = int(row[typical]), int(row[partner])
         answers.append(
-            OptimumAnswer(group, told_apart, tally.mean[points], base_mean, verdict, lines, pairs, lost, rows, further)
+            OptimumAnswer(group, told_apart, tally.mean[points], base_mean, verdict, lines, lost, rows, further)
         )
     drawn = columns_of(results, "randomized")
     over = dict.fromkeys("starts" if name.startswith("start.") else spoken(name) for name in drawn)
@@ -408,24 +423,17 @@ def _measured(values: np.ndarray, good: np.ndarray, seed: np.ndarray, fresh: Seq
         line |= {name: float(own.mean()), f"{name}_low": own.mean() - half, f"{name}_high": own.mean() + half}
     # Where the base's mean is nothing but noise, no share of it says anything.
     scale = abs(line["base"]) if abs(line["base"]) > line["base_high"] - line["base"] else math.nan
-    line |= {"difference": middle, "low": low, "high": high, "p": float(found.p[0])}
+    line |= {
+        "difference": middle,
+        "low": low,
+        "high": high,
+        "p": float(found.p[0]),
+        "pairs": len(first) * bool(len(paired)),
+    }
     return line | {"relative": middle / scale, "relative_low": low / scale, "relative_high": high / scale}
 
 
-def _shown_rows(
-    values: np.ndarray, good: np.ndarray, seed: np.ndarray, fresh: Sequence[np.ndarray], row: np.ndarray
-) -> tuple[int, ...]:
-    """The fresh run of the best point that is nearest to its mean, and the base's of the same seed, or else its own."""
-    base, best = (own[good[own]] for own in fresh)
-    if not len(base) or not len(best):
-        return ()
-    typical = best[np.abs(values[best] - values[best].mean()).argmin()]
-    partner = base[seed[base] == seed[typical]]
-    other = partner[0] if len(partner) else base[np.abs(values[base] - values[base].mean()).argmin()]
-    return int(row[typical]), int(row[other])
-
-
-def _gain(line: Mapping[str, float], side: str) -> tuple[str, str]:
+def _gain(line: Mapping[str, float]) -> tuple[str, str]:
     """A relative difference in percent and its interval, as texts."""
     ends = (f"{100 * line[f'relative_{end}']:+.1f}".replace("-", "−") for end in ("low", "high"))
     return f"{100 * line['relative']:+.1f} %".replace("-", "−"), f"[{', '.join(ends)}]"
@@ -488,6 +496,7 @@ _FIELDS: Final = {
     "base": "mean of the base's fresh runs; _low and _high: its 95 % interval",
     "difference": "best point minus base, in fresh runs; low and high: its 95 % interval",
     "relative": "difference over the magnitude of the base's mean; _low and _high: the same of its interval",
+    "pairs": "number of pairs of fresh runs with the same draws",
     "p": "probability of so large a difference by chance, two-sided",
 }
 
@@ -506,82 +515,70 @@ def optimum_files(found: FoundOptimum) -> dict[str, bytes]:
 #: Groups of one figure.
 _MOST_DRAWN: Final = 9
 _COLUMNS: Final = 3
+_STAR: Final[dict[str, Any]] = {"marker": "*", "ms": 14, "color": BEST, "mec": "white", "lw": 0, "zorder": 4}
 
 
 def optimum_figure(found: FoundOptimum) -> Iterator[tuple[str, Figure]]:
     """(file name, figure) of what was found; none where nothing was."""
-    answers = [each for each in found.answers if each.judged.best >= 0][:_MOST_DRAWN]
-    if not answers or not answers[0].points:
+    answers, asked = [each for each in found.answers if each.at][:_MOST_DRAWN], found.asked
+    if not answers:
         return
-    gains = [100 * (each.mean - each.base_mean) / abs(each.base_mean) for each in answers]
-    known = np.concatenate([each[np.isfinite(each)] for each in gains] or [np.zeros(1)])
-    # Symmetric about 0; losses beyond the best gain are cut off, as they would leave the gains pale.
-    far = max(float(known.max() if found.asked.side == "max" else -known.min()), 0.3 * float(np.abs(known).max()), 1e-9)
-    scale = Normalize(-far, far)
+    gains = [100 * (each.mean / each.base_mean - 1) * np.sign(each.base_mean) for each in answers]
+    known = np.concatenate(gains)[np.isfinite(np.concatenate(gains))] * (1 if asked.side == "max" else -1)
+    # Symmetric about 0; losses far beyond the best gain are cut off, as they would leave the gains pale.
+    far = max(known.max(initial=0.0), 0.3 * np.abs(known).max(initial=1e-9))
+    colours = ScalarMappable(Normalize(-far, far), GAIN_COLOURS if asked.side == "max" else f"{GAIN_COLOURS}_r")
     columns = min(len(answers), _COLUMNS)
     lines = -(-len(answers) // columns)
     figure = blank(2.75 * columns + 1.1, 4.3 * lines + 1.0)
     grid = figure.subplots(2 * lines, columns, squeeze=False, gridspec_kw={"height_ratios": [3.0, 0.85] * lines})
-    maps = [grid[2 * (i // columns), i % columns] for i in range(len(answers))]
-    below = [grid[2 * (i // columns) + 1, i % columns] for i in range(len(answers))]
+    maps, below = (grid[first::2].ravel()[: len(answers)] for first in (0, 1))
     for ax in {*grid.ravel()} - {*maps, *below}:
         ax.remove()
-    across = [name for name, each in answers[0].points.items() if len(set(each.tolist())) > 1] or [*answers[0].points]
+    across = [name for name, each in answers[0].points.items() if len(set(each.tolist())) > 1] or list(
+        answers[0].points
+    )
     flat = len(across) > 1
     for i, (ax, answer, gain) in enumerate(zip(maps, answers, gains, strict=True)):
-        on_map = np.full(len(gain), True)
-        for name in across[2:]:
-            on_map &= answer.points[name] == answer.at[name]
         x, *more = (_axis(found, name, answer.points[name]) for name in across[:2])
-        here = answer.judged.best
+        here, inside = answer.judged.best, answer.judged.region
         if flat:
-            _draw_map(
-                ax, x, more[0], gain, on_map, answer, scale if found.asked.side == "max" else Normalize(far, -far)
+            shown_here = np.logical_and.reduce(
+                [np.full(len(gain), True), *(answer.points[name] == answer.at[name] for name in across[2:])]
             )
-            ax.plot(x.values[here], more[0].values[here], "*", ms=14, mfc=BEST, mec="white", mew=1.0, clip_on=False)
-            set_scales(ax, x, more[0])
+            _draw_map(ax, [x, *more], gain, inside, shown_here, colours)
         else:
             order = np.argsort(x.values)
             ax.plot(x.values[order], gain[order], color=SERIES[0], lw=1.2, zorder=2)
-            fills = [SERIES[0] if inside else "white" for inside in answer.judged.region]
-            ax.scatter(x.values, gain, s=30, ec=SERIES[0], fc=fills, zorder=3)
-            ax.plot(x.values[here], gain[here], "*", ms=14, mfc=BEST, mec="white", mew=1.0, zorder=4)
+            ax.scatter(x.values, gain, s=30, ec=SERIES[0], fc=np.where(inside, SERIES[0], "white"), zorder=3)
             ax.axhline(0, color=MUTED, lw=0.8)
-            set_scales(ax, x)
-        name, (_, share, ends) = found.called(answer), found.numbers(answer, found.asked.metric)
+        ax.plot(x.values[here], (more[0].values if flat else gain)[here], **_STAR, clip_on=False)
+        set_scales(ax, x, more[0] if flat else None)
+        _, share, ends = found.numbers(answer, asked.metric)
         place = ", ".join(found.text(key, value) for key, value in answer.at.items())
         ax.set_title(f"{share} {ends}\nat {place}", color=INK)
-        ax.annotate(
-            name, (0.5, 1), (0, 29), "axes fraction", "offset points", ha="center", fontweight="bold", color=INK
+        head: dict[str, Any] = {"ha": "center", "fontweight": "bold", "color": INK}
+        ax.annotate(found.called(answer), (0.5, 1), (0, 29), "axes fraction", "offset points", **head)
+        ax.set(
+            xlabel=x.label, ylabel="" if i % columns else more[0].label if flat else f"gain against {found.base} [%]"
         )
-        ax.set_xlabel(x.label)
-        if i % columns == 0:
-            ax.set_ylabel(more[0].label if flat else f"gain in {spoken(found.asked.metric)} [%]")
-        elif flat:
-            ax.tick_params(labelleft=False)
+        ax.tick_params(labelleft=not (flat and i % columns))
     if flat:
-        bar = colour_bar(
-            figure, maps, ScalarMappable(scale, GAIN_COLOURS if found.asked.side == "max" else f"{GAIN_COLOURS}_r"),
-            f"{spoken(found.asked.metric)} against {found.base} [%]", extend="both", shrink=0.9, aspect=26,
-        )  # fmt: skip
+        label = f"{spoken(asked.metric)} against {found.base} [%]"
+        bar = colour_bar(figure, list(maps), colours, label, extend="both", shrink=0.9, aspect=26)
         bar.ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: signed(value).removesuffix(" %")))
-    _draw_costs(found, answers, below)
-    told_of = "points that the data cannot tell from it"
+    _draw_costs(found, answers, list(below))
+    frame: dict[str, Any] = {"lw": 1.6, "color": INK} if flat else {"marker": "o", "lw": 0, "color": SERIES[0]}
     handles = [
-        Line2D([], [], color=BEST, marker="*", ms=11, lw=0, label="best point"),
-        Line2D([], [], color=INK, lw=1.6, label=told_of)
-        if flat
-        else Line2D([], [], color=SERIES[0], marker="o", lw=0, label=told_of),
+        Line2D([], [], label="best point", **_STAR),
+        Line2D([], [], label="points that the data cannot tell from it", **frame),
     ]
-    rest = list(across[2:])
-    notes = [f"Others at their best: {', '.join(map(spoken, rest))}."] if rest else []
+    notes = [*found.how(), f"Map: mean of the runs that chose; {profile_text(profiles_of(found.results))}."]
+    notes += [f"Not shown: {', '.join(map(spoken, across[2:]))}, at their best."] if across[2:] else []
     notes += (
         [f"{len(found.answers) - len(answers)} more are in the table."] if len(found.answers) > len(answers) else []
     )
-    note = " ".join(
-        [*found.how(), *notes, f"Map: mean of the runs that chose; {profile_text(profiles_of(found.results))}."]
-    )
-    yield "optimum", around(figure, found.title, note, handles)
+    yield "optimum", around(figure, found.title, " ".join(notes), handles)
 
 
 def _axis(found: FoundOptimum, name: str, values: np.ndarray) -> ShownValues:
@@ -594,26 +591,26 @@ def _axis(found: FoundOptimum, name: str, values: np.ndarray) -> ShownValues:
 
 
 def _draw_map(
-    ax: Axes,
-    x: ShownValues,
-    y: ShownValues,
-    gain: np.ndarray,
-    here: np.ndarray,
-    answer: OptimumAnswer,
-    scale: Normalize,
+    ax: Axes, axes: Sequence[ShownValues], gain: np.ndarray, region: np.ndarray, here: np.ndarray, look: ScalarMappable
 ) -> None:
-    """The gain as colours, and a line around the region."""
-    xs, ys = np.unique(x.values[here]), np.unique(y.values[here])
+    """The gain of the points that are `here` (k,) as colours, and a line around the region."""
+    x, y = (dataclasses.replace(each, values=each.values[here]) for each in axes)
+    xs, ys = np.unique(x.values), np.unique(y.values)
+    cells, inside = (cell_means(x.values, y.values, each[here] * 1.0, xs, ys) for each in (gain, region))
     columns, rows = cell_edges(xs, x.log), cell_edges(ys, y.log)
-    cells = cell_means(x.values[here], y.values[here], gain[here], xs, ys)
-    inside = cell_means(x.values[here], y.values[here], answer.judged.region[here] * 1.0, xs, ys) > 0
+    scale: Any = look.norm
     ax.set_facecolor(MISSING)
-    ax.pcolormesh(columns, rows, np.ma.masked_invalid(cells.T), norm=scale, cmap=GAIN_COLOURS)
-    framed = np.pad(inside, 1)
-    for i, j in zip(*np.nonzero(np.diff(framed[:, 1:-1], axis=0)), strict=True):
-        ax.plot([columns[i]] * 2, rows[j : j + 2], color=INK, lw=1.8, solid_capstyle="round", clip_on=False)
-    for i, j in zip(*np.nonzero(np.diff(framed[1:-1], axis=1)), strict=True):
-        ax.plot(columns[i : i + 2], [rows[j]] * 2, color=INK, lw=1.8, solid_capstyle="round", clip_on=False)
+    ax.pcolormesh(columns, rows, np.ma.masked_invalid(cells.T), norm=scale, cmap=look.cmap)
+    framed = np.pad(inside > 0, 1)
+    upright, level = (
+        zip(*np.nonzero(np.diff(each, axis=axis)), strict=True)
+        for axis, each in enumerate((framed[:, 1:-1], framed[1:-1]))
+    )
+    sides = [(columns[[i, i]], rows[j : j + 2]) for i, j in upright] + [
+        (columns[i : i + 2], rows[[j, j]]) for i, j in level
+    ]
+    for across, up in sides:
+        ax.plot(across, up, color=INK, lw=1.8, solid_capstyle="round", clip_on=False)
 
 
 def _draw_costs(found: FoundOptimum, answers: Sequence[OptimumAnswer], axes: Sequence[Axes]) -> None:

@@ -540,8 +540,11 @@ def run_sweep(
             if sweep.keep is not None:
                 from nermo_mjx.sweep.replay import record_rows
 
+                also = dict[int, str]()
+                if sought is not None and sweep.keep.optimum:
+                    also = find_optimum(results, *sought).shown_rows()
                 recordings = record_rows(
-                    held, sweep.digest(), results, sweep.keep, simulates.used, interruption.check, watch.warn
+                    held, sweep.digest(), results, sweep.keep, simulates.used, interruption.check, watch.warn, also
                 )
         return SweepResult(
             out=held.out,

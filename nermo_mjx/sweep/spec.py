@@ -211,6 +211,7 @@ class Keep(Fields):
     fell: Annotated[int, Whole(0, MOST_KEPT)] = Field(0, description="number that fell, the first in the table")
     diverged: Annotated[int, Whole(0, MOST_KEPT)] = Field(0, description="number that diverged")
     unsolved: Annotated[int, Whole(0, MOST_KEPT)] = Field(0, description="number for which the solver did not converge")
+    optimum: bool = Field(False, description="a typical fresh run of each best point of the optimum, and its base's")
 
 
 def read_saving(doc: Document, given: SaveFields, setup: Setup) -> Saving:
@@ -296,6 +297,8 @@ def check_together(doc: Document, sweep: Sweep) -> None:
             f"is '{sweep.keep.metric}': allowed is a metric with a better direction, "
             f"{', '.join(sides)}{did_you_mean(sweep.keep.metric, sides)}",
         )
+    if sweep.keep is not None and sweep.keep.optimum and sweep.optimum is None:
+        doc.fail(("keep", "optimum"), "is true, but the file seeks no optimum: add the section 'optimum'.")
     runs = sweep.variants * sweep.repeats
     if runs > LARGEST_SWEEP:
         doc.fail(
