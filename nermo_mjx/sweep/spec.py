@@ -64,6 +64,10 @@ def _names(given: Any) -> Any:
     return list(dict.fromkeys(given))
 
 
+#: Of a list that may be a single name.
+_NAMES: Final[dict[str, Any]] = {"type": ["array", "string"]}
+
+
 class ComparedColumns(Fields):
     """The section `compare` of a sweep file: what is compared when the sweep is complete; see `nermo_mjx.compare`."""
 
@@ -72,7 +76,10 @@ class ComparedColumns(Fields):
     by: str = Field(description="the varied column whose values are compared")
     base: Value = optional("the baseline value; by default none, or the first")
     groups: Annotated[list[str], BeforeValidator(_names)] = Field(
-        [], alias="for", description="varied columns: an interval for each combination of their values"
+        [],
+        alias="for",
+        description="varied columns: an interval for each combination of their values",
+        json_schema_extra=_NAMES,
     )
 
     def written(self) -> dict[str, Any]:
@@ -98,10 +105,10 @@ class SoughtOptimum(Fields):
     maximize: str = optional("the metric whose highest mean is sought; without this and minimize, the speed")
     minimize: str = optional("instead: the metric whose lowest mean is sought")
     over: Annotated[list[str], BeforeValidator(_names)] = Field(
-        description="varied columns whose best values are sought"
+        description="varied columns whose best values are sought", json_schema_extra=_NAMES
     )
     groups: Annotated[list[str], BeforeValidator(_names)] = optional(
-        "varied columns: an answer for each combination of their values; by default all others", alias="for"
+        "varied columns: an answer for each combination of their values; by default all others", alias="for", **_NAMES
     )
     base: Annotated[dict[str, Value], BeforeValidator(_one_value)] = Field(
         description="a varied column and its value, over which something is gained, such as {spine: none}"
@@ -131,12 +138,6 @@ class SoughtOptimum(Fields):
     def written(self) -> dict[str, Any]:
         """As written in a sweep file."""
         return self.model_dump(by_alias=True, exclude_none=True)
-
-
-class _Sought(Fields):
-    """The section alone."""
-
-    optimum: SoughtOptimum
 
 
 # ---
@@ -253,6 +254,7 @@ class Randomized(Fields):
     paired: Annotated[list[str], BeforeValidator(_names)] = Field(
         [],
         description="varied parameters whose values have the same draws in each repeat, so that their runs are pairs",
+        json_schema_extra=_NAMES,
     )
 
     @classmethod
@@ -514,10 +516,8 @@ class Sweep(WalkSpec, Described):
 
     def seeking(self, text: str) -> Sweep:
         """The sweep with another section `optimum`, as a file has it, in YAML. Raises `SpecError`."""
-        doc = read_mapping({"optimum": read_text(f"optimum: {text}", "--optimum").data["optimum"]}, "--optimum")
-        sought = dataclasses.replace(self, optimum=read(doc, _Sought).optimum)
-        check_optimum(doc, sought, sought.optimum)
-        return sought
+        given = read_text(f"optimum: {text}", "--optimum").data["optimum"]
+        return Sweep.of_document(read_mapping(self.resolved() | {"optimum": given}, "--optimum"))
 
     @functools.cached_property
     def counts(self) -> tuple[int, ...]:
