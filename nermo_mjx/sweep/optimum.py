@@ -265,7 +265,7 @@ class FoundOptimum:
         for answer in self.answers:
             found, name = answer.judged, self.called(answer) or "All"
             why = {
-                "few": f"only {found.region.sum()} points are left",
+                "few": f"no more than {self.asked.until} may be the best",
                 "budget": "the budget is spent" if self.asked.budget else "no second stage was asked for",
                 "lost": "of no two repeats all contenders have a number",
                 "": f"{len(answer.further):,} more runs are needed",
