@@ -281,7 +281,9 @@ def test_the_sweeps_of_the_repository_run(tmp_path, path):
     sweep = Sweep.from_file(path)
     result = run_sweep(dataclasses.replace(sweep, plots=False, keep=None), tmp_path, simulator=FakeSimulator())
     assert result.complete
-    assert result.table.num_rows == sweep.variants * sweep.repeats
+    own = sweep.variants * sweep.repeats
+    assert np.array_equal(result.table.column("row").to_numpy()[:own], np.arange(own))
+    assert (result.table.num_rows > own) == (sweep.optimum is not None)
     if path.stem == "quickstart":
         assert sweep.variants >= 200
         assert read_table(tmp_path).num_rows == sweep.variants

@@ -114,13 +114,20 @@ def _shard(text: str) -> tuple[int, int]:
     type=FileKind(".csv", ".parquet", exists=True, dir_okay=False),
 )
 @flag("--extend", "Add rows to DIR: more values, repeats, structures or Sobol points.")
+@options.text("--optimum", "YAML", "What is best, as the field optimum of a file has it; also of a finished DIR.")
 @options.text("--use", "DIR2", "Reuse rows from DIR2 instead of running them.", multiple=True, type=options.PATH)
 @flag("--tensorboard", _tensorboard.format("chunk"))
 @flag("--dry-run", "Estimate the cost in time, disk and memory; write nothing.")
 @flag("--list-parameters", "List what vary, set and randomize can name.")
 @_on_engine
 def sweep_command(
-    spec: Path | None, out: Path | None, rows: Path | None, dry_run: bool, list_parameters: bool, **how: Any
+    spec: Path | None,
+    out: Path | None,
+    rows: Path | None,
+    dry_run: bool,
+    list_parameters: bool,
+    optimum: str | None,
+    **how: Any,
 ) -> Output:
     """Run every variant of a sweep file.
 
@@ -139,6 +146,7 @@ def sweep_command(
       nermo-mjx sweep finer.yaml --out runs/quickstart --extend
       nermo-mjx sweep runs/quickstart/sweep.yaml --rows front.csv --out runs/front
       nermo-mjx sweep sweeps/quickstart.yaml --dry-run
+      nermo-mjx sweep runs/gaits/sweep.yaml --out runs/gaits --optimum '{over: [spine.phase], base: {spine: none}}'
       nermo-mjx sweep --list-parameters
     """
     if list_parameters:
@@ -152,6 +160,7 @@ def sweep_command(
 
     sweep = Sweep.from_rows(rows, spec) if rows is not None else Sweep.from_file(str(spec))
     sweep = dataclasses.replace(sweep, **_fields(how, "seed"))
+    sweep = sweep if optimum is None else sweep.seeking(optimum)
     if dry_run or out is None:
         cost = sweep_forecast(sweep, out, **{name: how[name] for name in ("engine", "chunk", "shard", "extend", "use")})
         return Output(cost.content, lambda: _print_forecast(cost))
@@ -201,16 +210,26 @@ def _print_sweep(result: SweepResult) -> None:
     effort = f"{summary['steps_per_second']:,.0f} steps/s on the engine {summary['engine']}"
     from nermo_mjx.runs.rows import part_files
     from nermo_mjx.sweep.counting import told
-    from nermo_mjx.sweep.table import Results, meta, profile_text
+    from nermo_mjx.sweep.optimum import optimum_cells, optimum_in
+    from nermo_mjx.sweep.replay import recording_file
+    from nermo_mjx.sweep.table import LEADING, Results, meta, profile_text
 
     profile = profile_text(summary["profiles"])
     click.echo(f"{summary['rows']:,} runs, {profile} ({counts}) in {duration(summary['wall_seconds'])}, {effort}")
+    if sought := optimum_in(result.out):
+        print_table(f"{sought.title}; {profile}", *optimum_cells(sought))
+        for sentence in sought.how():
+            click.echo(sentence)
+        films = [recording_file(result.out, row) for row in sought.shown_rows()]
+        if films and {*films} <= {*result.recordings}:
+            film = f"{' '.join(map(str, films))} --camera top --out {result.out / 'optimum.webp'}"
+            click.echo(f"The best points beside their bases, from above: nermo-mjx render {film}")
     schema, rows = Results(part_files(result.out)).schema, []
 
     def unit(name: str) -> str:
         return meta(schema.field(name))["unit"]
 
-    for name, best in summary["best"].items():
+    for name, best in [*summary["best"].items(), *((LEADING, each) for each in summary["best_of_each"])]:
         if best is not None:
             at = [
                 f"{key} {value if isinstance(value, str) else _with_unit(key, unit(key), value)}"
@@ -222,7 +241,7 @@ def _print_sweep(result: SweepResult) -> None:
             rows.append([name, best["side"], f"{mean:.4g}{half}", shown, lost, ", ".join(at)])
     if rows:
         print_table("Best variants", "metric, best is, mean ± 95 % interval>, , runs lost, at", rows)
-    places = {name: f"{name}.parquet" for name in ("comparison", "sensitivity") if name in summary}
+    places = {name: f"{name}.parquet" for name in ("comparison", "sensitivity", "optimum") if name in summary}
     print_places(result.out, table="results", summary="summary.json", **places, plots=result.plots and "plots")
     if result.recordings:
         print_pairs([("kept", f"{len(result.recordings)} recordings in {result.recordings[0].parent}")])

@@ -51,7 +51,7 @@ from nermo_mjx.runs.files import (
     to_json,
 )
 from nermo_mjx.runs.job import SILENT, Progress, Watch, resumable
-from nermo_mjx.runs.rows import Runs, keys_of, opened, part_files
+from nermo_mjx.runs.rows import Runs, keys_of, opened_part, part_files
 from nermo_mjx.runs.status import Status, last_command, metadata_of
 from nermo_mjx.runs.workers import LocalWorkers, TaskFailed, Workers
 from nermo_mjx.specs.described import digest_of
@@ -162,7 +162,7 @@ class Candidates:
         #: Key of a walk -> its speed [m/s], and whether it was completed.
         self._known: dict[bytes, tuple[float, bool]] = {}
         for part in runs.parts if runs else ():
-            with opened(part.path) as file:
+            with opened_part(part.path) as file:
                 table = file.read(["key", "speed", "status"])
             keys = table["key"].to_numpy(zero_copy_only=False).astype("S32")
             self._note(keys, table["speed"].to_numpy(), np.array(table["status"].to_pylist()))

@@ -273,13 +273,13 @@ def heat_maps(
     where they would leave the gains pale), marks show their value, and only points where `gain` holds are marked.
     """
     xs, ys = np.unique(x.values), np.unique(y.values)
-    grids = [_cell_means(x.values[mask], y.values[mask], z.values[mask], xs, ys) for _, mask in panels]
+    grids = [cell_means(x.values[mask], y.values[mask], z.values[mask], xs, ys) for _, mask in panels]
     values = np.concatenate([grid.ravel() for grid in grids])
     scale, extend = colour_scale(values)
     marked, colours, fill, edge = grids, COLOURS, "none", "white"
     if gain is not None:
         chosen = np.where(gain, z.values, np.nan)
-        marked = [_cell_means(x.values[mask], y.values[mask], chosen[mask], xs, ys) for _, mask in panels]
+        marked = [cell_means(x.values[mask], y.values[mask], chosen[mask], xs, ys) for _, mask in panels]
         colours, fill, edge = GAIN_COLOURS, "white", INK
         # Symmetric around 0; losses beyond 25 % and three times the best gain are cut off.
         good = values[np.isfinite(values)]
@@ -296,7 +296,9 @@ def heat_maps(
                 (0, 0), 1, 1, transform=ax.transAxes, fc=MISSING, ec="white", hatch="////", lw=0, zorder=0
             )
         )
-        ax.pcolormesh(_edges(xs, x.log), _edges(ys, y.log), np.ma.masked_invalid(grid.T), norm=scale, cmap=colours)
+        ax.pcolormesh(
+            cell_edges(xs, x.log), cell_edges(ys, y.log), np.ma.masked_invalid(grid.T), norm=scale, cmap=colours
+        )
         set_scales(ax, x, y)
         ax.set_title(name)
         if np.isfinite(candidates).any():
@@ -319,7 +321,7 @@ def heat_maps(
                 look: dict[str, Any] = {"fontsize": 8.5, "fontweight": "bold", "color": INK, "zorder": 6}
                 look |= {"va": "center", "ha": "right" if left else "left", "textcoords": "offset points"}
                 look["bbox"] = {"boxstyle": "round,pad=0.2", "fc": "white", "alpha": 0.75, "lw": 0}
-                ax.annotate(_signed(candidates[i, j]), (xs[i], ys[j]), (-apart if left else apart, 0), **look)
+                ax.annotate(signed(candidates[i, j]), (xs[i], ys[j]), (-apart if left else apart, 0), **look)
     columns = axes[0].get_gridspec().ncols  # type: ignore[union-attr]
     for place, ax in enumerate(axes):  # labels at the outside of the panels only
         bottom, left = place + columns >= len(axes), place % columns == 0
@@ -327,10 +329,10 @@ def heat_maps(
         ax.set(xlabel=x.label if bottom else "", ylabel=y.label if left else "")
     bar = colour_bar(figure, axes, ScalarMappable(scale, colours), z.label, extend=extend, **_BAR)
     if gain is not None:
-        bar.formatter = FuncFormatter(lambda value, _: _signed(value).removesuffix(" %"))
+        bar.formatter = FuncFormatter(lambda value, _: signed(value).removesuffix(" %"))
     word = best_word(z) if gain is None else "best"
     ring = f"; ring: {word} of its panel" if len(panels) > 1 else ""
-    return around(figure, title, f"{note}star: {word}, {z.shown(best) if gain is None else _signed(best)}{ring}")
+    return around(figure, title, f"{note}star: {word}, {z.shown(best) if gain is None else signed(best)}{ring}")
 
 
 def line(x: ShownValues, z: ShownValues, title: str, note: str) -> Figure:
@@ -407,13 +409,14 @@ def best_word(metric: ShownValues) -> str:
     return "best" if metric.side else "highest"
 
 
-def _signed(percent: float) -> str:
+def signed(percent: float) -> str:
     """A gain with its sign: +14.5 %."""
     text = f"{percent:+.3g}" if abs(percent) >= 100 else f"{round(percent, 1) + 0.0:+g}"
     return f"{'0' if text in ('+0', '-0') else text.replace('-', '−')} %"
 
 
-def _cell_means(x: np.ndarray, y: np.ndarray, z: np.ndarray, xs: np.ndarray, ys: np.ndarray) -> np.ndarray:
+def cell_means(x: np.ndarray, y: np.ndarray, z: np.ndarray, xs: np.ndarray, ys: np.ndarray) -> np.ndarray:
+    """Means of z in the cells of a grid, (len(xs), len(ys)); NaN where there are none."""
     cell = np.searchsorted(xs, x) * len(ys) + np.searchsorted(ys, y)
     good = np.isfinite(z)
     count = np.bincount(cell[good], minlength=len(xs) * len(ys))
@@ -438,7 +441,7 @@ def _mean(values: np.ndarray) -> tuple[float, float]:
     return float(good.mean()) if len(good) else math.nan, float(half_width(spread, len(good)))
 
 
-def _edges(centres: np.ndarray, log: bool) -> np.ndarray:
+def cell_edges(centres: np.ndarray, log: bool) -> np.ndarray:
     """Cell edges half-way between the centres."""
     c = np.log(centres) if log else centres
     if len(c) == 1:

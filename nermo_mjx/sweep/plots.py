@@ -39,7 +39,8 @@ from nermo_mjx.robot.quantity import ParameterError, did_you_mean
 from nermo_mjx.runs.files import DirectoryError
 from nermo_mjx.runs.rows import part_files
 from nermo_mjx.sweep.counting import Variants, counts
-from nermo_mjx.sweep.spec import sides_in
+from nermo_mjx.sweep.optimum import find_optimum, optimum_figure, optimum_files, optimum_table
+from nermo_mjx.sweep.spec import SoughtOptimum, sides_in
 from nermo_mjx.sweep.table import (
     LEADING,
     Results,
@@ -71,6 +72,7 @@ def figures_of_results(results: Results, metric: str = LEADING, remark: str = ""
     groups = groups_of([x for x in varied if x.names])
     if groups is not None:
         yield from structure_figures(groups, numbers, z, remark, grid=results.is_grid)
+        yield from _gain_figures(results, metric, remark) if results.is_grid else ()
     if not results.is_grid or not varied:
         drawn = varied or shown_columns(results, columns_of(results, "randomized"))
         if groups is not None:
@@ -105,13 +107,18 @@ def _gain_figures(results: Results, metric: str, start: str) -> Iterator[tuple[s
     if metric != LEADING or not {"spine.amplitude", "spine.phase"} <= set(names):
         return
     data = spine_ratio(results)
-    varied = {name: shown_column(results, name, data[name]) for name in names}
+    bent = np.isfinite(data["spine.amplitude"]) & np.isfinite(data["spine.phase"])  # a structure may have none
+    varied = {name: shown_column(results, name, data[name][bent]) for name in names if name != "spine"}
     x, y = varied.pop("spine.amplitude"), varied.pop("spine.phase")
-    z = ShownValues("speed relative to the stiff spine", "%", 100 * (data["ratio"] - 1))
+    z = ShownValues("speed relative to the stiff spine", "%", 100 * (data["ratio"][bent] - 1))
     bends = x.values > 0
     if not np.isfinite(z.values[bends]).any() or len(np.unique(y.values)) < 2:
         return
-    panels, remark = _panels([other for other in varied.values() if len(np.unique(other.values)) > 1], len(z.values))
+    rest = [other for other in varied.values() if not alike(other.values)]
+    panels, remark = _panels([other for other in rest if not other.names], len(z.values))
+    if (groups := groups_of([other for other in rest if other.names])) is not None:
+        remark = "".join(f"mean over {other.spoken}; " for other in rest if not other.names)
+        panels = [(name, groups.of == place) for place, name in enumerate(groups.names[:MOST_PANELS])]
     title = f"Speed gained by the spine over {x.spoken} and {y.spoken}"
     note = f"{start}{remark}stiff: mean at {x.spoken} 0; "
     yield f"{metric}-gain-over-{x.name}-and-{y.name}", heat_maps(x, y, z, panels, title, note, gain=bends)
@@ -159,25 +166,31 @@ def _panels(rest: list[ShownValues], count: int) -> tuple[list[tuple[str, np.nda
 def findings(
     results: Results,
     comparison: Mapping[str, Any] | None,
+    sought: tuple[SoughtOptimum, int, int] | None = None,
     metric: str = LEADING,
     notify: Callable[[str], None] = lambda _: None,
-) -> Iterator[tuple[str, pa.Table, dict[str, Any], Figures]]:
-    """What a sweep finds besides its figures: name, table, part of the summary, and figures of each.
+) -> Iterator[tuple[str, pa.Table, dict[str, Any], Figures, dict[str, bytes]]]:
+    """What a sweep finds besides its figures: name, table, part of the summary, figures and other files of each.
 
     Args:
         comparison: what the sweep's file compares, as its section `compare` has it.
+        sought: what the section `optimum` seeks, and the sweep's repeats and variants.
         metric: which the figures show.
         notify: called with a message about what cannot be computed, as from a few runs.
     """
+    if sought is not None:
+        found = find_optimum(results, *sought)
+        yield "optimum", optimum_table(found), found.about(), optimum_figure(found), optimum_files(found)
     try:
         if comparison is not None:
             from nermo_mjx.sweep import comparing  # few sweeps ask for it
 
             by, base, groups = comparison["by"], comparison.get("base"), comparison.get("for", ())
-            found = comparing.compare(
+            gained = comparing.compare(
                 results, by=by, base=base, groups=groups, drawn=() if metric == LEADING else (metric,)
             )
-            yield "comparison", found.table, found.about(only=found.drawn), comparing.figures_of_comparison(found.table)
+            drawn = comparing.figures_of_comparison(gained.table)
+            yield "comparison", gained.table, gained.about(only=gained.drawn), drawn, {}
     except ParameterError as error:
         notify(f"There is no comparison: {error}")
     try:
@@ -185,7 +198,7 @@ def findings(
             from nermo_mjx.sweep import sensitivity
 
             indices = sensitivity.sensitivity(results, metric)
-            yield "sensitivity", indices.table, indices.about(), sensitivity.figures_of_indices(indices.table)
+            yield "sensitivity", indices.table, indices.about(), sensitivity.figures_of_indices(indices.table), {}
     except ParameterError as error:
         notify(f"There is no sensitivity: {error}")
 
@@ -232,7 +245,8 @@ def sweep_figures(
         _check_column(results, color, "color")
         raise ParameterError(f"color is {color!r}, a parameter: name x and y, too.")
     asked = None if sweep is None else sweep.comparison
-    found = findings(results, asked, color or LEADING, notify or (lambda _: None))
+    sought = sweep and sweep.optimum and (SoughtOptimum.model_validate(sweep.optimum), sweep.repeats, sweep.variants)
+    found = findings(results, asked, sought or None, color or LEADING, notify or (lambda _: None))
 
     def usual() -> Figures:  # each is drawn when it is asked for, in the style that holds then
         some = False
@@ -243,7 +257,7 @@ def sweep_figures(
             why = "all its parameters have one value" if results.well.any() else "no run succeeded"
             raise DirectoryError(f"there is nothing to draw of {out}: {why}.")
 
-    return itertools.chain(usual(), *(drawn for *_, drawn in found))
+    return itertools.chain(usual(), *(drawn for *_, drawn, _ in found))
 
 
 def chosen_figure(

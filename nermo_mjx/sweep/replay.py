@@ -146,7 +146,7 @@ def find_row(out: str | os.PathLike[str], row: int) -> SweepRow:
         )
     sweep = Sweep.from_directory(out)
     digest, rows, stored, engines, outdated = sweep.digest(), Sample(sweep), dict[str, Any](), list[str](), False
-    if not 0 <= row < len(rows):
+    if not 0 <= row < len(rows) and not (sweep.optimum and row >= len(rows)):
         raise SpecError(f"row is {row}: allowed is 0 to {len(rows) - 1}.")
     for path in part_files(out):
         with contextlib.suppress(DirectoryError), opened_part(path) as file:  # a damaged part has no rows
@@ -304,6 +304,7 @@ def record_rows(
     used: Any = None,
     check: Callable[[], None] = lambda: None,
     warn: Callable[[str], None] = lambda _: None,
+    also: Mapping[int, str] | None = None,
 ) -> list[Path]:
     """Record the rows to keep that are not recorded yet; returns the files of all of them, in the order of the rows.
 
@@ -314,6 +315,7 @@ def record_rows(
         keep: which rows.
         used: what simulated the table in this process, if anything; a `Simulator` has its programs compiled.
         check: called often; may raise an interruption. What is recorded until then stays.
+        also: other rows, and why.
         warn: called with a message if a replay does not give the table's numbers, or nothing can be recorded.
 
     Raises:
@@ -331,7 +333,7 @@ def record_rows(
             warn(f"the engine {engine} cannot run here: rows that are kept are replayed on the engine c.")
             return Simulator(setup, "c")
 
-    for row, why in sorted(kept_rows(results, keep).items()):
+    for row, why in sorted((kept_rows(results, keep) | dict(also or {})).items()):
         path = recording_file(held.out, row)
         with contextlib.suppress(RecordingError):  # absent, or damaged
             there = Recording.load(path).metadata

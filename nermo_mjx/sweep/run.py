@@ -35,6 +35,7 @@ from nermo_mjx.runs.workers import LocalWorkers, TaskFailed, Workers
 from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.specs.walk import unread
 from nermo_mjx.sweep.counting import counts
+from nermo_mjx.sweep.optimum import find_optimum
 from nermo_mjx.sweep.plots import figures_of_results, findings
 from nermo_mjx.sweep.simulating import (
     PROBE,
@@ -46,7 +47,7 @@ from nermo_mjx.sweep.simulating import (
     engine_name,
     pace,
 )
-from nermo_mjx.sweep.spec import SIDES, Sample, Sweep
+from nermo_mjx.sweep.spec import SIDES, Sample, Sweep, varied_values
 from nermo_mjx.sweep.store import (
     batch_values,
     check_room,
@@ -117,7 +118,7 @@ class Work:
         held: RunDirectory | None = None,
         board: TensorBoard | None = None,
     ) -> None:
-        self.sweep, self.out, self.rows, self._watch = sweep, out, Sample(sweep), watch
+        self.sweep, self.out, self.rows, self._size, self._watch = sweep, out, Sample(sweep), size, watch
         self._structure, self.seconds = self.rows.structures(), simulated_seconds(sweep, self.rows)
         # Rows of one batch share structure and duration; batches are of equal size, to one row.
         order, self.layout = np.argsort(self.seconds, kind="stable"), list[np.ndarray]()
@@ -133,19 +134,38 @@ class Work:
                 if table is not None and np.isin(table["row"].to_numpy(), self._share).any():
                     self._log.add(table)
         self._resumed, self.simulated, self.reused = len(self._share) - len(self.unfinished), 0, 0
-        self._finished, self._left = 0, 0.0
+        self._finished, self._left, self._further = 0, 0.0, np.empty(0, int)
 
     @property
     def done(self) -> np.ndarray:
         """Which rows are there, (rows,) bool."""
-        done = np.zeros(len(self.rows), bool)
-        done[self.runs.numbers] = True
-        return done
+        return self._there[: len(self.rows)]
+
+    @property
+    def _there(self) -> np.ndarray:
+        """The same of all numbers up to that of the last further row."""
+        there, numbers = np.zeros(len(self.seconds), bool), self.runs.numbers
+        there[numbers[numbers < len(there)]] = True
+        return there
+
+    def add_further(self, index: np.ndarray) -> None:
+        """Make this process care for further repeats of some variants, by the numbers of their rows, (n,)."""
+        self._further = np.union1d(self._further, index)
+        size, own = int(self._further[-1]) + 1, len(self.rows)
+        self._structure, self.seconds = (np.resize(each[:own], size) for each in (self._structure, self.seconds))
+        self._structure[self._further] = self.rows.take(self._further).structure
+        self.seconds[self._further] = simulated_seconds(self.sweep, self.rows, self._further)
+        self._share = np.concatenate([self._share[self._share < own], self._further])
+
+    @property
+    def count(self) -> tuple[int, int]:
+        """How many rows are there, and are to be there: the sweep's and further ones."""
+        return int(self.done.sum() + self._there[self._further].sum()), len(self.rows) + len(self._further)
 
     @property
     def unfinished(self) -> np.ndarray:
         """The rows of this process that are not there, (n,), those of one batch together."""
-        return self._share[~self.done[self._share]]
+        return self._share[~self._there[self._share]]
 
     def effort(self) -> dict[str, Any]:
         """Engines, physics steps and the time they took, over all sessions."""
@@ -194,7 +214,7 @@ class Work:
         batches = []
         for at in np.unique(self._structure[rows]).tolist():
             own = rows[self._structure[rows] == at]
-            split = np.array_split(own, math.ceil(len(own) / whole[at]))
+            split = np.array_split(own, math.ceil(len(own) / (self._size if reused else whole[at])))
             worlds = len(split[0]) if reused else whole[at]
             batches += [RowBatch(at, index, worlds) for index in split]
         return batches
@@ -226,8 +246,9 @@ class Work:
     def finish(self, computer: SweepSimulator, workers: Workers, accept_new_code: bool) -> None:
         """Simulate what is missing, and once more what was damaged on its way to the disk; see `simulate`."""
         for _ in range(ATTEMPTS):
+            before = self.simulated
             self.simulate(computer, workers, accept_new_code)
-            if not self.simulated:
+            if self.simulated == before:
                 return
             self.runs.survey()
             if not len(self.unfinished):
@@ -244,7 +265,8 @@ class Work:
             DirectoryError: a batch cannot be written.
         """
         unfinished = self.unfinished
-        batches = self.batches(unfinished, self.reused)
+        # On the engine c nothing is compiled, and the few further rows fill no batch.
+        batches = self.batches(unfinished, self.reused or (simulator.engine == "c" and len(self._further)))
         self._finished, self._left = len(self._share) - len(unfinished), float(self.seconds[unfinished].sum())
         self._tell()
         if not batches:
@@ -486,6 +508,14 @@ def run_sweep(
         work.reuse(accept_new_code)
         if simulate:
             work.finish(computer, workers, accept_new_code)
+        sought = None if sweep.optimum is None else (sweep.optimum, sweep.repeats, sweep.variants)
+        while simulate and sought is not None and work.done.all():
+            further = find_optimum(Results([part.path for part in work.runs.parts]), *sought).further
+            if not len(further):
+                break
+            work.add_further(further)
+            work.reuse(accept_new_code)
+            work.finish(computer, workers, accept_new_code)
         done, summary, plots, recordings = work.done, dict[str, Any](), list[Path](), list[Path]()
         if done.all():
             results = Results([part.path for part in work.runs.parts])
@@ -493,10 +523,13 @@ def run_sweep(
             if sweep.keep is not None:
                 from nermo_mjx.sweep.replay import record_rows
 
+                also = dict[int, str]()
+                if sought is not None and sweep.keep.optimum:
+                    also = find_optimum(results, *sought).shown_rows()
                 recordings = record_rows(
-                    directory, sweep.digest(), results, sweep.keep, computer.used, interruption.check, watch.warn
+                    directory, sweep.digest(), results, sweep.keep, computer.used, interruption.check, watch.warn, also
                 )
-        rows: dict[str, Any] = {"rows_done": int(done.sum()), "rows": len(done), "missing": work.missing()}
+        rows: dict[str, Any] = {"rows_done": work.count[0], "rows": work.count[1], "missing": work.missing()}
         return SweepResult(directory.out, summary, plots, recordings, bool(done.all()), work.simulated, **rows)
 
 
@@ -506,8 +539,11 @@ def _publish(
     """Write what is made of a complete table; the content of summary.json, and the files of the figures."""
     summary, figures = {**summarize(results), **effort}, figures_of_results(results)
     comparison = None if sweep.compare is None else sweep.compare.written()
-    for name, table, about, drawn in findings(results, comparison, notify=watch.warn):
+    sought = None if sweep.optimum is None else (sweep.optimum, sweep.repeats, sweep.variants)
+    for name, table, about, drawn, files in findings(results, comparison, sought, notify=watch.warn):
         directory.write(f"{name}.parquet", parquet_bytes(table))
+        for file, content in files.items():
+            directory.write(file, content)
         summary[name] = about
         figures = itertools.chain(figures, drawn)
     directory.write("summary.json", to_json(summary))
@@ -582,7 +618,9 @@ def merged(places: Sequence[Path]) -> Sweep:
             rows.setdefault(json.dumps(same), row)
     repeats = max(sweep.repeats for sweep in sweeps)
     data = {
-        name: value for name, value in sweeps[0].resolved().items() if name not in ("vary", "sample", "rows", *labelled)
+        name: value
+        for name, value in sweeps[0].resolved().items()
+        if name not in ("vary", "sample", "rows", "optimum", *labelled)
     }
     data["set"] = {name: value for name, value in data["set"].items() if name not in varied}
     if "physics" in labelled:
@@ -677,7 +715,14 @@ def sweep_forecast(
     batches = work.batches(left, len(unfinished) - len(left))
     # Each batch lasts as long as its longest row, in all of its worlds.
     seconds = np.array([batch.worlds * float(work.seconds[batch.rows].max()) for batch in batches])
-    steps = sum(seconds / [float(sweep.structures[batch.structure].setup.timestep) for batch in batches])
+    steps = float(sum(seconds / [float(sweep.structures[batch.structure].setup.timestep) for batch in batches]))
+    if sweep.optimum is not None:  # rows beyond the sweep's own last as long as those do on average
+        known = varied_values(sweep)
+        groups = math.prod(len(known[name] or ()) for name in sweep.optimum.grouped(known))
+        more = groups * (sweep.optimum.budget + 2 * sweep.optimum.fresh)
+        more = max(more - int((work.runs.numbers >= len(work.rows)).sum()), 0)
+        steps += more * float(work.seconds.mean()) / float(sweep.setup.timestep)
+        notes.append(f"The optimum takes up to {more:,} further runs, which the time contains.")
     rate, rate_from = math.nan, "not needed: nothing is left to be simulated"
     there = [part for part in (*work.runs.parts, *work.runs.others) if folder is not None and part.directory == folder]
     done = np.array([(part.steps, part.seconds) for part in there if part.engine == runs and part.seconds > 0])

@@ -10,7 +10,7 @@ import functools
 import hashlib
 import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Final
 
@@ -27,7 +27,7 @@ from nermo_mjx.rollout.saving import Keeper
 from nermo_mjx.specs.controllers import code_identity, known_names
 from nermo_mjx.specs.described import Described, digest_of
 from nermo_mjx.specs.fields import Fields, OneOf, Refused, documented, optional, read
-from nermo_mjx.specs.reading import Document, describe, read_file, read_mapping
+from nermo_mjx.specs.reading import Document, FieldPath, describe, read_file, read_mapping, read_text
 from nermo_mjx.specs.values import Choice, Positive, Whole, refuse_parameter
 from nermo_mjx.specs.walk import WalkFields, WalkSpec, check_reach, check_sources, unread, written_out
 from nermo_mjx.sweep.sampling import Axis, Draw, Saltelli, read_axis, read_draw, saltelli_points, saltelli_size
@@ -48,6 +48,7 @@ from nermo_mjx.sweep.structures import (
 # The comparison that a sweep file may request of the finished table.
 
 
+LARGEST_SWEEP: Final = 10_000_000
 #: A value of a varied column.
 Value = float | str
 
@@ -63,6 +64,10 @@ def _names(given: Any) -> Any:
     return list(dict.fromkeys(given))
 
 
+#: Of a list that may be a single name.
+_NAMES: Final[dict[str, Any]] = {"type": ["array", "string"]}
+
+
 class ComparedColumns(Fields):
     """The section `compare` of a sweep file: what is compared when the sweep is complete; see `nermo_mjx.compare`."""
 
@@ -71,8 +76,64 @@ class ComparedColumns(Fields):
     by: str = Field(description="the varied column whose values are compared")
     base: Value = optional("the baseline value; by default none, or the first")
     groups: Annotated[list[str], BeforeValidator(_names)] = Field(
-        [], alias="for", description="varied columns: an interval for each combination of their values"
+        [],
+        alias="for",
+        description="varied columns: an interval for each combination of their values",
+        json_schema_extra=_NAMES,
     )
+
+    def written(self) -> dict[str, Any]:
+        """As written in a sweep file."""
+        return self.model_dump(by_alias=True, exclude_none=True)
+
+
+def _one_value(given: Any) -> Any:
+    if not isinstance(given, dict) or len(given) != 1:
+        raise Refused(f"is {describe(given)}: expected one column and its value, such as {{spine: none}}.")
+    return given
+
+
+class SoughtOptimum(Fields):
+    """The section `optimum` of a sweep file: where a metric is best, for which, and against what.
+
+    Runs of a point are spent in blocks of `randomize.repeats`: the first choose, with those of the second stage; those
+    of `fresh` choose nothing, and only measure the gain. See `nermo_mjx.sweep.optimum`.
+    """
+
+    what: ClassVar = "a field of an optimum"
+    example: ClassVar = "over: [spine.amplitude, spine.phase] and base: {spine: none}"
+    maximize: str = optional("the metric whose highest mean is sought; without this and minimize, the speed")
+    minimize: str = optional("instead: the metric whose lowest mean is sought")
+    over: Annotated[list[str], BeforeValidator(_names)] = Field(
+        description="varied columns whose best values are sought", json_schema_extra=_NAMES
+    )
+    groups: Annotated[list[str], BeforeValidator(_names)] = optional(
+        "varied columns: an answer for each combination of their values; by default all others", alias="for", **_NAMES
+    )
+    base: Annotated[dict[str, Value], BeforeValidator(_one_value)] = Field(
+        description="a varied column and its value, over which something is gained, such as {spine: none}"
+    )
+    fresh: Annotated[int, Whole(2, 100_000)] = Field(
+        16, description="runs of the best point and its base that chose nothing"
+    )
+    budget: Annotated[int, Whole(0, LARGEST_SWEEP)] = Field(
+        0, description="further runs where the best may be, for each"
+    )
+    until: Annotated[int, Whole(1, LARGEST_SWEEP)] = Field(3, description="no further runs for so few points left")
+
+    @property
+    def metric(self) -> str:
+        """What is best."""
+        return self.maximize or self.minimize or "speed"
+
+    @property
+    def side(self) -> str:
+        """Which values of it are better, as `plotting.shown.cost` has it."""
+        return "min" if self.minimize else "max"
+
+    def grouped(self, varied: Iterable[str]) -> list[str]:
+        """The columns that make groups, of those that vary."""
+        return [name for name in varied if name not in (*self.over, *self.base)] if self.groups is None else self.groups
 
     def written(self) -> dict[str, Any]:
         """As written in a sweep file."""
@@ -151,6 +212,7 @@ class Keep(Fields):
     fell: Annotated[int, Whole(0, MOST_KEPT)] = Field(0, description="number that fell, the first in the table")
     diverged: Annotated[int, Whole(0, MOST_KEPT)] = Field(0, description="number that diverged")
     unsolved: Annotated[int, Whole(0, MOST_KEPT)] = Field(0, description="number for which the solver did not converge")
+    optimum: bool = Field(False, description="a typical fresh run of each best point of the optimum, and its base's")
 
 
 def read_saving(doc: Document, given: SaveFields, setup: Setup) -> Saving:
@@ -168,9 +230,6 @@ def read_saving(doc: Document, given: SaveFields, setup: Setup) -> Saving:
 
 # ---
 # The declared fields of a sweep file, also the source of its JSON Schema.
-
-
-LARGEST_SWEEP: Final = 10_000_000
 
 
 class Sampler(OneOf):
@@ -192,6 +251,11 @@ class Randomized(Fields):
     model_config = ConfigDict(extra="allow", json_schema_extra=also_parameters)
     repeats: Annotated[int, Whole(1, 100_000)] = Field(1, description="how often each variant is drawn and run")
     bodies: Annotated[str, Choice(("identified",))] = optional("draw whole bodies", alias="from")
+    paired: Annotated[list[str], BeforeValidator(_names)] = Field(
+        [],
+        description="varied parameters whose values have the same draws in each repeat, so that their runs are pairs",
+        json_schema_extra=_NAMES,
+    )
 
     @classmethod
     def refuse(cls, key: str) -> None:
@@ -235,6 +299,8 @@ def check_together(doc: Document, sweep: Sweep) -> None:
             f"is '{sweep.keep.metric}': allowed is a metric with a better direction, "
             f"{', '.join(sides)}{did_you_mean(sweep.keep.metric, sides)}",
         )
+    if sweep.keep is not None and sweep.keep.optimum and sweep.optimum is None:
+        doc.fail(("keep", "optimum"), "is true, but the file seeks no optimum: add the section 'optimum'.")
     runs = sweep.variants * sweep.repeats
     if runs > LARGEST_SWEEP:
         doc.fail(
@@ -247,8 +313,15 @@ def check_together(doc: Document, sweep: Sweep) -> None:
         tried["vary"] = {axis.name: axis.tried(grid=sweep.sampler == "grid") for axis in sweep.axes}
     for setup in {(each.gait, each.routing): each for each in setups}.values():
         check_reach(doc, setup, sweep.fixed, tried)
+    for name in sweep.paired:
+        if name not in varied:
+            doc.fail(
+                ("randomize", "paired"), f"names {name!r}, which is no varied parameter{did_you_mean(name, varied)}"
+            )
     if sweep.compare is not None:
         check_comparison(doc, sweep, sweep.compare)
+    if sweep.optimum is not None:
+        check_optimum(doc, sweep, sweep.optimum)
     if (rows := sweep.rows) is None:
         return
     for at, walk in enumerate(sweep.structures):
@@ -260,15 +333,21 @@ def check_together(doc: Document, sweep: Sweep) -> None:
             doc.fail(("rows",), f"has values that do not go together: {error}")
 
 
-def check_comparison(doc: Document, sweep: Sweep, compare: ComparedColumns) -> None:
-    """Fail where the section `compare` names what cannot be compared."""
-    values: dict[str, list[Value] | None] = {  # None where they are drawn between bounds
+def varied_values(sweep: Sweep) -> dict[str, list[Value] | None]:
+    """The values of each varied column; None where they are drawn between bounds."""
+    values: dict[str, list[Value] | None] = {
         name: list(dict.fromkeys(each.labels[name] for each in sweep.structures)) for name in sweep.labelled
     }
     for axis in sweep.axes:
         values[axis.name] = axis.listed().tolist() if sweep.sampler == "grid" or axis.form == "values" else None
     for name, column in ({} if sweep.rows is None else sweep.rows.values).items():
         values[name] = np.unique(column[~np.isnan(column)]).tolist()
+    return values
+
+
+def check_comparison(doc: Document, sweep: Sweep, compare: ComparedColumns) -> None:
+    """Fail where the section `compare` names what cannot be compared."""
+    values = varied_values(sweep)
     for field, name in (("by", compare.by), *(("for", name) for name in compare.groups)):
         if name not in values:
             there = ", ".join(values) or "nothing"
@@ -282,20 +361,57 @@ def check_comparison(doc: Document, sweep: Sweep, compare: ComparedColumns) -> N
         else:
             continue
         doc.fail(("compare", field), f"names {name!r}, {why}")
-    bases = values[compare.by] or []
-    if compare.base is not None and compare.base not in bases:
+    if compare.base is not None:
+        check_base(doc, ("compare", "base"), compare.by, compare.base, values[compare.by] or [])
+
+
+def check_base(doc: Document, path: FieldPath, name: str, base: Value, bases: Sequence[Value]) -> None:
+    """Fail where a base is no value of its column."""
+    if base not in bases:
         listed = [value if isinstance(value, str) else f"{value:g}" for value in bases]
+        allowed = f"{', '.join(listed)}{did_you_mean(str(base), listed)}"
+        doc.fail(path, f"is {describe(base)}, no value of {name}; allowed are {allowed}")
+
+
+def check_optimum(doc: Document, sweep: Sweep, asked: SoughtOptimum) -> None:
+    """Fail where the section `optimum` asks for what the sweep cannot tell."""
+    values, ((by, base),) = varied_values(sweep), asked.base.items()
+    if asked.maximize and asked.minimize:
+        doc.fail(("optimum", "minimize"), "is given beside 'maximize': one metric is best at a time.")
+    if asked.metric not in sweep.metrics:
+        near = did_you_mean(asked.metric, sweep.metrics)
         doc.fail(
-            ("compare", "base"),
-            f"is {describe(compare.base)}, no value of {compare.by}; allowed are "
-            f"{', '.join(listed)}{did_you_mean(str(compare.base), listed)}",
+            ("optimum", "minimize" if asked.minimize else "maximize"), f"is {asked.metric!r}, no metric{near or '.'}"
         )
+    for field, name in (
+        *(("over", name) for name in asked.over),
+        *(("for", name) for name in asked.groups or ()),
+        ("base", by),
+    ):
+        if name not in values:
+            there = ", ".join(values) or "nothing"
+            doc.fail(
+                ("optimum", field), f"names {name!r}, which is not varied{did_you_mean(name, values)} Varied: {there}."
+            )
+        if values[name] is None:
+            doc.fail(
+                ("optimum", field),
+                f"names {name!r}, which is drawn between bounds: points have runs where it is a list.",
+            )
+        if field == "for" and name in (*asked.over, by):
+            doc.fail(("optimum", field), f"names {name!r}, of which the best value is sought: name other columns.")
+    check_base(doc, ("optimum", "base"), by, base, values[by] or [])
+    left = [name for name in values if name not in (*asked.over, by, *asked.grouped(values))]
+    if left:
+        doc.fail(("optimum", "for"), f"leaves out {', '.join(left)}, which varies, too: name it under over or for.")
+    if sweep.repeats < 2:
+        doc.fail(("optimum",), "needs repeats, because a single run tells no noise: give randomize: {repeats: 4}.")
 
 
 #: The value of a field that is not given: none cannot be written in a file.
 _ABSENT: Any = None
 #: Fields that no row depends on.
-_NOT_DECISIVE = ("chunk", "plots", "compare", "keep")
+_NOT_DECISIVE = ("chunk", "plots", "compare", "optimum", "keep")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -314,6 +430,7 @@ class Sweep(WalkSpec, Described):
         bodies: "identified", if each run has a body of that ensemble; else None.
         second_order: whether a design of Saltelli's has the variants for indices of pairs.
         save: which time series are kept, and how often.
+        paired: varied parameters that the draws of a repeat do not depend on.
     """
 
     kind: ClassVar = "sweep"
@@ -327,11 +444,15 @@ class Sweep(WalkSpec, Described):
     bodies: str | None = None
     second_order: bool = False
     save: Saving | None = None
+    paired: tuple[str, ...] = ()
     seed: Annotated[int, Whole(0, 2**53), Field(description="makes samples and draws repeatable")] = 0
     chunk: Annotated[int, Whole(1, LARGEST_SWEEP), Field(description="runs simulated and stored together")] = _ABSENT
     plots: Annotated[bool, Field(description="whether figures are drawn when the table is complete")] = True
     compare: Annotated[
         ComparedColumns, Field(description="structures or values to compare when the table is complete")
+    ] = _ABSENT
+    optimum: Annotated[
+        SoughtOptimum, Field(description="where a metric is best, for which, and against what; with further runs")
     ] = _ABSENT
     keep: Annotated[Keep, Field(description="rows that are recorded when the table is complete")] = _ABSENT
 
@@ -388,9 +509,15 @@ class Sweep(WalkSpec, Described):
             rows=rows,
             bodies=file.randomize.bodies,
             save=None if file.save is None else read_saving(doc, file.save, first.setup),
+            paired=tuple(file.randomize.paired),
         )
         check_together(doc, sweep)
         return sweep if sweep.repeats == 1 else dataclasses.replace(sweep, draws=(*sweep.draws, *start_draws(sweep)))
+
+    def seeking(self, text: str) -> Sweep:
+        """The sweep with another section `optimum`, as a file has it, in YAML. Raises `SpecError`."""
+        given = read_text(f"optimum: {text}", "--optimum").data["optimum"]
+        return Sweep.of_document(read_mapping(self.resolved() | {"optimum": given}, "--optimum"))
 
     @functools.cached_property
     def counts(self) -> tuple[int, ...]:
@@ -456,12 +583,15 @@ class Sweep(WalkSpec, Described):
             data["vary"] |= {axis.name: axis.written() for axis in self.axes}
             size: Any = {"points": self.samples, "second_order": True} if self.second_order else self.samples
             data["sample"] = self.sampler if self.sampler == "grid" else {self.sampler: size}
-        bodies = {"from": self.bodies} if self.bodies else {}
+        bodies: dict[str, Any] = {"from": self.bodies} if self.bodies else {}
         named = [draw for draw in self.draws if not draw.implied]
+        bodies |= {"paired": list(self.paired)} if self.paired else {}
         data["randomize"] = {"repeats": self.repeats} | bodies | {draw.name: draw.written() for draw in named}
         data |= {name: getattr(self, name) for name in ("seed", "chunk", "plots") if getattr(self, name) is not None}
         if self.compare is not None:
             data["compare"] = self.compare.written()
+        if self.optimum is not None:
+            data["optimum"] = self.optimum.written()
         if self.save is not None:
             data["save"] = {"sensors": list(self.save.sensors), "rate": float(self.save.rate)}
         return data | ({} if self.keep is None else {"keep": self.keep.model_dump()})
@@ -570,11 +700,15 @@ class Rows:
 class Sample:
     """All rows of a sweep, each made on demand; repeats of a variant are adjacent.
 
+    Rows beyond the sweep's own are further repeats of its variants, one repeat of all of them after the other: each has
+    its number, whichever are run.
+
     Structures run slowest. For each of them a grid runs through the product of its axes, the last one fastest. Sobol
     and Latin hypercube points come from `scipy.stats.qmc`, scrambled with the sweep's seed, and are the same for all
     structures. The draws of a row, its body among them, are seeded by the sweep's seed, the repeat, and the varied
-    parameters: not by the structure, so that runs of two structures have the same draws and can be compared one by one.
-    A grid of millions of rows takes no memory; of a sampler, its points do: one number per variant and axis.
+    parameters that are not `paired`: not by the structure, so that runs of two structures have the same draws and can
+    be compared one by one. A grid of millions of rows takes no memory; of a sampler, its points do: one number per
+    variant and axis.
     """
 
     def __init__(self, sweep: Sweep, shares: np.ndarray | None = None) -> None:
@@ -607,11 +741,13 @@ class Sample:
 
     def take(self, index: np.ndarray) -> Rows:
         """The rows at `index`, (n,) int, in that order."""
-        sweep = self.sweep
-        variant, repeat = np.divmod(np.asarray(index, dtype=np.int64), sweep.repeats)
+        sweep, index = self.sweep, np.asarray(index, dtype=np.int64)
+        variant, repeat = np.divmod(index, sweep.repeats)
+        further = index >= int(self._ends[-1]) * sweep.repeats
+        repeat[further], variant[further] = np.divmod(index[further], sweep.variants)
         structure = self._structure_of(variant)
         points = {name: self._point(name, variant, structure) for name in sweep.varied}
-        names = sorted(points)
+        names = sorted(name for name in points if name not in sweep.paired)
         table = np.column_stack([points[name] + 0.0 for name in names]) if names else np.empty((len(variant), 0))
         known, seed = ~np.isnan(table), np.empty(len(variant), np.int64)
         for i, each in enumerate(repeat.tolist()):

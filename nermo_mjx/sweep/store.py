@@ -107,11 +107,16 @@ _NAMED_BATCH = 4
 MOST_SECONDS: Final = 1e9
 
 
-def simulated_seconds(sweep: Sweep, rows: Sample) -> np.ndarray:
-    """How long each row is simulated, (n,) [s]."""
+def simulated_seconds(sweep: Sweep, rows: Sample, further: np.ndarray | None = None) -> np.ndarray:
+    """How long each row is simulated, (n,) [s]; of `further` rows by their numbers (n,), instead of the sweep's own."""
     changed = {*sweep.varied, *(draw.name for draw in sweep.draws)}
-    structure, seconds = rows.structures(), np.empty(len(rows))
-    columns = {name: rows.column(name) for name in changed if any(name in at.setup.timing for at in sweep.structures)}
+    names = [name for name in changed if any(name in at.setup.timing for at in sweep.structures)]
+    if further is None:
+        structure, columns = rows.structures(), {name: rows.column(name) for name in names}
+    else:
+        taken = rows.take(further)
+        structure, columns = taken.structure, {name: taken.values[name] for name in names}
+    seconds = np.empty(len(structure))
     for at, walk in enumerate(sweep.structures):
         here = structure == at
         values: dict[str, Any] = {name: value for name, value in walk.constants.items() if name in walk.setup.timing}
@@ -275,7 +280,8 @@ def _field(name: str, kind: pa.DataType, unit: str, description: str, role: str)
 
 
 #: What is made of the results, and belongs to them.
-_MADE: Final = ("summary.json", "comparison.parquet", "sensitivity.parquet", "plots", RECORDINGS)
+_TABLES: Final = ("comparison.parquet", "sensitivity.parquet", "optimum.parquet", "optimum.csv", "optimum.tex")
+_MADE: Final = ("summary.json", *_TABLES, "plots", RECORDINGS)
 
 
 def claim(held: RunDirectory, sweep: Sweep, *, extend: bool = False) -> Sweep:
@@ -332,8 +338,8 @@ def claim(held: RunDirectory, sweep: Sweep, *, extend: bool = False) -> Sweep:
                 held.move_aside(name, FORMER)
             sweep = _with_files(held, sweep)
             held.write(path.name, sweep.to_yaml(folder).encode())
-        elif held.shard is None and begun.compare != sweep.compare:  # no row depends on it
-            again = dataclasses.replace(begun, compare=sweep.compare)
+        elif held.shard is None and (begun.compare, begun.optimum) != (sweep.compare, sweep.optimum):
+            again = dataclasses.replace(begun, compare=sweep.compare, optimum=sweep.optimum)  # no row depends on them
             held.write(path.name, again.to_yaml(folder).encode())
         values = dict[str, set[float]]()
         for walk in sweep.structures:
@@ -347,6 +353,9 @@ def claim(held: RunDirectory, sweep: Sweep, *, extend: bool = False) -> Sweep:
             labelled=sweep.labelled,
             parameters={name: each.pop() if len(each) == 1 else None for name, each in values.items()},
             comparison=asked,
+            optimum=None if sweep.optimum is None else sweep.optimum.written(),
+            variants=sweep.variants,
+            repeats=sweep.repeats,
         )
         record = to_json(dataclasses.asdict(read))
         if held.shard is not None:

@@ -176,6 +176,8 @@ class SweepRecord:
         labelled: names of the varied structures.
         parameters: value of each parameter that is not varied, None where structures differ or do not read it.
         comparison: the section `compare`, if there is one.
+        optimum: the section `optimum`, if there is one.
+        variants, repeats: before further runs of some variants.
     """
 
     rows: int
@@ -183,6 +185,9 @@ class SweepRecord:
     labelled: Sequence[str]
     parameters: Mapping[str, float | None]
     comparison: _Asked | None
+    optimum: Mapping[str, Any] | None = None
+    variants: int = 0
+    repeats: int = 0
 
     @classmethod
     def of_directory(cls, out: Path) -> SweepRecord | None:
@@ -360,7 +365,7 @@ def sweep_status(out: Path) -> Status:
             engines.append((about.metadata or {}).get(b"engine", b"").decode())
     if kept := len(list((out / RECORDINGS).glob("row-*.npz"))):
         notes.append(f"{kept} of its runs {'are' if kept > 1 else 'is'} recorded in {RECORDINGS}/.")
-    complete = done == rows and (out / "summary.json").exists()
+    complete = rows is not None and done >= rows and (out / "summary.json").exists()
     # The figures need no simulation; the others are distinguished by the table's columns.
     engine = ", ".join(dict.fromkeys(filter(None, engines))) or None
     return status_of("runs", out, done, rows, complete, command="sweep", spec="sweep.yaml", engine=engine, notes=notes)
@@ -388,7 +393,7 @@ def summarize(table: pa.Table | Results) -> dict[str, Any]:
             correlations[name] = rank_correlation(values[well], speed[well])
         if name in varied:
             variants.values[name] = values[variants.first]
-    spreads, best, sides = {}, {}, sides_in(results.schema)
+    spreads, best, sides, leading = {}, {}, sides_in(results.schema), list[Any]()
     for name, values in results.columns([name for name in metrics if name not in OF_ALL_RUNS]):
         good = counts(name, values, well)
         words = ("mean", "std", "min", "max") if good.any() else ()
@@ -396,6 +401,11 @@ def summarize(table: pa.Table | Results) -> dict[str, Any]:
         spreads[name]["lost"] = float(1 - good.mean())
         if name in sides:
             best[name] = _best(results, variants, values, good, sides[name])
+        if name == LEADING and named:
+            texts = list(zip(*(variants.values[each] for each in named), strict=True))
+            for each in dict.fromkeys(texts):
+                own = np.array([text == each for text in texts])
+                leading.append(_best(results, variants, values, good, sides[name], own))
     tally = variants.tally(speed, counts(LEADING, speed, well))
     marginal: dict[str, list[dict[str, Any]]] = {}  # over everything else
     for name in varied if results.is_grid else ():
@@ -413,6 +423,7 @@ def summarize(table: pa.Table | Results) -> dict[str, Any]:
         "status": results.statuses,
         "metrics": spreads,
         "best": {name: best[name] for name in sides if name in best},
+        "best_of_each": list(filter(None, leading)),
         "marginal_means": marginal,
         "rank_correlations": correlations,
         "spine_gain": _spine_gain(variants.values, tally) if results.is_grid else [],
@@ -437,12 +448,18 @@ def spine_ratio(results: Results) -> dict[str, np.ndarray]:
 
 
 def _best(
-    results: Results, variants: Variants, values: np.ndarray, good: np.ndarray, side: str
+    results: Results,
+    variants: Variants,
+    values: np.ndarray,
+    good: np.ndarray,
+    side: str,
+    among: np.ndarray | None = None,
 ) -> dict[str, Any] | None:
-    """The variant with the best mean over its repeats of a metric (runs,) with a better direction; one with lost runs
-    comes after all with fewer of them."""
+    """The variant with the best mean over its repeats of a metric (runs,) with a better direction, of those `among`
+    (variants,); one with lost runs comes after all with fewer of them."""
     tally = variants.tally(values, good)
     ranked = tally.ranked(side)
+    ranked = ranked if among is None else ranked[among[ranked]]
     if not len(ranked):
         return None
     at = int(ranked[0])

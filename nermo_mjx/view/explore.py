@@ -26,6 +26,7 @@ from nermo_mjx.runs import DirectoryError, kind_of
 from nermo_mjx.runs.files import parquet_table
 from nermo_mjx.specs.reading import SpecError, read_file
 from nermo_mjx.sweep.counting import counts, same_values
+from nermo_mjx.sweep.optimum import optimum_cells, optimum_in
 from nermo_mjx.sweep.spec import OBJECTIVES, sides_in
 from nermo_mjx.sweep.table import LEADING, Results, SweepRecord, meta
 from nermo_mjx.view.clip import COMPACT, Models, clip_of
@@ -335,6 +336,7 @@ def explore(
         "fields": [_field(column, runs.grid, table) for column in runs.columns.values()],
         "start": start_of(runs),
         "atlas": runs.atlas,
+        "optimum": _optimum(path),
         "palette": _palette(),
         "commands": commands_of(path, runs),
         "models": models.headers,
@@ -346,17 +348,33 @@ def explore(
     return Page(html, height, rows=len(runs.rows), recordings=len(clips))
 
 
+def _optimum(path: Path) -> dict[str, Any] | None:
+    """The answer of a sweep that seeks an optimum: its table, and of each line the group and the row to be shown."""
+    found = optimum_in(path) if kind_of(path) == "sweep" else None
+    if found is None:
+        return None
+    heads, cells = optimum_cells(found)
+    lines = [
+        {"cells": own, "group": answer.group, "row": answer.rows[0] if answer.rows else None}
+        for own, answer in zip(cells, found.answers, strict=True)
+    ]
+    return {"title": found.title, "heads": heads, "lines": lines, "notes": found.how()}
+
+
 def with_gain(path: Path, runs: ExplorerRuns) -> ExplorerRuns:
     """The runs with the gain that their file asks for, in the first metric; without one, as they are.
 
-    It is over the base of the comparison, or over the stiff spine where a grid varies the amplitude of the spine from 0
-    and its phase: relative to the mean of those runs of the base that are like it but for what is compared. The runs of
-    the base have none.
+    It is over the base of the optimum or of the comparison, or over the stiff spine where a grid varies the amplitude
+    of the spine from 0 and its phase: relative to the mean of those runs of the base that are like it but for what is
+    compared. The runs of the base have none.
     """
     sweep = SweepRecord.of_directory(path) if runs.kind == "sweep" else None
     comparison: dict[str, Any] = dict(sweep.comparison or {}) if sweep is not None else {}
     names = {each.name for each in runs.of("varied")}
-    if not comparison and {"spine.amplitude", "spine.phase"} <= names and runs.grid:
+    if sweep is not None and sweep.optimum is not None:
+        ((by, base),) = sweep.optimum["base"].items()
+        comparison = {"by": by, "base": base, "for": sweep.optimum["over"]}
+    elif not comparison and {"spine.amplitude", "spine.phase"} <= names and runs.grid:
         comparison = {"by": "spine.amplitude", "base": 0.0, "for": ["spine.amplitude", "spine.phase"]}
     if comparison.get("by") not in names:
         return runs

@@ -2,7 +2,7 @@
 
 import { onThemeChange, theme } from "viewer/colours.js";
 import { read, unpack } from "viewer/data.js";
-import { closePanel, element, failed, find, togglePanel, wireFullScreen, wireKeys } from "viewer/elements.js";
+import { button, closePanel, element, failed, find, togglePanel, wireFullScreen, wireKeys } from "viewer/elements.js";
 import { Chart, wirePointing } from "viewer/explore/chart.js";
 import { Filters } from "viewer/explore/filters.js";
 import { RowPanel, csvOf, headOf } from "viewer/explore/row.js";
@@ -27,6 +27,7 @@ async function start() {
   onThemeChange(paint);
   explorer.show();
   paint();
+  if (header.optimum) explorer.answer(header.optimum);
   // For scripts and tests.
   window.explorer = explorer;
   document.documentElement.dataset.ready = "yes";
@@ -111,6 +112,28 @@ class Explorer {
     const { chosen } = this.chart;
     const cell = chosen >= 0 && this.view.cells ? this.chart.itemOf(chosen)?.places : null;
     this.panel.show(chosen, cell, this.filters.places, this.table.field(this.view.colour));
+  }
+
+  /** The table of an optimum above the plot; a line shows its group's runs, and the best of them. */
+  answer({ title, heads, lines, notes }) {
+    const head = element("tr", heads.map((text) => element("th", text)));
+    const shown = lines.map(({ cells, group, row }) => {
+      const [first, ...rest] = cells.map((text) => element("td", text));
+      const line = element("tr", [first, ...rest]);
+      first.replaceChildren(button(cells[0], "", () => {
+        for (const other of shown) other.classList.toggle("shown", other === line);
+        for (const [name, value] of Object.entries(group)) {
+          const field = this.table.field(name);
+          const at = field.isText ? field.texts.indexOf(value) : value;
+          this.filters.keep(field, at, at);
+        }
+        if (this.table.placeOf.has(row)) this.choose(this.table.placeOf.get(row));
+      }));
+      return line;
+    });
+    find("answer").hidden = false;
+    find("answer").append(element("summary", title), element("table", [head, ...shown]), element("p", notes.join(" "), "hint"));
+    shown[0]?.querySelector("button").click();
   }
 
   /** Selects a run, or none with -1; `focus` moves the focus to its numbers. */
