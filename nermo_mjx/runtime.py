@@ -234,7 +234,8 @@ def _settle_cache(jax: Any) -> None:
         directory.mkdir(parents=True, exist_ok=True)
     except OSError:
         return
-    if not os.access(directory, os.W_OK | os.X_OK):
+    lock = directory / ".lockfile"  # JAX opens it for each program, and would warn as often where it is another user's
+    if not os.access(directory, os.W_OK | os.X_OK) or (lock.exists() and not os.access(lock, os.W_OK)):
         return
     jax.config.update("jax_compilation_cache_dir", str(directory))
     for option, value in (

@@ -28,6 +28,7 @@ def outcome():
     return balance.run(Settings(SIMULATED, repeats=REPEATS, engine="c"))
 
 
+@pytest.mark.release
 @pytest.mark.parametrize("profile", ["exact", "as_published"])
 @pytest.mark.parametrize(("leg", "sbc"), list(PUBLISHED))
 def test_outcome_is_the_published_one(outcome, profile, leg, sbc):
@@ -40,6 +41,7 @@ def test_outcome_is_the_published_one(outcome, profile, leg, sbc):
     assert passed.tolist() == [PUBLISHED[leg, sbc] and not grazes] * REPEATS
 
 
+@pytest.mark.release
 @pytest.mark.parametrize("end", ["front", "rear"])
 def test_sbc_reduces_the_resting_pitch(outcome, end):
     """Published: by 30 % (front legs) and 73 % (rear legs). The trend is tested, and the rear within a tenth."""
@@ -49,6 +51,7 @@ def test_sbc_reduces_the_resting_pitch(outcome, end):
         assert 1 - on / off == pytest.approx(0.73, abs=0.1)
 
 
+@pytest.mark.release
 @pytest.mark.parametrize("sbc", [False, True])
 @pytest.mark.parametrize("end", ["front", "rear"])
 def test_left_and_right_mirror_each_other(outcome, end, sbc):
@@ -67,6 +70,7 @@ def test_left_and_right_mirror_each_other(outcome, end, sbc):
             assert own == pytest.approx(other, abs=0.03), (phase, name)
 
 
+@pytest.mark.release
 def test_feet_carry_the_weight(outcome, robot):
     """In every phase without motion the four forces add up to m g, within 2 %: the rest is slow settling."""
     weight = robot.model.body_mass.sum() * GRAVITY
@@ -76,6 +80,7 @@ def test_feet_carry_the_weight(outcome, robot):
         np.testing.assert_allclose(total[exact], weight, rtol=0.02)
 
 
+@pytest.mark.release
 def test_a_leg_that_passes_carries_nothing(outcome):
     """The lifted foot has no force at any time of the swing, is above the ground, and the other three carry."""
     columns = outcome.columns
@@ -92,6 +97,7 @@ def test_a_leg_that_passes_carries_nothing(outcome):
     assert (columns["com_margin_lift"][failed] < 0.0).all()
 
 
+@pytest.mark.release
 def test_statics_agree_with_the_recorded_centre_of_mass(outcome, robot):
     """The moment of the feet's forces about the diagonal is that of the weight: an oracle that no kinematics enters."""
     recording = outcome.recordings["balance front_left"]
@@ -197,6 +203,7 @@ def test_centre_of_mass_is_that_of_the_bodies(robot):
     assert np.isnan(com[1]).all()
 
 
+@pytest.mark.release
 def test_recordings_tell_their_phases(outcome):
     """Eight recordings of the profile `exact`, with the phases' times and the curves a plot needs."""
     assert len(outcome.recordings) == 8
@@ -208,6 +215,7 @@ def test_recordings_tell_their_phases(outcome):
         assert name.endswith("sbc") == bool(recording.metadata["metrics"]["sbc"])
 
 
+@pytest.mark.release
 def test_columns_are_all_explained(outcome):
     """Every column has a unit and a meaning, and one value a world."""
     assert list(outcome.columns) == list(outcome.about)
@@ -224,6 +232,7 @@ def test_bad_arguments_are_refused(name, said):
         balance.run(wrong)
 
 
+@pytest.mark.release
 def test_a_weak_spine_does_not_balance():
     """With the servo held at a quarter of its limit, SBC cannot carry the rear legs' case: the parameter arrives."""
     weak = balance.run(Settings(("exact",), quick=True, values={"spine.max_servo_angle": 0.1}, engine="c"))
@@ -232,6 +241,7 @@ def test_a_weak_spine_does_not_balance():
     assert weak.columns["passed"][weak.where(leg="front_left")].all()
 
 
+@pytest.mark.release
 def test_bodies_do_all_cases_and_what_is_theirs_arrives():
     """Two bodies, of which one has a third more mass behind: a higher share of the weight on the rear feet."""
     bodies = {"mass.rear": np.array([0.1053, 0.140]), "servo.speed": np.array([15.0, 12.0])}

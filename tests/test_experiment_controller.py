@@ -45,6 +45,7 @@ def settings(where=None):
     return Settings(("exact",), repeats=1, quick=True, controller=controller, engine="c")
 
 
+@pytest.mark.release
 @pytest.mark.compiles
 def test_a_policy_that_does_nothing_walks_as_the_published_controller_and_another_does_not(files, monkeypatch):
     """Every case with its own gait, frequency, stride and spine: as without a policy, where its actions are zero."""
@@ -58,6 +59,7 @@ def test_a_policy_that_does_nothing_walks_as_the_published_controller_and_anothe
     assert not np.allclose(some["speed"], published["speed"], rtol=0.02, equal_nan=False)
 
 
+@pytest.mark.release
 @pytest.mark.compiles
 def test_full_lock_is_left_out_for_a_policy_that_needs_a_path(files, monkeypatch):
     """Circles are walked, and full lock by a policy that observes no path."""

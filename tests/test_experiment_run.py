@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import json
+import os
 import re
 from pathlib import Path
 
@@ -303,14 +305,14 @@ def test_only_the_programs_own_files_are_replaced_or_removed(fakes, tmp_path, mo
     for path in mine:
         path.parent.mkdir(exist_ok=True)
         path.write_text("a user's")
-    for folder in ("results", "plots"):
-        (tmp_path / folder / f".turning.17{TEMPORARY}").write_text("half")
+    for folder in ("", "results", "plots", "recordings", "videos"):
+        (tmp_path / folder / f".turning.17{TEMPORARY}{'.mp4' * (folder == 'videos')}").write_text("half")
     picture, walk = tmp_path / "plots" / "turning-speed.png", tmp_path / WALK
     picture.write_text("painted over")
     walk.write_text("another walk")
     ran(tmp_path, again=True, watch=Watch(warn=said.append))
     assert [path.read_text() for path in mine] == ["a user's"] * 3
-    assert not [*tmp_path.rglob(f"*{TEMPORARY}"), *tmp_path.rglob("*old*")]
+    assert not [*tmp_path.rglob(f"*{TEMPORARY}*"), *tmp_path.rglob("*old*")]
     assert said == [
         "turning: Files in the way were not as this program wrote them: moved aside in "
         f"{tmp_path}, to {WALK}.aside-1 and 1 more."
@@ -324,6 +326,39 @@ def test_only_the_programs_own_files_are_replaced_or_removed(fakes, tmp_path, mo
     assert f"moved aside in {tmp_path}, to report.md.aside-1." in said[-1]
     assert (tmp_path / "report.md.aside-1").read_text() == "my remarks"
     assert (tmp_path / "report.md").read_text() == report
+
+
+def test_a_killed_run_leaves_nothing_aside(fakes, tmp_path, monkeypatch):
+    """Killed before each change of its directory in turn, after which nothing is written any more."""
+
+    class Killed(BaseException):
+        pass
+
+    def shoot(outcome, shot, path, progress):
+        path.parent.mkdir(exist_ok=True)
+        (path.parent / "half").write_text(f"a video of {outcome.experiment}")
+        os.replace(path.parent / "half", path)
+        return 1.0
+
+    monkeypatch.setattr(run, "shoot", shoot)
+    for before in itertools.count(1):
+        out, changes, replace = tmp_path / str(before), itertools.count(1), os.replace
+
+        def replacing(source, target, changes=changes, before=before, replace=replace):
+            if next(changes) >= before:
+                raise Killed
+            replace(source, target)
+
+        with monkeypatch.context() as patch:
+            patch.setattr(os, "replace", replacing)
+            try:
+                run_experiment("turning", out)
+                break
+            except Killed:
+                pass
+        assert len(run_experiment("turning", out).videos) == 1
+        assert [path.name for path in out.rglob("*") if "aside" in path.name] == [], before
+    assert before > 10
 
 
 def test_a_directory_may_be_named_from_here_and_moved(fakes, tmp_path, monkeypatch):

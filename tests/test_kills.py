@@ -20,6 +20,8 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
+from nermo_mjx.files import TEMPORARY
+
 #: Changes of a directory before which its process is killed.
 BEFORE = (1, 2, 3, 5, 8, 12, 17)
 #: Columns that are never twice the same.
@@ -166,5 +168,6 @@ if __name__ == "__main__":
             assert not ended(job, out), out
             texts = [place.with_name(f"{place.name}.txt").read_text() for place in (alone, out)]
             assert texts[0] == texts[1], out
+            assert [path.name for path in out.rglob("*") if "aside" in path.name or TEMPORARY in path.name] == [], out
         print(kind, kills.get(kind), flush=True)
     print(json.dumps(kills))

@@ -155,6 +155,10 @@ def test_the_users_cache_is_kept_and_a_directory_that_cannot_be_written_is_no_er
     assert run(script, JAX_COMPILATION_CACHE_DIR=str(tmp_path)) == [f"{tmp_path} -1"]
     (tmp_path / "file").write_text("")
     assert run(script, NERMO_MJX_CACHE=str(tmp_path / "file" / "below")) == ["None -1"]
+    ours, _ = run(script, NERMO_MJX_CACHE=str(tmp_path / "ours"))[0].split()
+    Path(ours, ".lockfile").touch()
+    theirs = "import os; os.access = lambda path, mode: not str(path).endswith('.lockfile')\n"
+    assert run(theirs + script, NERMO_MJX_CACHE=str(tmp_path / "ours")) == ["None -1"], "the lock is another user's"
 
 
 def test_the_choice_of_the_user_for_gl_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -35,7 +35,7 @@ from nermo_mjx.experiments import balance, cases, stands, walks
 from nermo_mjx.experiments.cases import BODY, PROFILES, Outcome, ReplacementPolicy, Settings
 from nermo_mjx.experiments.published import Experiment, Line, Shot, compare
 from nermo_mjx.experiments.report import collect, differences, entry_of, outcome_of, page, table_of
-from nermo_mjx.files import FileError, json_of
+from nermo_mjx.files import MOST_FILE, TEMPORARY, FileError, json_of, read_bytes
 from nermo_mjx.physics.making import resolve_engine
 from nermo_mjx.plotting.files import Figures
 from nermo_mjx.recording import Recording
@@ -43,7 +43,7 @@ from nermo_mjx.robot import ParameterError, load_robot
 from nermo_mjx.robot.quantity import choice
 from nermo_mjx.runs import CodeStamp, DirectoryError, RunDirectory, Written, codes_of, engine_of, session, stamp
 from nermo_mjx.runs.code import local_time
-from nermo_mjx.runs.directory import Session, read_record, remove_leftovers
+from nermo_mjx.runs.directory import Session, read_record
 from nermo_mjx.runs.files import clear_errors, parquet_bytes, parquet_table, replace_file, stored_json, to_json
 from nermo_mjx.runs.job import SILENT, JobFailed, Progress, Watch, resumable
 from nermo_mjx.runs.status import Status, last_command
@@ -346,8 +346,6 @@ def run_experiments(
     resolve_engine(engine)
     directory = Directory(out)
     with RunDirectory(out, "experiments") as held, resumable(directory.out):
-        for folder in ("results", "plots"):
-            remove_leftovers(directory.out / folder)
         if engine == "auto" and not again:
             engine = engine_of(directory.out) or engine
         code = Simulation(resolve_engine(engine)).stamp()
@@ -606,16 +604,16 @@ class _Call:
         if not self.video or shows is None:
             return [], []
         path = self.directory.out / "videos" / f"{chosen.name}.mp4"
-
-        def make(path: Path) -> float:
-            return shoot(outcome, chosen.shot, path, lambda share: self._tell(f"{chosen.name}, video", share))
-
+        partial = path.with_name(f".{chosen.name}{TEMPORARY}.mp4")
         try:
-            speed = self.written.make(path, make)
+            speed = shoot(outcome, chosen.shot, partial, lambda share: self._tell(f"{chosen.name}, video", share))
+            self.written.write(path, read_bytes(partial, MOST_FILE))
         except (VideoError, RecordingError) as error:
             note = f"There is no video of {chosen.name}. {error}"
             self.watch.warn(note)
             return [], [note]
+        finally:
+            partial.unlink(missing_ok=True)
         return [{"file": self.written.name(path), "shows": shows, "speed": speed}], []
 
 

@@ -47,7 +47,7 @@ from nermo_mjx.optimize.spec import Search, Tuning, sweep_of
 from nermo_mjx.runs import OtherCode, RunDirectory
 from nermo_mjx.runs.checkpoints import Checkpoints
 from nermo_mjx.runs.code import CodeStamp
-from nermo_mjx.runs.directory import engine_of, remove_leftovers
+from nermo_mjx.runs.directory import engine_of
 from nermo_mjx.runs.files import (
     DirectoryError,
     WrongDirectory,
@@ -493,9 +493,6 @@ class Batches:
         """
         self.held, self.out, self._warn = held, held.out, warn
         path, folder = self.out / SEARCH, self.out.resolve()
-        with clear_errors(self.out):
-            for made in ("plots", RECORDINGS):
-                remove_leftovers(self.out / made)
         begun = _begun(path, "search", "results" if part_files(self.out) else "", Search.from_file)
         sweep = dataclasses.replace(search.sweep, setup=with_code_copied(search.setup, folder, held.write))
         batch = search.batch or (begun and begun.batch) or size()

@@ -17,7 +17,7 @@ import json
 import os
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from typing import Any, Final, TypeVar
+from typing import Any, Final
 
 from pydantic import BaseModel
 
@@ -38,8 +38,9 @@ try:
 except ImportError:  # Windows: a directory is not locked there
     fcntl = None  # type: ignore[assignment]
 
-T = TypeVar("T")
 RUN: Final = "run.json"
+#: Where partial files of a killed process may be.
+FOLDERS: Final = ("", "results", "series", "recordings", "plots", "videos", "checkpoints")
 
 
 class OtherCode(WrongDirectory):
@@ -75,7 +76,8 @@ class RunDirectory:
                     "directory."
                 )
             if self.shard is None:
-                remove_leftovers(self.out)
+                for leftover in (found for folder in FOLDERS for found in (self.out / folder).glob(f".*{TEMPORARY}*")):
+                    leftover.unlink(missing_ok=True)
             self._held = stack.pop_all()
         return self
 
@@ -241,12 +243,6 @@ def engine_of(out: Path) -> str | None:
     return next(reversed(codes.values())).engine if codes else None
 
 
-def remove_leftovers(folder: Path) -> None:
-    """Remove partial files of a killed process from a folder; only `replace_file` uses such names."""
-    for leftover in folder.glob(f".*{TEMPORARY}"):
-        leftover.unlink(missing_ok=True)
-
-
 def _with_article(kind: str) -> str:
     if kind == "experiments":
         return "published experiments"
@@ -324,17 +320,6 @@ class Written:
         self._make_way(path, digest(content))
         self.held.write(self.name(path), content)
         self.known[self.name(path)] = digest(content)
-
-    def make(self, path: Path, maker: Callable[[Path], T]) -> T:
-        """Call a function that writes a file, and return its result.
-
-        Raises:
-            DirectoryError: what stands in the way cannot be moved.
-        """
-        self._make_way(path)
-        made = maker(path)
-        self.known[self.name(path)] = str(self._digest_of(path))
-        return made
 
     def remove(self, names: Iterable[str]) -> None:
         """Remove files, by their paths in the directory, if they are unmodified; the others are kept."""

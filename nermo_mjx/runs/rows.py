@@ -31,7 +31,7 @@ import pyarrow.parquet as pq
 
 from nermo_mjx.files import MOST_FILE, read_bytes
 from nermo_mjx.runs.code import CodeStamp
-from nermo_mjx.runs.directory import OtherCode, RunDirectory, codes_of, digest, remove_leftovers
+from nermo_mjx.runs.directory import OtherCode, RunDirectory, codes_of, digest
 from nermo_mjx.runs.files import DirectoryError, clear_errors, parquet_bytes, parquet_file, parquet_table, sync_folder
 from nermo_mjx.trust import one_line
 
@@ -153,8 +153,6 @@ class Runs:
             with clear_errors(out):
                 (out / RESULTS).mkdir(exist_ok=True)
                 for folder in (SERIES, RESULTS):
-                    if held.shard is None:
-                        remove_leftovers(out / folder)
                     _move(out / FORMER / folder, out / folder, lambda found: found == group)
         self.others = [part for place in (out, *self._also) for part in self._intact(place, own=False)]
         self.survey()

@@ -26,7 +26,7 @@ from nermo_mjx.files import MOST_JSON, read_bytes
 from nermo_mjx.rollout import Series
 from nermo_mjx.rollout.run import START_SPREAD
 from nermo_mjx.rollout.saving import Signal, chosen_signals
-from nermo_mjx.runs.directory import RunDirectory, remove_leftovers
+from nermo_mjx.runs.directory import RunDirectory
 from nermo_mjx.runs.files import DirectoryError, WrongDirectory, clear_errors, content_of, create_file, to_json
 from nermo_mjx.runs.rows import FORMER, keys_of, retire
 from nermo_mjx.specs.controllers import code_identity, with_code_copied
@@ -300,8 +300,6 @@ def claim(held: RunDirectory, sweep: Sweep, *, extend: bool = False) -> Sweep:
     """
     out, path, folder = held.out, held.out / "sweep.yaml", held.out.resolve()
     with clear_errors(out):
-        for name in ("plots", RECORDINGS) if held.shard is None else ():
-            remove_leftovers(out / name)
         if not path.exists():
             if any(out.glob("results/*.parquet")):
                 raise DirectoryError(

@@ -23,6 +23,7 @@ from jaxtyping import Float, Int, UInt8
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from nermo_mjx.files import TEMPORARY
 from nermo_mjx.plotting.style import FOOT, INK, OKABE_ITO, TAIL
 from nermo_mjx.recording import Recording, RecordingError
 from nermo_mjx.robot.assembly import EYES
@@ -256,7 +257,7 @@ def write_video(
     Raises:
         VideoError: it cannot be written.
     """
-    partial = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix.lower()}")
+    partial = path.with_name(f".{path.stem}.{os.getpid()}{TEMPORARY}{path.suffix.lower()}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         partial.touch()  # fail on an unwritable path before ffmpeg starts, and before the first frame is drawn
