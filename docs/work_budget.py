@@ -26,6 +26,7 @@ ROOT = Path(__file__).parents[1]
 FREQUENCIES, AMPLITUDES, DAMPINGS = (0.5, 0.67, 0.8), (0.0, 0.2, 0.4), (0.01, 0.003)
 CYCLES, WARMUP = 6.0, 2.0
 GROUPS = ("front_hips", "rear_hips", "front_knees", "rear_knees", "spine")
+METRICS = ("servo_net_work", "servo_damper_work", "joint_damper_work", "constraint_work", "servo_work")
 PARTS = ("dampers of hips and pulleys", "dampers of compliant joints", "contact", "tendons", "stored")
 
 
@@ -96,7 +97,7 @@ if __name__ == "__main__":
     works = [budget(result.recording(i), simulator.robot.physical, WARMUP / 0.8) for i in fast]
     limited = np.array([[result.metrics[f"limited_{name}"][i] for name in GROUPS] for i in fast])
     for work, shares, i in zip(works, limited, fast, strict=True):
-        metrics = [f"{result.metrics[name][i]:.3f}" for name in ("servo_net_work", "servo_damper_work", "servo_work")]
+        metrics = [f"{result.metrics[name][i]:.3f}" for name in METRICS]
         print("work and parts [J]:", work.round(3), "left over:", f"{work[0] - work[1:].sum():.1e}", *metrics)
         print("at the limit:", shares.round(3))
     figures = (("work_budget", drawn(np.array(works), limited)) for _ in range(1))  # in the style that holds then

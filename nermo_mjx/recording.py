@@ -192,7 +192,9 @@ def model_hash(model: mujoco.MjModel) -> str:
     cameras, colours and light do not count, because they are looks.
     """
     digest = hashlib.sha256()
-    sizes = (model.nq, model.nv, model.nu, model.nbody, model.njnt, model.ntendon, model.nsensor)
+    # Velocities of joints are in `qvel`: these sensors are for metrics alone, and robots did not always have them.
+    sensors = np.flatnonzero(model.sensor_type != mujoco.mjtSensor.mjSENS_JOINTVEL)
+    sizes = (model.nq, model.nv, model.nu, model.nbody, model.njnt, model.ntendon, len(sensors))
     kinds = (
         mujoco.mjtObj.mjOBJ_BODY,
         mujoco.mjtObj.mjOBJ_JOINT,
@@ -200,10 +202,10 @@ def model_hash(model: mujoco.MjModel) -> str:
         mujoco.mjtObj.mjOBJ_ACTUATOR,
         mujoco.mjtObj.mjOBJ_SENSOR,
     )
-    counts = (model.nbody, model.njnt, model.ntendon, model.nu, model.nsensor)
-    names = [[mujoco.mj_id2name(model, kind, i) for i in range(n)] for kind, n in zip(kinds, counts, strict=True)]
+    ids = (range(model.nbody), range(model.njnt), range(model.ntendon), range(model.nu), sensors.tolist())
+    names = [[mujoco.mj_id2name(model, kind, i) for i in those] for kind, those in zip(kinds, ids, strict=True)]
     digest.update(repr((sizes, names)).encode())
-    for array in (model.body_parentid, model.jnt_type, model.jnt_bodyid, model.sensor_type, model.wrap_type):
+    for array in (model.body_parentid, model.jnt_type, model.jnt_bodyid, model.sensor_type[sensors], model.wrap_type):
         digest.update(np.ascontiguousarray(array, dtype=np.int64).tobytes())
     for array in (model.body_pos, model.body_quat, model.jnt_pos, model.jnt_axis):
         # Rounded, so that another compiler's last digit makes no other robot; `+ 0.0` turns -0 into 0.

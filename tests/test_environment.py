@@ -65,6 +65,7 @@ def sensors(**given) -> Sensors:
         "servo_torque": 10,
         "knee_angle": 4,
         "foot_force": 4,
+        "joint_velocity": 12,
     }
     zero |= {name: jnp.zeros(size) for name, size in shapes.items()} | {"orientation": jnp.array([1.0, 0, 0, 0])}
     return Sensors(**(zero | given))

@@ -285,7 +285,9 @@ def test_figures_have_a_tangent_at_each_point_and_a_bar_for_each_secant(smooth):
     """In shown units: a slope per degree, tangents along the objective."""
     result, _ = smooth
     line = lines_of(result.tuning, result.table)[1]
-    above, below = line_figure(result.tuning, line).axes
+    figure = line_figure(result.tuning, line)
+    assert any("profile exact" in text.get_text() for text in figure.texts)
+    above, below = figure.axes
     tangents = [each for each in above.lines if len(each.get_xdata()) == 2 and each.get_linewidth() == 1.5]
     assert len(tangents) == 41
     rise = [np.ptp(each.get_ydata()) / np.ptp(each.get_xdata()) for each in tangents]

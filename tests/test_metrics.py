@@ -50,6 +50,7 @@ def stream(ticks: int, **readings: Any) -> Sensors:
         "foot_force": np.full(4, 0.66),
         "foot_position": np.zeros((4, 3)),
         "foot_velocity": np.zeros((4, 3)),
+        "joint_velocity": np.zeros(12),
         "tail_force": np.zeros(()),
         "contact_distance": np.full((), -1e-4),
     }

@@ -158,6 +158,7 @@ def test_the_command_searches_keeps_and_draws(tmp_path):
     files = json.loads(call("plot", out, "--out", tmp_path / "plots", "--json"))["files"]
     assert (tmp_path / "plots/convergence.svg").read_bytes() == (out / "plots/convergence.svg").read_bytes()
     assert len(files) >= 2
+    assert "profile exact; 8 evaluations" in (out / "plots/convergence.svg").read_text()
     call("plot", out, "--x", "frequency", "--y", "speed", "--out", tmp_path / "chosen")
     assert "4 evaluations per batch" in call("search", path, "--out", out, "--engine", "c", "--dry-run")
 

@@ -138,6 +138,7 @@ def test_objective_and_metrics_of_each_start_are_drawn():
     iteration, start = traces.best
     assert stars(figure)[0] == pytest.approx((iteration, value[iteration, start]))
     text = texts(figure)
+    assert "profile exact" in text
     for word in ("speed [mm/s]", "roll, standard deviation [deg]", "start 0 (given)", "more is better"):
         assert word in text
     assert f"star: best, {value.min():.4g} in iteration 6 of start {start}" in text
@@ -313,8 +314,8 @@ def test_paths_lie_on_the_landscape_and_go_on_at_the_other_side():
     assert np.abs(whole[0] - whole[1]) == pytest.approx(np.full(21, 360.0))
     best = np.degrees([traces.column(name)[traces.best] for name in traces.tuning.names])
     assert stars(figure)[0] == pytest.approx(tuple(best), abs=1e-3)
-    assert "landscape: 289 walks, engine c" in texts(figure)
-    assert "colour: objective" in texts(path_figure(traces))
+    assert "profile exact; landscape: 289 walks, engine c" in texts(figure)
+    assert "profile exact; colour: objective" in texts(path_figure(traces))
 
 
 # --- what is made, and what is not

@@ -58,7 +58,7 @@ from nermo_mjx.runs.job import Progress, Watch
 from nermo_mjx.runs.rows import Runs, Warn, keys_of, part_files, retire
 from nermo_mjx.sweep.plots import chosen_figure, survey_figures
 from nermo_mjx.sweep.simulating import SimulatorLike
-from nermo_mjx.sweep.table import Columns, Results, meta
+from nermo_mjx.sweep.table import Columns, Results, meta, profile_text, profiles_of
 from nermo_mjx.view import RecordingError, VideoError, check_video, recording_of
 from nermo_mjx.view.video import Pane, render
 
@@ -284,11 +284,13 @@ def _column(figure: Figure, count: int) -> list[Axes]:
 
 
 def _what(traces: Traces) -> str:
+    profile = profile_text([traces.tuning.setup.profile])
     if isinstance(traces.tuning.method, Generations):
-        return f"{len(traces.iterations)} generations of {traces.tuning.method.population} points, the best of each"
+        points = f"{traces.tuning.method.population} points, the best of each"
+        return f"{profile}; {len(traces.iterations)} generations of {points}"
     starts, drawn = traces.starts, len(traces.drawn())
     some = f" ({drawn} of them drawn)" if drawn < starts else ""
-    return f"{len(traces.iterations)} evaluations" + (f" of {starts:,} starts{some}" if starts > 1 else "")
+    return f"{profile}; {len(traces.iterations)} evaluations" + (f" of {starts:,} starts{some}" if starts > 1 else "")
 
 
 def _draw_starts(ax: Axes, traces: Traces, values: np.ndarray) -> None:
@@ -473,14 +475,14 @@ _COVERED: Final = 0.97
 
 def path_figure(traces: Traces, landscape: Landscape | None = None) -> Figure:
     """The paths over the first two tuned parameters, or of a single one its objective."""
-    beneath = ""
+    beneath = profile_text([traces.tuning.setup.profile])
     if landscape is not None:
         rest = len(traces.tuning.tuned) - len(landscape.axes)
-        beneath = f"landscape: {landscape.walks}" + (", the other parameters as in the best point" if rest else "")
+        beneath += f"; landscape: {landscape.walks}" + (", the other parameters as in the best point" if rest else "")
     if len(traces.tuning.tuned) == 1:
         return _line(traces, landscape, beneath)
     pair = traces.tuning.tuned[:2]
-    note = f"ring: start; dot: end; star: best; {beneath or 'colour: objective'}"
+    note = f"ring: start; dot: end; star: best; {beneath}" + "; colour: objective" * (background is None)
     figure = page(f"Path over {spoken(pair[0].name)} and {spoken(pair[1].name)}", 6.9, 5.4, note)
     ax = figure.subplots()
     ax.set_facecolor("white" if landscape is None else MISSING)
@@ -511,7 +513,7 @@ def path_figure(traces: Traces, landscape: Landscape | None = None) -> Figure:
 def _line(traces: Traces, landscape: Landscape | None, beneath: str) -> Figure:
     """The objective over the only parameter: the landscape as a line, and the points that each start visited."""
     (each,) = traces.tuning.tuned
-    note = "; ".join(filter(None, ("dots: evaluations, larger towards the end; star: best", beneath)))
+    note = f"dots: evaluations, larger towards the end; star: best; {beneath}"
     figure = page(f"Objective over {spoken(each.name)} (lower is better)", 7.2, 4.0, note)
     ax = figure.subplots()
     if landscape is not None:
@@ -1013,7 +1015,8 @@ def _at(found: Evaluations, point: int) -> str:
 
 def _counted(found: Evaluations) -> str:
     lost, broken = int((~found.scores.ok).sum()), int((found.scores.ok & ~found.scores.allowed).sum())
-    text = f"{len(found.scores):,} evaluations by {found.search.method.name.replace('_', '-').upper()}"
+    text = profile_text(profiles_of(found.results))
+    text += f"; {len(found.scores):,} evaluations by {found.search.method.name.replace('_', '-').upper()}"
     text += f", each the mean of {found.search.repeats} runs" if found.search.repeats > 1 else ""
     text += f"; {lost:,} fell" if lost else ""
     return text + (f"; {broken:,} broke a constraint" if broken else "")

@@ -64,7 +64,7 @@ from nermo_mjx.runs.status import Status, last_command, metadata_of
 from nermo_mjx.specs.described import write_described
 from nermo_mjx.specs.model import written
 from nermo_mjx.specs.reading import changes
-from nermo_mjx.sweep.table import joined
+from nermo_mjx.sweep.table import joined, profile_text
 
 # ---
 # Which points a landscape is measured at: a line along each parameter, and pairs of points about some of them.
@@ -590,6 +590,7 @@ def line_figure(tuning: Tuning, line: Slice) -> Figure:
     starts = {each.name: shown(each.name, parameters[each.name].unit, np.array(each.start)) for each in tuning.tuned}
     others = [f"{name} {q.shown(float(q.values))}" for name, q in starts.items() if name != line.tuned.name]
     note = "above: objective with its exact tangents, star: lowest; below: exact slope, and secants over their width"
+    note += f"; {profile_text([tuning.setup.profile])}"
     note += "; dashed: the given start" + (f"; there, and here, {', '.join(others)}" if others else "")
     x = shown(line.tuned.name, parameters[line.tuned.name].unit, line.x)
     figure = page(f"Objective and slope along {spoken(line.tuned.name)}", 7.4, 5.6, note)

@@ -178,6 +178,22 @@ def is_spine_joint(joint: str) -> bool:
     return chain_of(joint).rstrip("0123456789") in ("spine_joint_", "spine_vertical_")
 
 
+#: Kinds of compliant joints, in the order of `Sensors.joint_velocity`.
+COMPLIANT: Final = ("knee", "ankle", "spine", "tail")
+
+
+def compliant_kind(joint: str) -> str | None:
+    """Which of `COMPLIANT` a joint is by its name, or None.
+
+    >>> compliant_kind("front_left_knee_hinge_2"), compliant_kind("spine_vertical_1"), compliant_kind("front_left_hip")
+    ('knee', 'spine', None)
+    """
+    if is_spine_joint(joint):
+        return "spine"
+    kind = "tail" if joint.startswith("tail_joint") else chain_of(joint).rpartition("_")[2]
+    return kind if kind in COMPLIANT else None
+
+
 def _compliant(joint: Any, stiffness: Any, damping: Any, armature: float, rest: float = 0.0, hinges: int = 1) -> None:
     # Coefficients of a polynomial in the angle; only the linear one is used.
     joint.stiffness, joint.damping = (np.array([hinges * value, 0.0, 0.0]) for value in (stiffness, damping))
@@ -256,6 +272,10 @@ def add_sensors(spec: mujoco.MjSpec) -> None:
         add(f"{limb}_foot_position", kind.mjSENS_FRAMEPOS, site, f"{limb}_foot")
     for limb in LIMBS:
         add(f"{limb}_foot_velocity", kind.mjSENS_FRAMELINVEL, site, f"{limb}_foot")
+    for compliant in COMPLIANT:
+        for joint in spec.joints:
+            if compliant_kind(joint.name) == compliant:
+                add(f"{joint.name}_velocity", kind.mjSENS_JOINTVEL, objects.mjOBJ_JOINT, joint.name)
     for geom, touch in _tail_ground(spec):
         add(f"{geom}_force", kind.mjSENS_TOUCH, site, touch)
     nearest = [1 << int(mujoco.mjtConDataField.mjCONDATA_DIST), 1, 1]  # the distance of the deepest one of all contacts

@@ -428,6 +428,7 @@ class Sensors:
         knee_angle: theta_1 of each limb, 0 stretched [rad].
         foot_force: normal contact force of each foot [N].
         foot_position, foot_velocity: of each foot H in the world [m, m/s] (for metrics, not for the controller).
+        joint_velocity: of the hinges of knees, ankles, spine and articulated tail [rad/s] (for metrics).
         tail_force: normal contact force of the tail on the ground [N].
         contact_distance: of the deepest contact, negative where bodies overlap [m] (for metrics).
     """
@@ -444,5 +445,6 @@ class Sensors:
     foot_force: PerLimb
     foot_position: Float[Array, "*batch 4 3"]
     foot_velocity: Float[Array, "*batch 4 3"]
+    joint_velocity: Float[Array, "*batch n_compliant"]
     tail_force: Scalars
     contact_distance: Scalars

@@ -16,11 +16,11 @@ import numpy as np
 from jaxtyping import Float
 
 from nermo_mjx.robot.assembly import RobotConfig, assemble, default_parameters
-from nermo_mjx.robot.equipment import chain_of
+from nermo_mjx.robot.equipment import COMPLIANT, TAIL_DAMPING, chain_of, compliant_kind
 from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.masses import MassModel, is_front, physical_model, reduced_model
 from nermo_mjx.robot.meshes.body import redraw
-from nermo_mjx.robot.model_parameters import Build, gravity_values
+from nermo_mjx.robot.model_parameters import Build, Damping, gravity_values
 from nermo_mjx.robot.parameters import LIMBS, Sensors
 from nermo_mjx.robot.quantity import ParameterError, quantities, replace_quantities, values_of
 from nermo_mjx.robot.scene import Scene, Terrain, scene_geoms, scene_name
@@ -87,10 +87,17 @@ class _Compiled:
             "foot_force": 4,
             "foot_position": 12,
             "foot_velocity": 12,
+            "joint_velocity": len(self.compliant),
         }
         sizes |= {"tail_force": self.model.nsensordata - sum(sizes.values()) - 1, "contact_distance": 1}
         ends = itertools.accumulate(sizes.values())
         return {name: slice(end - size, end) for (name, size), end in zip(sizes.items(), ends, strict=True)}
+
+    @functools.cached_property
+    def compliant(self) -> tuple[str, ...]:
+        """The kind of each joint of `Sensors.joint_velocity`."""
+        kinds = [compliant_kind(self.model.joint(i).name) for i in range(self.model.njnt)]
+        return tuple(kind for kind in COMPLIANT for each in kinds if each == kind)
 
     @functools.cached_property
     def mass_model(self) -> MassModel:
@@ -163,6 +170,17 @@ class Robot:
         """Names of the servos in the order of `ctrl`, a choice of `SERVOS`."""
         model = self._compiled.model
         return tuple(model.actuator(i).name.removesuffix("_servo") for i in range(model.nu))
+
+    def joint_damping(self, damping: Damping) -> Float[Array, "*batch n"]:
+        """Of each joint of `Sensors.joint_velocity` [N m s/rad].
+
+        Args:
+            damping: leaves of shape (*batch,).
+        """
+        # Each of n hinges in series has n times the damping of the joint.
+        values = {kind: self.config.hinges * getattr(damping, kind) for kind in ("knee", "ankle", "spine")}
+        values["tail"] = TAIL_DAMPING + 0.0 * values["knee"]
+        return jnp.stack([jnp.asarray(values[kind]) for kind in self._compiled.compliant], axis=-1)
 
     @property
     def n_servos(self) -> int:

@@ -289,7 +289,7 @@ class Rollout:
         mass = jnp.asarray(params.model.mass.front + params.model.mass.rear, float)
         # A traced frequency below `slowest` would not finish its run: NaN is better than a wrong result.
         complete = loop.window.end <= (ticks - 1 + 1e-3) * self.controller.dt
-        gravity, supply = params.model.ground.gravity, Supply.of(params.model)
+        gravity, supply = params.model.ground.gravity, Supply.of(params.model, self.robot)
         measured = measures.result(carry.loop.metrics, mass, gravity, supply, self.setup.own_metrics)
         return {name: jnp.where(complete, value, jnp.nan) for name, value in measured.items()}, path
 

@@ -1,4 +1,4 @@
-"""What the servos draw, how long a battery lasts, how much of their work their joints' dampers take, and how long they
+"""What the servos draw, how long a battery lasts, how much of their work dampers and contact take, and how long they
 stand at their torque limit.
 
 At its nominal voltage V0 a servo's motor draws a current that rises linearly with its torque, from I0 at rest to the
@@ -24,7 +24,7 @@ from typing import Any, Final, NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Float
 
-from nermo_mjx.robot import LIMBS
+from nermo_mjx.robot import LIMBS, Robot
 from nermo_mjx.robot.model_parameters import NOMINAL_VOLTAGE, Battery, Damping, ModelParameters, Servo
 from nermo_mjx.shapes import Array, Scalar
 
@@ -35,13 +35,17 @@ class Supply(NamedTuple):
     servo: Servo
     battery: Battery
     damping: Damping
+    joint_damping: Float[Array, "*batch n"] | float = 0.0
 
     @classmethod
-    def of(cls, body: ModelParameters) -> Supply:
-        """The supply of a body."""
-        return cls(body.servo, body.battery, body.damping)
+    def of(cls, body: ModelParameters, robot: Robot | None = None) -> Supply:
+        """The supply of a body; without the robot its compliant joints count as undamped."""
+        return cls(body.servo, body.battery, body.damping, robot.joint_damping(body.damping) if robot else 0.0)
 
 
+#: Torque of the servos (n,), before what the back-EMF takes [N m], their velocity, that of the compliant joints (m,)
+#: [rad/s].
+Driven = tuple[Array, Array, Array]
 #: Integrals of `drawn`.
 DRAWN: Final = ("servos", "torque", "energy")
 #: Groups of servos whose time at the torque limit is counted, as places among `SERVOS`.
@@ -50,44 +54,49 @@ GROUPS: Final = {"front_hips": (0, 1), "rear_hips": (2, 3), "front_knees": (4, 5
 AT_LIMIT: Final = 0.9999
 
 
-def spent(
-    before: Float[Array, "2 n"], torque: Float[Array, "steps n"], velocity: Float[Array, "steps n"], servo: Servo
-) -> dict[str, Array]:
+def spent(before: Driven, now: Driven, servo: Servo) -> dict[str, Array]:
     """Means over a tick: net power of the servos [W], what a damper of 1 N m s/rad takes of hips and of all others (2,)
-    [W], and the shares of `GROUPS` at their torque limit (5,).
+    and of each compliant joint (m,) [W], and the shares of `GROUPS` at their torque limit (5,).
 
     Work is force times the mean speed of a step, and MuJoCo damps by the speed at its end, so that the sum over all
     forces is the change of energy. The tick is that of the readings, one step earlier.
 
     Args:
-        before: torque and velocity in the step before.
-        torque: of the servos, before what the back-EMF takes [N m].
-        velocity: of the servos [rad/s].
+        before: in the step before, without leading axes.
+        now: with a leading axis (steps,).
         servo: parameters.
     """
-    driven = jnp.concatenate([before[:1], torque[:-1]])
-    mean = 0.5 * (jnp.concatenate([before[1:], velocity[:-1]]) + velocity)
+    torque, velocity, joints = now
+    driven, moved, bent = (jnp.vstack([old, each[:-1]]) for old, each in zip(before, now, strict=True))
+    mean = 0.5 * (moved + velocity)
     damped = (mean * velocity).mean(axis=0)
     limit = servo.stall_torque * jnp.ones(torque.shape[-1]).at[jnp.array(GROUPS["spine"])].set(servo.spine_torque)
     limited = (jnp.abs(torque) >= AT_LIMIT * limit).mean(axis=0)
     return {
         "net_work": (driven * mean).sum(axis=-1).mean(),
         "damped": jnp.stack([damped[: len(LIMBS)].sum(), damped[len(LIMBS) :].sum()]),
+        "bent": (0.5 * (bent + joints) * joints).mean(axis=0),
         "limited": jnp.stack([limited[jnp.array(group)].mean() for group in GROUPS.values()]),
     }
 
 
-def unspent(dtype: Any) -> dict[str, Array]:
-    """The integrals of `spent` before the first tick."""
-    shapes = {"net_work": (), "damped": (2,), "limited": (len(GROUPS),)}
-    return {name: jnp.zeros(shape, dtype) for name, shape in shapes.items()}
+def unspent(dtype: Any, joints: int) -> dict[str, Array]:
+    """The integrals of `spent` before the first tick, for a number of compliant joints."""
+    shapes = {"damped": 2, "bent": joints, "limited": len(GROUPS)}
+    return {"net_work": jnp.zeros((), dtype)} | {name: jnp.zeros(size, dtype) for name, size in shapes.items()}
 
 
 def budget(sums: Mapping[str, Array], time: Scalar, supply: Supply) -> dict[str, Scalar]:
-    """Metrics of the servos' work and limits, from the integrals of `spent` over the measured time [s]."""
+    """Metrics of the servos' work and limits, from the integrals of `spent` over the measured time [s].
+
+    What is left is taken by constraints or stored: the sum over all forces is the change of energy.
+    """
     damping = jnp.stack([jnp.asarray(supply.damping.hip), jnp.asarray(supply.damping.pulley)]) + supply.servo.brake
     shares = {f"limited_{name}": sums["limited"][i] / time for i, name in enumerate(GROUPS)}
-    return {"servo_net_work": sums["net_work"], "servo_damper_work": damping @ sums["damped"]} | shares
+    work = {"servo_net_work": sums["net_work"], "servo_damper_work": damping @ sums["damped"]}
+    work["joint_damper_work"] = (supply.joint_damping * sums["bent"]).sum()
+    left = work["servo_net_work"] - work["servo_damper_work"] - work["joint_damper_work"]
+    return work | {"constraint_work": left} | shares
 
 
 def power_sums(torque: Float[Array, "steps n"], velocity: Float[Array, "steps n"], servo: Servo) -> dict[str, Scalar]:
@@ -107,7 +116,7 @@ def power_sums(torque: Float[Array, "steps n"], velocity: Float[Array, "steps n"
 
 def electrical_result(sums: Mapping[str, Scalar], time: Scalar, supply: Supply) -> dict[str, Scalar]:
     """The electrical metrics, from the integrals of `drawn` over the measured time [s]."""
-    servo, battery, _ = supply
+    servo, battery = supply.servo, supply.battery
     per_torque = (servo.stall_current - servo.idle_current) / servo.torque_limit
     idle = servo.idle_current * sums["servos"] / time
     current = idle + sums["energy"] / time / servo.supply_voltage

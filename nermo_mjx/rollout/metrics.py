@@ -103,7 +103,7 @@ class MetricState:
         path: how the path was followed.
         eyes: motion of the eyes.
         penetration: depth of the deepest contact since the start [m].
-        driven: torque and velocity of the servos in the last step (2, n) [N m, rad/s].
+        driven: how servos and compliant joints moved in the last step.
         own: accumulators of custom metrics; None without any.
         switching_roll: largest roll while switches act [rad]; None without a schedule.
         on_path: whether the pilot has a path.
@@ -130,7 +130,7 @@ class MetricState:
     path: path_metrics.PathState
     eyes: eye_metrics.EyeState
     penetration: Scalar
-    driven: Float[Array, "2 n"]
+    driven: electrical.Driven
     own: reduction.OwnState | None
     switching_roll: Scalar | None
     on_path: Truth
@@ -156,7 +156,7 @@ def init(sensors: Sensors, own: tuple[OwnMetric, ...] = (), switches: bool = Fal
         time=zero,
         way=zero,
         travelled=zero,
-        sums=sums | {"load": jnp.append(four, zero)} | electrical.unspent(zero.dtype),
+        sums=sums | {"load": jnp.append(four, zero)} | electrical.unspent(zero.dtype, sensors.joint_velocity.shape[-1]),
         mean=three,
         square=three,
         readings=readings,
@@ -171,7 +171,7 @@ def init(sensors: Sensors, own: tuple[OwnMetric, ...] = (), switches: bool = Fal
         path=path_metrics.init_path(position),
         eyes=eye_metrics.init_eye(sensors),
         penetration=zero,
-        driven=jnp.stack([sensors.servo_torque, sensors.servo_velocity]),
+        driven=_driven(sensors),
         own=reduction.init_own(own, sensors) if own else None,
         switching_roll=zero if switches else None,
         on_path=no,
@@ -278,9 +278,7 @@ def update(
         "square_error": error**2,
         "image": (image**2).mean(),
         **electrical.power_sums(torque, sensors.servo_velocity, servo or ModelParameters().servo),
-        **electrical.spent(
-            state.driven, sensors.servo_torque, sensors.servo_velocity, servo or ModelParameters().servo
-        ),
+        **electrical.spent(state.driven, _driven(sensors), servo or ModelParameters().servo),
     }
     measured = {name: part.weight * value for name, value in integrands.items()}
     measured["swing_loaded"] = swing * measured["loaded"]
@@ -312,7 +310,7 @@ def update(
         penetration=jnp.where(
             judged & ~lost, jnp.maximum(state.penetration, -sensors.contact_distance.min()), state.penetration
         ),
-        driven=jnp.stack([last.servo_torque, last.servo_velocity]),
+        driven=_driven(last),
         own=None
         if state.own is None
         else reduction.update_own(own, state.own, sensors, part, share, ~lost & (time > 0.0)),
@@ -339,6 +337,10 @@ def _extremes(state: MetricState, readings: Array, part: MeasuredPart) -> tuple[
     low = jnp.minimum(jnp.where(start < 0.0, state.low, jnp.inf), jnp.minimum(first, final))
     high = jnp.maximum(jnp.where(start < 0.0, state.high, -jnp.inf), jnp.maximum(first, final))
     return jnp.where(part.inside, low, state.low), jnp.where(part.inside, high, state.high)
+
+
+def _driven(sensors: Sensors) -> electrical.Driven:
+    return sensors.servo_torque, sensors.servo_velocity, sensors.joint_velocity
 
 
 def _between(before: Array, now: Array, share: Array) -> Array:

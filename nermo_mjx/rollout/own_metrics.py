@@ -77,6 +77,8 @@ METRICS: Final[dict[str, Metric]] = {
     "servo_work": Metric("J", "positive mechanical work of all servos while measured", "low"),
     "servo_net_work": Metric("J", "mechanical work of all servos while measured, less what they take back"),
     "servo_damper_work": Metric("J", "work that the dampers of the servos' joints take of it", "low"),
+    "joint_damper_work": Metric("J", "work that the dampers of knees, ankles, spine and tail take of it"),
+    "constraint_work": Metric("J", "what is left of it: taken by contact and tendons, or stored"),
     **{
         f"limited_{group}": Metric("1", f"share of time with the torque of the {group.replace('_', ' ')} at its limit")
         for group in ("front_hips", "rear_hips", "front_knees", "rear_knees", "spine")

@@ -284,7 +284,7 @@ class Simulator:
             ticks=ticks_until(end, self.controller.dt),
             may_end_early=run.distance is not None,
             mass=mass,
-            supply=Supply.of(params.model),
+            supply=Supply.of(params.model, self.robot),
             gravity=np.asarray(params.model.ground.gravity, float),
             worlds=params,
             named=tuple(values),

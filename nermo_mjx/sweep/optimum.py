@@ -326,9 +326,9 @@ def find_optimum(results: Results, asked: SoughtOptimum, repeats: int, variants:
     good = {name: counts(name, column, results.well) for name, column in metric.items()}
     groups = asked.grouped(names)
     of_base = np.array([same_value(each, base) for each in value[by]])
-    labels = (
-        list(dict.fromkeys(zip(*(plain_json(value[name][~of_base]) for name in groups), strict=True))) if groups else [()]
-    )
+    labels: list[tuple[Any, ...]] = [()]
+    if groups:
+        labels = list(dict.fromkeys(zip(*(plain_json(value[name][~of_base]) for name in groups), strict=True)))
     status, answers = results.column("status"), []
     for label in labels:
         group = dict(zip(groups, label, strict=True))
