@@ -75,6 +75,7 @@ FILES = (
     "convex.xml",
     "pendula.xml",
     "tendon/wrap_sidesite.xml",
+    "sensor/model.xml",
 )
 
 
@@ -124,7 +125,8 @@ def test_every_kind_of_model_has_the_derivative_of_differences(name: str) -> Non
 
 @pytest.mark.parametrize("name", FILES)
 def test_public_models_have_the_derivative_of_differences(name: str) -> None:
-    assert error(mujoco.MjModel.from_xml_path(str(PUBLIC / name))) < 1e-5
+    """Light links in stiff contacts, with accelerations of 1e5 rad/s^2, as well."""
+    assert error(mujoco.MjModel.from_xml_path(str(PUBLIC / name))) < 2e-6
 
 
 def test_states_are_those_of_mujoco() -> None:
