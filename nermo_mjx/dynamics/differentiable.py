@@ -266,11 +266,13 @@ class _Last(NamedTuple):
 
 
 def _newton(layout: Layout, qacc: Dofs, problem: Problem) -> _Last:
-    """One step of Newton's method from `qacc`, of which no more is taken than lowers the cost.
+    """One step of Newton's method from `qacc`, or none where it would go too far.
 
     Rounding of `qacc` may put a row that is on the border of two zones into the softer one, from where the full step
     is thousands of times longer than the error.
     """
     known = constraint.exact_residual(problem, qacc)
-    last = solver.newton(layout, problem, jax.tree.map(jnp.abs, problem), qacc, known, solver.LAST)
-    return _Last(last.step, qacc + last.share * last.step, known + last.share * last.along)
+    last = solver.newton(layout, problem, jax.tree.map(jnp.abs, problem), qacc, known, (0.0, 1.0))
+    return _Last(
+        last.step, jnp.where(last.full, qacc + last.step, qacc), jnp.where(last.full, known + last.along, known)
+    )

@@ -31,8 +31,6 @@ FIXED: Final = 11
 #: Shares of a step at which the slope along it is evaluated, all at once, on a finer grid than a single step would
 #: need. Fewer shares need more rounds.
 SHARES: Final = (0.0, *(2.0 ** (-k / 2) for k in range(24, -1, -1)))
-#: Of these, those for the last step, which is long only where rounding has put a row on the wrong side of a border.
-LAST: Final = (0.0, *SHARES[1::4])
 #: A full step is accepted if it leaves no more than this share of the initial slope.
 ACCEPTED: Final = 0.25
 
@@ -59,11 +57,12 @@ class Solution(NamedTuple):
 
 
 class Step(NamedTuple):
-    """A step of Newton's method: where it leads, the change of the residual, how much of it to take, whether it was
-    small, and whether all rows stay in their zones."""
+    """A step of Newton's method: where it leads, the change of the residual, whether to take all of it, else how much,
+    whether it was small, and whether all rows stay in their zones."""
 
     step: Dofs
     along: Efc
+    full: Truth
     share: Scalar
     small: Truth
     stays: Truth
@@ -138,7 +137,8 @@ def newton(
     own = np.arange(len(qacc))
     weight = 1.0 / problem.inertia[own, own]
     small |= weight @ gradient**2 <= weight @ constraint.rounding(layout, problem, sizes, qacc) ** 2
-    return Step(step, along, jnp.where(full, 1.0, _zero(grid, slopes)), small, jnp.all(zones[0] == zones[-1]))
+    share = jnp.where(full, 1.0, _zero(grid, slopes))
+    return Step(step, along, full, share, small, jnp.all(zones[0] == zones[-1]))
 
 
 def _zero(shares: Float[Array, " n"], slopes: Float[Array, " n"]) -> Scalar:
