@@ -233,23 +233,6 @@ def test_second_derivatives_of_a_step(name: str) -> None:
     assert max(found.values()) < 1e-5, found
 
 
-@pytest.mark.slow
-def test_second_derivatives_of_many_steps() -> None:
-    """Of where a sphere that slides and rolls on a plane comes to, by its start, after twenty steps."""
-    model = mujoco.MjModel.from_xml_string(f"<mujoco>{SLIDING}</mujoco>")
-    with jax.enable_x64(True):
-        device = mjx.put_model(model)
-        data = mjx.make_data(device)
-
-        def place(pushed: Any) -> Any:
-            start = data.replace(qvel=data.qvel.at[: len(pushed)].set(pushed))
-            after = jax.lax.scan(lambda each, _: (step(device, each), None), start, None, length=20)[0]
-            return jnp.sum(jnp.sin(after.qvel)) + jnp.sum(after.qpos)
-
-        found = errors(place, np.array([0.3, -0.2]), ("jacfwd(jacrev)",))
-    assert max(found.values()) < 1e-5, found
-
-
 @pytest.mark.long
 def test_the_second_derivative_of_a_walk() -> None:
     """Of its speed by an amplitude, forward over forward, against differences of the slope."""
