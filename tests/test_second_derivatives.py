@@ -237,7 +237,7 @@ def test_second_derivatives_of_a_step(name: str) -> None:
 def test_the_second_derivative_of_a_walk() -> None:
     """Of its speed by an amplitude, forward over forward, against differences of the slope."""
     with jax.enable_x64(True):
-        rollout = Rollout(Setup(spine="stride_extension"), Run(duration=0.06, warmup=0.0))
+        rollout = Rollout(Setup(spine="stride_extension"), Run(duration=0.02, warmup=0.0), "mjx")
 
         def slope(amplitude: Any) -> Any:
             return jax.jvp(lambda each: rollout({"spine.amplitude": each})["speed"], (amplitude,), (1.0,))[1]

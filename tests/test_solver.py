@@ -140,6 +140,17 @@ def test_solutions_are_those_of_c(kind: str, real: type) -> None:
     assert error(found, right, problem)[converged].max() < (1e-7 if real is np.float64 else 2e-6)
 
 
+def test_the_last_step_leaves_no_solution_that_rounding_put_across_a_border() -> None:
+    """From C's solutions, off by a few roundings, which decide whether a row that is on the border slides or sticks."""
+    layout, problem, _, right = problems("ends", 30)
+    single = jax.tree.map(lambda leaf: np.asarray(leaf, np.float32), problem)
+    last, random = jax.jit(jax.vmap(lambda each, qacc: _newton(layout, qacc, each).qacc)), np.random.default_rng(0)
+    for _ in range(8):
+        qacc = np.asarray(right * (1.0 + 3e-7 * random.normal(size=right.shape)), np.float32)
+        assert error(qacc, right, problem).max() < 2e-6
+        assert error(np.asarray(last(single, qacc), float), right, problem).max() < 2e-6
+
+
 def test_a_solver_that_is_stopped_too_early_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     """With two rounds, what counts as converged is solved; and what is far from the solution is counted as not."""
     layout, problem, warm, right = problems("elliptic")

@@ -23,7 +23,6 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 from jax.ad_checkpoint import checkpoint_name
-from jax.scipy.linalg import cho_factor, cho_solve
 
 from nermo_mjx.dynamics import constraint, impedance, rows, solver, tree
 from nermo_mjx.dynamics.checkpointing import KEPT
@@ -267,8 +266,13 @@ class _Last(NamedTuple):
 
 
 def _newton(layout: Layout, qacc: Dofs, problem: ConstraintProblem) -> _Last:
-    """One step of Newton's method from `qacc`."""
+    """One step of Newton's method from `qacc`, or none where it would go too far.
+
+    Rounding of `qacc` may put a row that is on the border of two zones into the softer one, from where the full step
+    is thousands of times longer than the error.
+    """
     known = constraint.exact_residual(problem, qacc)
-    factor = cho_factor(constraint.hessian(layout, problem, qacc, known))
-    step = -cho_solve(factor, constraint.gradient(layout, problem, qacc, known))
-    return _Last(step, qacc + step, known + problem.jacobian @ step)
+    last = solver.newton(layout, problem, jax.tree.map(jnp.abs, problem), qacc, known, (0.0, 1.0))
+    return _Last(
+        last.step, jnp.where(last.full, qacc + last.step, qacc), jnp.where(last.full, known + last.along, known)
+    )

@@ -10,6 +10,7 @@ world whose last step was so small that one more would converge to rounding stop
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 import jax
@@ -20,7 +21,7 @@ from jaxtyping import Float
 
 from nermo_mjx.dynamics import constraint
 from nermo_mjx.dynamics.rows import ConstraintProblem, Layout
-from nermo_mjx.shapes import Array, Count, Dofs, Scalar, Truth
+from nermo_mjx.shapes import Array, Count, Dofs, Efc, Scalar, Truth
 
 #: Maximum number of rounds. Walks, falls and impacts need 3.5 on average and 12 at most; light links in stiff contacts
 #: up to 40 in float64.
@@ -55,6 +56,18 @@ class Solution(NamedTuple):
         return jnp.where(self.converged, self.rounds, ROUNDS + 1)
 
 
+class Step(NamedTuple):
+    """A step of Newton's method: where it leads, the change of the residual, whether to take all of it, else how much,
+    whether it was small, and whether all rows stay in their zones."""
+
+    step: Dofs
+    along: Efc
+    full: Truth
+    share: Scalar
+    small: Truth
+    stays: Truth
+
+
 def minimum(layout: Layout, problem: ConstraintProblem, start: Dofs) -> Solution:
     """The acceleration at which the gradient of the problem vanishes.
 
@@ -66,8 +79,9 @@ def minimum(layout: Layout, problem: ConstraintProblem, start: Dofs) -> Solution
     first = Solution(start, no, no, jnp.zeros((), jnp.int32))
 
     def next_round(solution: Solution) -> Solution:
-        qacc, small, stays = _round(layout, problem, sizes, solution.qacc)
-        moved = Solution(qacc, small & (stays | solution.small), small, solution.rounds + 1)
+        found = newton(layout, problem, sizes, solution.qacc)
+        qacc = solution.qacc + found.share * found.step
+        moved = Solution(qacc, found.small & (found.stays | solution.small), found.small, solution.rounds + 1)
         return jax.tree.map(lambda old, new: jnp.where(solution.converged, old, new), solution, moved)
 
     def to_the_end(solution: Solution) -> Solution:
@@ -82,14 +96,27 @@ def minimum(layout: Layout, problem: ConstraintProblem, start: Dofs) -> Solution
     return found
 
 
-def _round(
-    layout: Layout, problem: ConstraintProblem, sizes: ConstraintProblem, qacc: Dofs
-) -> tuple[Array, Array, Array]:
-    """The next acceleration, whether the step to it was small, and whether all rows stayed in their zones."""
-    factor = cho_factor(constraint.hessian(layout, problem, qacc))
-    gradient = constraint.gradient(layout, problem, qacc)
+def newton(
+    layout: Layout,
+    problem: ConstraintProblem,
+    sizes: ConstraintProblem,
+    qacc: Dofs,
+    known: Efc | None = None,
+    shares: Sequence[float] = SHARES,
+) -> Step:
+    """A step of Newton's method, and how much of it to take.
+
+    Args:
+        layout, problem: the constraint problem.
+        sizes: |problem|.
+        qacc: acceleration from which it leads.
+        known: a more exact value of the residual there.
+        shares: of the step at which the slope along it is evaluated, from 0 to 1.
+    """
+    factor = cho_factor(constraint.hessian(layout, problem, qacc, known))
+    gradient = constraint.gradient(layout, problem, qacc, known)
     step = -cho_solve(factor, gradient)
-    apart, along = constraint.residual(problem, qacc), problem.jacobian @ step
+    apart, along = constraint.residual(problem, qacc, known), problem.jacobian @ step
     energy, before = step @ (problem.inertia @ step), step @ gradient
 
     def at(share: Array) -> tuple[Array, Array]:
@@ -97,19 +124,21 @@ def _round(
         there = apart + share * along
         return along @ constraint.forces(layout, problem, there), constraint.zones(layout, problem, there)
 
-    shares = jnp.asarray(SHARES, qacc.dtype)
-    held, zones = jax.vmap(at)(shares)
-    slopes = before + shares * energy - (held - held[0])
+    grid = jnp.asarray(shares, qacc.dtype)
+    held, zones = jax.vmap(at)(grid)
+    slopes = before + grid * energy - (held - held[0])
     # Newton's method squares the error, so another step would converge to rounding, unless a row changes its zone on
     # the way: beyond the change the next step may be longer. A world with NaNs, which compare as false, need not
     # continue.
     small = ~(energy > jnp.finfo(qacc.dtype).eps ** 1.5 * (qacc @ (problem.inertia @ qacc)))
-    # At rest the acceleration itself is rounding, and no step is small beside it.
+    full = small | (slopes[-1] <= -ACCEPTED * before)
+    # At rest the acceleration itself is rounding, and no step is small beside it. Such a step may still be long: on
+    # the border of a zone in which the Hessian is soft.
     own = np.arange(len(qacc))
     weight = 1.0 / problem.inertia[own, own]
     small |= weight @ gradient**2 <= weight @ constraint.rounding(layout, problem, sizes, qacc) ** 2
-    full = small | (slopes[-1] <= -ACCEPTED * before)
-    return qacc + jnp.where(full, 1.0, _zero(shares, slopes)) * step, small, jnp.all(zones[0] == zones[-1])
+    share = jnp.where(full, 1.0, _zero(grid, slopes))
+    return Step(step, along, full, share, small, jnp.all(zones[0] == zones[-1]))
 
 
 def _zero(shares: Float[Array, " n"], slopes: Float[Array, " n"]) -> Scalar:
@@ -118,7 +147,7 @@ def _zero(shares: Float[Array, " n"], slopes: Float[Array, " n"]) -> Scalar:
     Args:
         shares, slopes: where it was evaluated, and its values; below zero at the first.
     """
-    after = jnp.clip(jnp.sum(slopes < 0.0), 1, len(SHARES) - 1)
+    after = jnp.clip(jnp.sum(slopes < 0.0), 1, len(shares) - 1)
     (low, high), (under, over) = ((each[after - 1], each[after]) for each in (shares, slopes))
     rise = over - under
     return low + (high - low) * jnp.clip(-under / jnp.where(rise > 0.0, rise, 1.0), 0.05, 0.95)

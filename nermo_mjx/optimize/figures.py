@@ -482,7 +482,7 @@ def path_figure(traces: Traces, landscape: Landscape | None = None) -> Figure:
     if len(traces.tuning.tuned) == 1:
         return _line(traces, landscape, beneath)
     pair = traces.tuning.tuned[:2]
-    note = f"ring: start; dot: end; star: best; {beneath}" + "; colour: objective" * (background is None)
+    note = f"ring: start; dot: end; star: best; {beneath}" + "; colour: objective" * (landscape is None)
     figure = page(f"Path over {spoken(pair[0].name)} and {spoken(pair[1].name)}", 6.9, 5.4, note)
     ax = figure.subplots()
     ax.set_facecolor("white" if landscape is None else MISSING)
