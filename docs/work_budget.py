@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from nermo_mjx import Recording, Run, Setup, Simulator
-from nermo_mjx.plotting.charts import Page, horizontal_grid
+from nermo_mjx.plotting.charts import FigurePage, horizontal_grid
 from nermo_mjx.plotting.files import write_figures
 from nermo_mjx.plotting.style import SERIES
 
@@ -59,7 +59,7 @@ def budget(recording: Recording, model: mujoco.MjModel, begin: float) -> np.ndar
 
 def drawn(work: np.ndarray, limited: np.ndarray) -> Figure:
     """Where the work (amplitudes, 6) at 0.8 Hz goes, and the share of time at the limit (amplitudes, groups)."""
-    page = Page("Trot at 0.8 Hz: work and limits of the servos", (7.6, 3.3), 1, 2)
+    page = FigurePage("Trot at 0.8 Hz: work and limits of the servos", (7.6, 3.3), 1, 2)
     left, right = page.axes[0]
     places, width = np.arange(len(AMPLITUDES)), 0.27
     bottom = np.zeros(len(AMPLITUDES))

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from nermo_mjx.experiments import plots
-from nermo_mjx.experiments.cases import BODY, Column, Outcome, Settings, columns_about
+from nermo_mjx.experiments.cases import BODY, CaseRuns, Column, Settings, columns_about
 from nermo_mjx.experiments.published import Experiment, Figure
 from nermo_mjx.experiments.run import EXPERIMENTS
 from nermo_mjx.robot import load_robot
@@ -63,7 +63,7 @@ class Fake:
     error: BaseException | None = None
     asked: list[Settings] = dataclasses.field(default_factory=list)
 
-    def run(self, asked: Settings) -> Outcome:
+    def run(self, asked: Settings) -> CaseRuns:
         """See `Experiment`."""
         self.asked.append(asked)
         assert asked.progress is not None
@@ -95,7 +95,7 @@ class Fake:
         columns["theory_speed"][0] = np.nan
         asked.progress(1.0)
         about = ABOUT if bodies is None else ABOUT | {BODY: Column("1", "number of the body")}
-        return Outcome(self.name, columns, about, {} if bodies is not None else {RUN: recording()})
+        return CaseRuns(self.name, columns, about, {} if bodies is not None else {RUN: recording()})
 
     def experiment(self) -> Experiment:
         """As the catalogue has one."""
@@ -109,7 +109,7 @@ def pretend(monkeypatch: pytest.MonkeyPatch) -> dict[str, Fake]:
     made = {name: Fake(name) for name in EXPERIMENTS}
     for name, fake in made.items():
         monkeypatch.setitem(EXPERIMENTS, name, fake.experiment())
-    monkeypatch.setattr(plots, "figures_of", lambda outcome, lines: [])
+    monkeypatch.setattr(plots, "figures_of_experiment", lambda outcome, lines: [])
     return made
 
 
@@ -120,7 +120,7 @@ def made_up(
     profiles: Sequence[str] = BOTH,
     repeats: int = 2,
     recordings: Mapping[str, Recording] | None = None,
-) -> Outcome:
+) -> CaseRuns:
     """An outcome: every case in each profile and repeat; `measured` are numbers or functions of the labels."""
     rows = [
         {"profile": profile, **case, "repeat": repeat}
@@ -130,7 +130,7 @@ def made_up(
         row |= {name: value(row) if callable(value) else value for name, value in measured.items()}
     columns = {name: np.array([row[name] for row in rows]) for name in rows[0]}
     about = columns_about(experiment)
-    return Outcome(experiment, columns, {name: about.get(name, Column("1", "")) for name in columns}, recordings or {})
+    return CaseRuns(experiment, columns, {name: about.get(name, Column("1", "")) for name in columns}, recordings or {})
 
 
 def recording() -> Recording:

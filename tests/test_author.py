@@ -20,7 +20,7 @@ from test_controller import walk
 from nermo_mjx.control import control_parameters, published_controller
 from nermo_mjx.control.parameters import AS_PUBLISHED, AS_PUBLISHED_BODY, published_values
 from nermo_mjx.kinematics.body import hip_height_offset
-from nermo_mjx.kinematics.leg import four_legs, inverse
+from nermo_mjx.kinematics.leg import four_legs, inverse_kinematics
 from nermo_mjx.kinematics.spine import joint_angle
 from nermo_mjx.physics.variation import compile_model
 from nermo_mjx.robot import LIMBS
@@ -106,7 +106,7 @@ def neutral(spine: float = 0.0) -> np.ndarray:
     """Servo angles that ask for the neutral feet of his tests."""
     feet = np.array([AS_PUBLISHED[f"stance.{pair}_{axis}"] for pair in ("front", "rear") for axis in "yz"])
     with jax.enable_x64(True):
-        servo = inverse(four_legs(Geometry()), feet.reshape(2, 2).repeat(2, axis=0), "type3").servo
+        servo = inverse_kinematics(four_legs(Geometry()), feet.reshape(2, 2).repeat(2, axis=0), "type3").servo
     return np.append(np.ravel(servo), spine)
 
 

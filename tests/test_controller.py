@@ -22,7 +22,7 @@ from nermo_mjx.control import (
 from nermo_mjx.control import controller as controller_module
 from nermo_mjx.control.parameters import ControlParameters, Spine
 from nermo_mjx.kinematics.body import hip_height_offset
-from nermo_mjx.kinematics.leg import forward, four_legs
+from nermo_mjx.kinematics.leg import forward_kinematics, four_legs
 from nermo_mjx.kinematics.spine import joint_angle, servo_angle
 from nermo_mjx.robot import load_robot
 from nermo_mjx.robot.geometry import Geometry
@@ -250,7 +250,7 @@ def test_the_first_posture_is_the_gaits_own(gait, phase):
 def test_the_servo_angles_put_the_feet_where_they_are_commanded():
     """Forward kinematics is the oracle; the tolerance is float32 rounding over an arccosine."""
     states, servo = walk(published_controller(), control_parameters("lat", frequency=0.8))
-    reached = forward(four_legs(ROBOT), jnp.stack([servo.hip, servo.knee], axis=-1), "type3")
+    reached = forward_kinematics(four_legs(ROBOT), jnp.stack([servo.hip, servo.knee], axis=-1), "type3")
     np.testing.assert_allclose(reached.foot, states.foot, atol=2e-6)
     assert reached.reachable.all()
 

@@ -77,7 +77,7 @@ def test_another_controller_is_another_setting_and_its_copy_is_kept(files, tmp_p
     for name in ("maze", "balance"):
         walks = EXPERIMENTS[name].walks
         monkeypatch.setitem(EXPERIMENTS, name, dataclasses.replace(Fake(name).experiment(), walks=walks))
-    monkeypatch.setattr(plots, "figures_of", lambda outcome, lines: [])
+    monkeypatch.setattr(plots, "figures_of_experiment", lambda outcome, lines: [])
     asked = {"engine": "c", "profiles": ("exact",), "video": False}
     run_experiment("maze", tmp_path, controller=files["some"], **asked)
     (copy,) = tmp_path.glob("some-*.npz")

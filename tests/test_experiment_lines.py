@@ -8,21 +8,21 @@ import pytest
 from experiment_fake import made_up
 
 from nermo_mjx.experiments import stands, walks
-from nermo_mjx.experiments.cases import Case, Outcome, clock, texts
+from nermo_mjx.experiments.cases import Case, CaseRuns, clock, texts
 from nermo_mjx.experiments.measures import MEASURES, ProfileOutcome, every, falls, farthest, saturates
 from nermo_mjx.experiments.published import (
     KINDS,
     Figure,
-    compare,
-    counts,
-    figures,
+    line_counts,
+    published_figures,
+    published_lines,
     set_ups,
 )
 from nermo_mjx.experiments.run import EXPERIMENTS
 from nermo_mjx.robot import LIMBS
 from nermo_mjx.rollout import METRICS
 
-ALL = [(name, figure) for name in EXPERIMENTS for figure in figures(name)]
+ALL = [(name, figure) for name in EXPERIMENTS for figure in published_figures(name)]
 #: Figures typed again from the thesis: part of a name -> (experiment, value).
 PUBLISHED = {
     "speed of trt, 0.8 Hz, no spine": ("straight-line", 86.4),
@@ -48,7 +48,7 @@ PUBLISHED = {
 
 def named(name: str) -> Figure:
     experiment, _ = PUBLISHED[name]
-    return next(figure for figure in figures(experiment) if figure.figure == name)
+    return next(figure for figure in published_figures(experiment) if figure.figure == name)
 
 
 # --- the file
@@ -92,7 +92,7 @@ def test_a_line_that_is_not_judged_or_has_its_own_tolerance_says_why():
 def test_only_what_nothing_was_decided_by_is_predicted():
     """Balance, body and stands were seen by whoever chose masses and stiffnesses."""
     for name in ("balance", "body", "leg-stand", "spine-stand"):
-        assert all(figure.kind != "predicted" or figure.rule == "none" for figure in figures(name)), name
+        assert all(figure.kind != "predicted" or figure.rule == "none" for figure in published_figures(name)), name
     assert all("clock" in figure.reason for _, figure in ALL if figure.reason.startswith("The clock"))
     assert {figure.kind for _, figure in ALL} <= set(KINDS)
 
@@ -179,7 +179,7 @@ def test_a_wrong_word_in_the_file_is_refused():
 # --- measures
 
 
-def line_table(**measured) -> Outcome:
+def line_table(**measured) -> CaseRuns:
     cases = [dict(case.labels) for case in walks.line_cases() if "as_published" in case.profiles]
     return made_up("straight-line", cases, {"speed": 0.1, **measured})
 
@@ -208,7 +208,7 @@ def test_speeds_are_in_the_controllers_clock_and_angles_in_degrees():
 def test_without_a_case_or_a_number_a_figure_is_not_measured(measure, value):
     outcome = line_table(speed=lambda row: np.nan if row["gait"] == "lat" else 0.1)
     assert Figure("name", "predicted", "number", measure, 1.0).measured(outcome, "as_published") == value
-    assert figures("straight-line")[0].measured(outcome, "as_built") is None
+    assert published_figures("straight-line")[0].measured(outcome, "as_built") is None
 
 
 def test_every_measure_is_of_a_figure():
@@ -229,7 +229,7 @@ def test_a_spine_that_does_nothing_fails_every_line_about_its_effect():
         slip_rear_lift_off=1.0,
         **angles,
     )
-    lines = {line.figure: line for line in compare(outcome) if line.judged_in == "as_published"}
+    lines = {line.figure: line for line in published_lines(outcome) if line.judged_in == "as_published"}
     about = [
         name for name in lines if "spine over none" in name or "higher with the spine" in name or "faster with" in name
     ]
@@ -262,7 +262,7 @@ def test_the_circle_that_is_lost_is_named_and_strategies_are_compared_where_both
     turns = ProfileOutcome(outcome, "as_published")
     assert turns.lost() == "lat, 0.8 Hz, spine, 0.5 m"
     assert len(turns.compared("spine", "leg")) == 17, "18 circles, of which one was lost"
-    held = {line.figure: line.holds for line in compare(outcome)}
+    held = {line.figure: line.holds for line in published_lines(outcome)}
     assert held["paths not followed"]
     assert held["spine-based turning fastest wherever it follows the path"]
     assert held["right turns as left turns"]
@@ -291,7 +291,7 @@ def test_every_figure_is_measured_where_its_columns_are():
             for profile in three
         ]
         columns = {column: np.concatenate([part.columns[column] for part in parts]) for column in parts[0].columns}
-        for line in compare(dataclasses.replace(parts[0], columns=columns)):
+        for line in published_lines(dataclasses.replace(parts[0], columns=columns)):
             assert getattr(line, line.judged_in) is not None, line.figure
 
 
@@ -316,12 +316,12 @@ def test_intervals_are_over_starts_and_bodies_and_say_whether_they_cover():
         Figure("far", "predicted", "number", lambda of: of.mean("speed"), 200.0),
         Figure("word", "predicted", "outcome", lambda of: "pass" if of.mean("speed") > 90 else "fail", "pass"),
     ]
-    speed, far, word = compare(own, bodies, chosen)
+    speed, far, word = published_lines(own, bodies, chosen)
     assert (speed.low, speed.high) == pytest.approx((82.05, 116.95), abs=0.5)
     assert (speed.covered, far.covered, word.covered) == (True, False, None)
     assert speed.ensemble == pytest.approx(1.0)
     assert word.ensemble == pytest.approx(29 / 40)
     assert (word.low, speed.holds, far.holds) == (None, True, False)
-    counted = counts([dataclasses.asdict(line) for line in (speed, far, word)])
+    counted = line_counts([dataclasses.asdict(line) for line in (speed, far, word)])
     assert (counted["hold"], counted["covered"], counted["not_covered"]) == (2, 1, 1)
-    assert compare(own, None, chosen)[0].low is None, "three starts alone are no interval"
+    assert published_lines(own, None, chosen)[0].low is None, "three starts alone are no interval"

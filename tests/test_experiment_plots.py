@@ -13,8 +13,8 @@ from matplotlib.collections import PathCollection, PolyCollection
 from matplotlib.image import imread
 
 from nermo_mjx.experiments import plots, walks
-from nermo_mjx.experiments.cases import Outcome, texts
-from nermo_mjx.experiments.published import Figure, Line, compare, figures
+from nermo_mjx.experiments.cases import CaseRuns, texts
+from nermo_mjx.experiments.published import Figure, Line, published_figures, published_lines
 from nermo_mjx.experiments.run import EXPERIMENTS as CATALOGUE
 from nermo_mjx.plotting.files import lay_out, write_figures
 from nermo_mjx.plotting.style import STYLE
@@ -100,20 +100,21 @@ MADE = {"straight-line": walked, "turning": turned, "balance": balanced, "maze":
 
 def line(experiment: str, figure: Figure, **measured) -> Line:
     """A line of the report with a made-up measurement."""
-    nothing = Outcome(experiment, {"profile": np.array(["none"]), "repeat": np.array([0])}, {}, {})
-    return dataclasses.replace(compare(nothing, None, [figure])[0], **measured)
+    nothing = CaseRuns(experiment, {"profile": np.array(["none"]), "repeat": np.array([0])}, {}, {})
+    return dataclasses.replace(published_lines(nothing, None, [figure])[0], **measured)
 
 
 def lines_of(experiment, exact=None):
     """The report's lines with what was published, and the same made-up measurement in each."""
-    return [line(experiment, figure, exact=exact) for figure in figures(experiment)]
+    return [line(experiment, figure, exact=exact) for figure in published_figures(experiment)]
 
 
 def pictures(outcome, lines):
     """The figures by the names of their pictures, in the house's style and laid out as in files."""
     with matplotlib.rc_context(STYLE):
         drawn = {
-            name.removeprefix(f"{outcome.experiment}-"): figure for name, figure in plots.figures_of(outcome, lines)
+            name.removeprefix(f"{outcome.experiment}-"): figure
+            for name, figure in plots.figures_of_experiment(outcome, lines)
         }
         for figure in drawn.values():
             lay_out(figure)
@@ -151,7 +152,7 @@ def entries(figure):
 def test_each_picture_is_a_png_and_an_svg(experiment, tmp_path):
     """Both files of each, named after the experiment, and nothing else; the PNG is not blank."""
     outcome = MADE[experiment](quick=True)
-    files = write_figures(plots.figures_of(outcome, lines_of(experiment, exact=1.0)), tmp_path / "plots")
+    files = write_figures(plots.figures_of_experiment(outcome, lines_of(experiment, exact=1.0)), tmp_path / "plots")
     assert {path.suffix for path in files} == {".png", ".svg"}
     assert sorted(files) == sorted((tmp_path / "plots").iterdir())
     assert all(path.name.startswith(f"{experiment}-") for path in files)
@@ -217,7 +218,7 @@ def test_published_numbers_come_from_the_report():
         "maze": [f"{column.replace('_', ' ')} {which}" for column in plots._TITLES for which in plots.WITH.values()],
     }
     for experiment, names in used.items():
-        assert set(names) <= {figure.figure for figure in figures(experiment)}
+        assert set(names) <= {figure.figure for figure in published_figures(experiment)}
     assert set(plots._DRAWERS) == set(CATALOGUE) - {"body"}
 
 

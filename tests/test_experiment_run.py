@@ -17,7 +17,7 @@ from experiment_fake import RUN, pretend
 from nermo_mjx.experiments import plots, run
 from nermo_mjx.experiments.cases import Settings
 from nermo_mjx.experiments.published import Shot
-from nermo_mjx.experiments.report import number, published_text
+from nermo_mjx.experiments.report import published_text, rounded
 from nermo_mjx.experiments.run import EXPERIMENTS, Directory, run_experiment, run_experiments, shoot
 from nermo_mjx.robot import ParameterError
 from nermo_mjx.runs import Interrupted, JobFailed, OtherCode, Watch, codes_of
@@ -49,7 +49,7 @@ def pictures_of(monkeypatch, *names):
             (f"{outcome.experiment}-{name}", f"{name}, {outcome.recordings[RUN].duration}".encode()) for name in names
         )
 
-    monkeypatch.setattr(plots, "figures_of", figures)
+    monkeypatch.setattr(plots, "figures_of_experiment", figures)
 
 
 def ran(out, name="turning", **options):
@@ -191,7 +191,7 @@ def test_the_report_reads_well(fakes, tmp_path):
 
 
 def test_numbers_have_sensible_digits():
-    assert [number(x) for x in (0.0, 83.14159, 0.1740, 1234.5, -0.04999, 2.0, float("nan"), 8.097e-4, -6e-6)] == [
+    assert [rounded(x) for x in (0.0, 83.14159, 0.1740, 1234.5, -0.04999, 2.0, float("nan"), 8.097e-4, -6e-6)] == [
         "0",
         "83.1",
         "0.174",
@@ -286,7 +286,7 @@ def test_a_failure_half_way_keeps_what_is_done(fakes, tmp_path):
 
 
 def test_results_are_kept_if_the_plots_fail(fakes, tmp_path, monkeypatch):
-    monkeypatch.setattr(plots, "figures_of", lambda outcome, lines: 1 / 0)
+    monkeypatch.setattr(plots, "figures_of_experiment", lambda outcome, lines: 1 / 0)
     with pytest.raises(ZeroDivisionError):
         ran(tmp_path)
     assert len(report_of(tmp_path)["lines"]) == 5
@@ -409,7 +409,7 @@ def test_a_directory_that_lost_its_history_is_refused_until_it_is_accepted(fakes
     ran(tmp_path)
     for text, aside in (("speed, 0.48", []), ("other", ["turning-speed.png.aside-1", "turning-speed.svg.aside-1"])):
         (tmp_path / "run.json").unlink()
-        monkeypatch.setattr(plots, "figures_of", lambda *_, text=text: [("turning-speed", text.encode())])
+        monkeypatch.setattr(plots, "figures_of_experiment", lambda *_, text=text: [("turning-speed", text.encode())])
         with pytest.raises(OtherCode, match="does not say which code made it"):
             ran(tmp_path)
         assert ran(tmp_path, accept_new_code=True).kept

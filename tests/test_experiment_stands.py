@@ -11,8 +11,8 @@ import pytest
 
 from nermo_mjx.experiments import stands
 from nermo_mjx.experiments.cases import Settings, texts
-from nermo_mjx.experiments.plots import figures_of
-from nermo_mjx.experiments.published import compare
+from nermo_mjx.experiments.plots import figures_of_experiment
+from nermo_mjx.experiments.published import published_lines
 from nermo_mjx.experiments.stands import Stand
 from nermo_mjx.kinematics import leg as kinematics
 from nermo_mjx.robot import ModelParameters, ParameterError, assemble_leg
@@ -46,8 +46,8 @@ def slopes(pair: str, routing: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]
 
     @jax.jit
     def found(servo, foot):
-        knee = jax.jacfwd(lambda servo: kinematics.forward(numbers, servo, routing).knee_angle)(servo)
-        angle = kinematics.inverse(numbers, foot, routing).knee_angle
+        knee = jax.jacfwd(lambda servo: kinematics.forward_kinematics(numbers, servo, routing).knee_angle)(servo)
+        angle = kinematics.inverse_kinematics(numbers, foot, routing).knee_angle
         return kinematics.jacobian(numbers, servo, routing), knee, angle
 
     with jax.enable_x64(True):
@@ -100,7 +100,7 @@ def test_both_planes_move_the_hip_as_each_does(of_spine):
 def test_the_load_case_holds_and_so_does_what_the_thesis_says_of_the_routings(body, of_leg, of_spine):
     """A.1 with chains of hinges; Table 5.2 in words, but for the lever arm of type 2, whose guide was chosen."""
     for outcome in (body, of_leg, of_spine):
-        lines = compare(outcome)
+        lines = published_lines(outcome)
         assert all(line.exact is not None and line.kind == "chosen" for line in lines)
         failing = [line.figure for line in lines if not line.holds and outcome is not body]
         assert failing in ([], ["routing type 2 has a shorter lever arm on the knee than type 1"])
@@ -111,7 +111,7 @@ def test_the_load_case_holds_and_so_does_what_the_thesis_says_of_the_routings(bo
 def test_both_stands_are_drawn(of_leg, of_spine):
     """A bar for each routing of each pair of legs, and for each plane, in four panels."""
     for outcome, bars in ((of_leg, 2 * len(ROUTINGS)), (of_spine, len(stands.PLANES))):
-        ((_, figure),) = figures_of(outcome, ())
+        ((_, figure),) = figures_of_experiment(outcome, ())
         assert [len(ax.patches) for ax in figure.axes] == [bars] * 4
 
 

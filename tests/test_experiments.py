@@ -13,7 +13,7 @@ from click.testing import CliRunner
 from nermo_mjx.cli import main
 from nermo_mjx.control.parameters import PROFILES
 from nermo_mjx.experiments import walks
-from nermo_mjx.experiments.cases import Case, Outcome, Settings, in_each_robot
+from nermo_mjx.experiments.cases import Case, CaseRuns, Settings, in_each_robot
 from nermo_mjx.experiments.measures import ProfileOutcome
 from nermo_mjx.experiments.run import EXPERIMENTS
 from nermo_mjx.rollout import Run, Setup, Simulator
@@ -32,11 +32,11 @@ STRIDE = 0.8
 
 
 @pytest.fixture(scope="module")
-def line() -> Outcome:
+def line() -> CaseRuns:
     return walks.walk_line(Settings(("exact",), repeats=1, engine="c", values=DAMPED))
 
 
-def turned(*chosen: tuple[float, float]) -> Outcome:
+def turned(*chosen: tuple[float, float]) -> CaseRuns:
     """Turning, with the cases of some frequencies and radii that the tests below read, in short strides."""
 
     def read(case: Case) -> bool:
@@ -56,30 +56,30 @@ def turned(*chosen: tuple[float, float]) -> Outcome:
 
 
 @pytest.fixture(scope="module")
-def turns() -> Outcome:
+def turns() -> CaseRuns:
     """Bends of 0.5 m, and full lock."""
     return turned((0.67, 0.5), (0.8, 0.5))
 
 
 @pytest.fixture(scope="module")
-def long_turns() -> Outcome:
+def long_turns() -> CaseRuns:
     """Slower ones, and bends of 1 m."""
     return turned(*LONG_TURNS)
 
 
 @pytest.fixture(scope="module")
-def labyrinth() -> Outcome:
+def labyrinth() -> CaseRuns:
     return walks.walk_maze(Settings(("exact",), repeats=1, engine="c", values=DAMPED))
 
 
-def value(outcome: Outcome, column: str, **case) -> float:
+def value(outcome: CaseRuns, column: str, **case) -> float:
     """The column in the one row of a case."""
     found = np.asarray(outcome.columns[column], float)[outcome.where(**case)]
     assert len(found) == 1, case
     return float(found[0])
 
 
-def walk(line: Outcome, column: str, gait: str, frequency: float, spine: bool = False, **more) -> float:
+def walk(line: CaseRuns, column: str, gait: str, frequency: float, spine: bool = False, **more) -> float:
     case = {"gait": gait, "frequency": frequency, "spine": spine, "stride": 1.0, "compensated": False}
     return value(line, column, **{**case, **more})
 
@@ -164,7 +164,7 @@ def test_speed_is_linear_in_the_stride(line):
 # --- turning
 
 
-def quarter(turns: Outcome, column: str, gait: str, frequency: float, radius: float, strategy: str) -> float:
+def quarter(turns: CaseRuns, column: str, gait: str, frequency: float, radius: float, strategy: str) -> float:
     case = {"gait": gait, "frequency": frequency, "radius": radius, "strategy": strategy}
     return value(turns, column, side="left", stride=STRIDE, **case)
 
@@ -184,7 +184,7 @@ def test_spine_based_turning_is_fastest_and_mix_based_between_on_long_ways(long_
     check_speeds(long_turns, gait, frequency, radius)
 
 
-def check_speeds(turns: Outcome, gait: str, frequency: float, radius: float) -> None:
+def check_speeds(turns: CaseRuns, gait: str, frequency: float, radius: float) -> None:
     if not quarter(turns, "followed", gait, frequency, radius, "spine"):
         pytest.skip("not followed with the spine alone")
     leg, mix, spine = (quarter(turns, "speed", gait, frequency, radius, name) for name in ("leg", "mix", "spine"))
@@ -212,7 +212,7 @@ def test_long_paths_are_all_followed(turns, long_turns):
     assert max(error[case] for case in cases if case[3] == 0.5) < nearest
 
 
-def circles(turns: Outcome) -> tuple[list[tuple], dict[tuple, bool], dict[tuple, float]]:
+def circles(turns: CaseRuns) -> tuple[list[tuple], dict[tuple, bool], dict[tuple, float]]:
     """The left circles by gait, frequency, strategy and radius; which were followed, and how nearly."""
     chosen = turns.where(side="left") & (np.asarray(turns.columns["radius"], float) > 0)
     names = ("gait", "frequency", "strategy", "radius")
@@ -254,7 +254,7 @@ def test_right_is_as_left_on_long_ways(long_turns, gait, strategy):
     check_sides(long_turns, gait, 1.0, strategy)
 
 
-def check_sides(turns: Outcome, gait: str, radius: float, strategy: str) -> None:
+def check_sides(turns: CaseRuns, gait: str, radius: float, strategy: str) -> None:
     """Within 0.2 %, less than the spread of repeats (0.1 to 1.2 %): the mirrored command from the mirrored start."""
     case = {"gait": gait, "frequency": 0.67, "radius": radius, "strategy": strategy, "stride": STRIDE}
     column = "speed" if radius else "turning_radius"
@@ -320,12 +320,12 @@ def test_profiles_with_other_robots_are_simulated_apart_and_come_back_in_order()
     """`as_published` has the author's tail and soles; rows stand in the order of the profiles, recordings are kept."""
     seen, told = [], []
 
-    def run(settings: Settings) -> Outcome:
+    def run(settings: Settings) -> CaseRuns:
         seen.append((settings.profiles, settings.robot))
         settings.progress(1.0)
         labels = np.repeat(settings.profiles, 2)
         columns = {"profile": labels, "repeat": np.tile([0, 1], len(settings.profiles)), "time": np.arange(len(labels))}
-        return Outcome.of("maze", columns, {settings.profiles[0]: object(), "first": settings.profiles})
+        return CaseRuns.of("maze", columns, {settings.profiles[0]: object(), "first": settings.profiles})
 
     outcome = in_each_robot(run, Settings(progress=told.append))
     rigid, author = {"tail": "rigid", "feet": "spheres"}, {"tail": "articulated", "feet": "capsules"}

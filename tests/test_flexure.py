@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from nermo_mjx.dynamics.mjx_import import mjx
-from nermo_mjx.kinematics.leg import forward, four_legs
+from nermo_mjx.kinematics.leg import forward_kinematics, four_legs
 from nermo_mjx.physics import step
 from nermo_mjx.physics.variation import compile_model
 from nermo_mjx.robot import LIMBS, assemble_leg, assemble_spine, load_robot
@@ -118,7 +118,7 @@ def test_a_knees_angle_is_the_sum_over_its_hinges():
     """The sensors' reading, and where the closed form of the leg has the foot: within 0.1 mm in a bent pose."""
     robot = load_robot("nermo_41", hinges=3)
     joints, servo = robot.joints, np.array([[0.5, 0.3], [0.2, 0.1], [-0.4, 0.2], [-0.8, 0.4]])
-    pose = forward(four_legs(Geometry()), servo, "type3")
+    pose = forward_kinematics(four_legs(Geometry()), servo, "type3")
     data = mujoco.MjData(robot.model)
     data.qpos[list(joints.hip)] = servo[:, 0]
     data.qpos[np.array(joints.knee)] = np.asarray(pose.knee_angle)[:, None] / 3

@@ -18,7 +18,7 @@ from nermo_mjx.control import ControlParameters, Stepping, control_parameters, l
 from nermo_mjx.control.pilot import Drive
 from nermo_mjx.control.spine_modes import SpineModes, harmonics, stride_extension
 from nermo_mjx.control.stepping import FreeStepping, bumps, within
-from nermo_mjx.kinematics.leg import four_legs, four_reaches, inverse
+from nermo_mjx.kinematics.leg import four_legs, four_reaches, inverse_kinematics
 from nermo_mjx.optimize.spec import Search, Tuning
 from nermo_mjx.robot import SERVOS
 from nermo_mjx.robot.geometry import Geometry
@@ -141,7 +141,7 @@ def test_any_path_is_closed_continuous_and_in_the_workspace(seed: int) -> None:
     coarse, fine = (feet_of(params, np.arange(n) / n) for n in (500, 5000))
     longest = [np.linalg.norm(np.roll(path, -1, axis=0) - path, axis=-1).max() for path in (coarse, fine)]
     assert longest[1] < 0.2 * longest[0]
-    found = inverse(four_legs(ROBOT), jnp.asarray(fine), "type3")
+    found = inverse_kinematics(four_legs(ROBOT), jnp.asarray(fine), "type3")
     assert found.reachable.all()
     for limb, servo in enumerate(SERVOS[4:8]):
         low, high = servo_range(servo)
@@ -203,7 +203,7 @@ def test_the_derivative_by_every_number_equals_differences() -> None:
         def servos(values: jax.Array) -> jax.Array:
             params = replace_quantities(base, dict(zip(names, values, strict=True)))
             feet = jax.vmap(lambda phase: STEPPING.start(params, phase, drive)[1])(jnp.arange(40) / 40 + 0.0123)
-            return inverse(four_legs(ROBOT), feet, "type3").servo
+            return inverse_kinematics(four_legs(ROBOT), feet, "type3").servo
 
         along = jax.jit(
             lambda way: (

@@ -58,7 +58,7 @@ def predicted(of: Geometry, angles: dict[str, jax.Array]) -> dict[str, jax.Array
 @jax.jit
 def at_rest(of: Geometry) -> jax.Array:
     """Knee angles while all servos are at 0."""
-    return leg.forward(leg.four_legs(of), jnp.zeros((4, 2)), "type3").knee_angle
+    return leg.forward_kinematics(leg.four_legs(of), jnp.zeros((4, 2)), "type3").knee_angle
 
 
 @pytest.mark.compiles

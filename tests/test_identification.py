@@ -8,8 +8,16 @@ import pyarrow.parquet as pq
 import pytest
 
 from nermo_mjx.experiments import ensemble, identification
-from nermo_mjx.experiments.ensemble import ALL, FREE, TOLERANCE, UNCERTAIN, names, parameters_of, point_of
-from nermo_mjx.experiments.identification import CASES, START, TARGETS, Search, figures, identify, objective
+from nermo_mjx.experiments.ensemble import ALL, FREE, TOLERANCE, UNCERTAIN, free_names, parameters_of, point_of
+from nermo_mjx.experiments.identification import (
+    CASES,
+    START,
+    TARGETS,
+    IdentificationSearch,
+    identify,
+    objective,
+    speed_figures,
+)
 from nermo_mjx.robot.identified import read_ensemble
 from nermo_mjx.robot.model_parameters import ModelParameters
 from nermo_mjx.robot.quantity import ParameterError, quantities
@@ -70,8 +78,8 @@ def test_the_free_parameters_are_the_bodys_and_their_bounds_are_allowed():
 
 def test_the_contact_of_the_soles_is_not_searched():
     """It is the author's; frictions are uncertain, about the defaults, but no search bends them to the speeds."""
-    assert set(START) == set(names(FREE))
-    assert not [name for name in names(FREE) if name.startswith("contact.")]
+    assert set(START) == set(free_names(FREE))
+    assert not [name for name in free_names(FREE) if name.startswith("contact.")]
     defaults = Setup().defaults()
     for free in UNCERTAIN.values():
         assert free.low < defaults[free.names[0]] < free.high
@@ -81,7 +89,7 @@ def test_figures_are_ratios_of_the_right_speeds():
     """Speeds that are all different: each figure is checked against a ratio written out here."""
     cases = [tuple(case.labels.values()) for case in CASES]
     speed = {case: 0.05 + 0.01 * i for i, case in enumerate(cases)}
-    found = figures(np.array([[speed[case] for case in cases]]))
+    found = speed_figures(np.array([[speed[case] for case in cases]]))
     expected = {
         "trt, 0.8 Hz, over theory": speed["trt", 0.8, False] / 0.096,
         "trt, 0.5 Hz, spine over none": speed["trt", 0.5, True] / speed["trt", 0.5, False],
@@ -132,24 +140,24 @@ SMALL = {"samples": 16, "generations": 12, "population": 8, "seed": 3}
 
 
 def test_the_search_finds_a_known_optimum_and_is_the_same_again(pretended):
-    found = identify(Search(**SMALL, bodies=0))
+    found = identify(IdentificationSearch(**SMALL, bodies=0))
     assert found.parameters["servo.kp"] == pytest.approx(9.0, rel=0.02)
     assert found.objective < found.start
     assert found.objective == min(found.costs)
     assert found.bodies is None
-    assert identify(Search(**SMALL, bodies=0)).parameters == found.parameters
+    assert identify(IdentificationSearch(**SMALL, bodies=0)).parameters == found.parameters
 
 
 def test_the_ensemble_is_within_tolerance_and_bounds_and_begins_with_the_best(pretended):
     """The pretended region is known: |(ln kp/9, ln friction/1.4)| is at most what 0.5 allows, whatever the rest."""
-    found = identify(Search(**SMALL, bodies=64, sweeps=3))
+    found = identify(IdentificationSearch(**SMALL, bodies=64, sweeps=3))
     bodies, defaults = found.bodies, Setup().defaults()
     assert bodies.tolerance == TOLERANCE == 0.5
     assert len(bodies.objective) == 64
     assert bodies.objective.max() <= TOLERANCE
     assert bodies.weights.sum() == pytest.approx(1.0)
     first = {name: column[0] for name, column in bodies.values.items()}
-    assert first == found.parameters | {name: defaults[name] for name in names(UNCERTAIN)}
+    assert first == found.parameters | {name: defaults[name] for name in free_names(UNCERTAIN)}
     assert bodies.objective[0] == found.objective
     for free in ALL.values():
         for name in free.names:
@@ -168,13 +176,13 @@ def test_the_set_up_of_the_tests_is_searched_from_the_authors_values_in_the_publ
         asked.append(values),
         inherited(self, values, run),
     )[1]
-    found = identify(Search(**SMALL, bodies=0, profile="as_published"))
+    found = identify(IdentificationSearch(**SMALL, bodies=0, profile="as_published"))
     first = {name: float(values[0]) for name, values in asked[0].items()}
     assert (first["servo.kp"], first["damping.spine"], first["stance.rear_z"]) == (60.0, 0.01, -0.042)
     assert (first["tracking.clock_ratio"], first["pilot.error_gain"], first["servo.torque_limit"]) == (0.4, 0.0, 0.4)
     assert found.start_figures["trt, 0.8 Hz, over theory"][0] == pytest.approx(0.36 * 60 / 9, rel=1e-3)
     with pytest.raises(ParameterError, match="profile is 'as_built'"):
-        Search(profile="as_built")
+        IdentificationSearch(profile="as_built")
 
 
 def test_an_ensemble_of_none_is_told_and_not_written(pretended, tmp_path):
@@ -236,7 +244,11 @@ def test_who_walks_the_candidates_and_when_does_not_matter(pretended, tmp_path):
         table = pq.read_table(tmp_path / name / "results")
         assert len(part_files(tmp_path / name)) == sum(others.at_hand)
         assert sorted(table["row"].to_pylist()) == list(range(table.num_rows))
-        assert identification.status(tmp_path / name).rows_done == table.num_rows // len(CASES) > len(ours["costs"])
+        assert (
+            identification.identification_status(tmp_path / name).rows_done
+            == table.num_rows // len(CASES)
+            > len(ours["costs"])
+        )
 
 
 def test_workers_that_are_lost_leave_what_they_walked(pretended, tmp_path):
@@ -266,7 +278,7 @@ def test_candidates_of_an_earlier_version_are_refused(tmp_path):
     (tmp_path / "candidates.jsonl").write_text("{}\n")
     with pytest.raises(DirectoryError, match="holds candidates of an earlier version: choose another directory"):
         identification.run_identification(tmp_path, engine="c")
-    assert identification.status(tmp_path).notes == ("Its candidates are of an earlier version.",)
+    assert identification.identification_status(tmp_path).notes == ("Its candidates are of an earlier version.",)
 
 
 def test_candidates_of_other_code_are_refused_until_they_are_accepted(pretended, tmp_path, monkeypatch):
@@ -346,6 +358,6 @@ def test_quantiles_and_correlations_are_weighted():
 )
 def test_a_search_too_small_is_refused(name, least):
     with pytest.raises(ParameterError, match=f"{name} is {least - 1 or -1}: allowed is {least} or more"):
-        Search(**{name: least - 1 or -1})
+        IdentificationSearch(**{name: least - 1 or -1})
     with pytest.raises(ParameterError, match="tolerance is 0: allowed is more than 0"):
-        Search(tolerance=0.0)
+        IdentificationSearch(tolerance=0.0)

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from nermo_mjx.experiments.ensemble import sample, thin
+from nermo_mjx.experiments.ensemble import sample_bodies, thin
 
 pytestmark = pytest.mark.compiles
 
@@ -17,7 +17,7 @@ def ball(radius, centre):
 
 def drawn(radius, seed, **more):
     settings = {"tolerance": 0.5, "size": 256, "sweeps": 5, "seed": seed} | more
-    return sample(ball(radius, np.full(6, 0.5)), 6, **settings)
+    return sample_bodies(ball(radius, np.full(6, 0.5)), 6, **settings)
 
 
 @pytest.mark.parametrize("radius", [0.5, 0.35])
@@ -39,7 +39,9 @@ def test_share_and_moments_of_a_ball(radius):
 def test_a_corner_that_is_cut_off_by_the_cube_is_covered_evenly():
     """Half a ball against a side: the mean height over a flat side of a half ball in six dimensions is known."""
     radius, centre = 0.4, np.array([0.0, 0.5, 0.5, 0.5, 0.5, 0.5])
-    samples = [sample(ball(radius, centre), 6, tolerance=0.5, size=256, sweeps=5, seed=seed) for seed in range(12)]
+    samples = [
+        sample_bodies(ball(radius, centre), 6, tolerance=0.5, size=256, sweeps=5, seed=seed) for seed in range(12)
+    ]
     volume = math.pi**3 / 12 * radius**6
     # Mean of x over a half ball in d dimensions: r V(d-1) / ((d+1) V(d) / 2), V of unit balls.
     height = radius * (8 * math.pi**2 / 15) / (7 * math.pi**3 / 12)
@@ -60,7 +62,7 @@ def test_two_regions_apart_are_both_found_in_their_proportion():
     def objective(points):
         return np.minimum(ball(0.3, np.array([0.3, 0.3]))(points), ball(0.2, np.array([0.8, 0.8]))(points))
 
-    found = sample(objective, 2, tolerance=0.5, size=256, sweeps=5, seed=1)
+    found = sample_bodies(objective, 2, tolerance=0.5, size=256, sweeps=5, seed=1)
     large = found.points[:, 0] + found.points[:, 1] < 1.1
     assert found.weights[large].sum() == pytest.approx(9 / 13, abs=0.05)
 

@@ -55,7 +55,7 @@ def jobs() -> dict[str, Callable[[Path], pa.Table]]:
 
     name = next(iter(EXPERIMENTS))
     EXPERIMENTS[name] = Fake(name).experiment()
-    plots.figures_of = lambda outcome, lines: []  # type: ignore[assignment, return-value]
+    plots.figures_of_experiment = lambda outcome, lines: []  # type: ignore[assignment, return-value]
 
     class Walker:
         """Speeds of all walks of a candidate, by its gain."""

@@ -32,8 +32,8 @@ GEOMETRIES = [pytest.param(FRONT_LEG, id="front"), pytest.param(REAR_LEG, id="re
 #: Hip angles of the tests [rad]: well beyond the robot's +-0.7.
 HIP = 1.5
 
-forward = jax.jit(kin.forward, static_argnames="routing")
-inverse = jax.jit(kin.inverse, static_argnames="routing")
+forward = jax.jit(kin.forward_kinematics, static_argnames="routing")
+inverse = jax.jit(kin.inverse_kinematics, static_argnames="routing")
 jacobian = jax.jit(kin.jacobian, static_argnames="routing")
 knee_range = jax.jit(leg_module.knee_range, static_argnames="routing")
 knee_servo = jax.jit(kin.knee_servo, static_argnames="routing")
@@ -289,7 +289,7 @@ def test_legs_and_batches_broadcast():
     legs = kin.four_legs(ROBOT)
     feet = np.array([0.0, -0.045]) + np.random.default_rng(2).uniform(-0.01, 0.01, (5, 4, 2))
     together = inverse(legs, feet, routing="type2")
-    mapped = jax.jit(jax.vmap(lambda foot: kin.inverse(legs, foot, "type2")))(feet)
+    mapped = jax.jit(jax.vmap(lambda foot: kin.inverse_kinematics(legs, foot, "type2")))(feet)
     for limb, geometry in enumerate((FRONT_LEG, FRONT_LEG, REAR_LEG, REAR_LEG)):
         alone = inverse(kin.leg_of(geometry), feet[:, limb], routing="type2")
         np.testing.assert_allclose(together.servo[:, limb], alone.servo, atol=1e-6)
@@ -303,8 +303,8 @@ def everything(values):
     legs = kin.four_legs(ROBOT)
 
     def results(values):
-        poses = [kin.forward(legs, values, routing) for routing in ROUTINGS]
-        solutions = [kin.inverse(legs, values, routing) for routing in ROUTINGS]
+        poses = [kin.forward_kinematics(legs, values, routing) for routing in ROUTINGS]
+        solutions = [kin.inverse_kinematics(legs, values, routing) for routing in ROUTINGS]
         return [(p.foot, p.knee_angle) for p in poses], [(s.servo, s.knee_angle, s.foot) for s in solutions]
 
     def total(values):

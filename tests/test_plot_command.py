@@ -18,8 +18,8 @@ from tune_fake import SPEC as TUNE_SPEC
 from tune_fake import FakeProblem, FakeWalker
 
 from nermo_mjx.cli.directories import KINDS, RECORDING, Kind
-from nermo_mjx.experiments.plots import figures_of
-from nermo_mjx.experiments.published import compare
+from nermo_mjx.experiments.plots import figures_of_experiment
+from nermo_mjx.experiments.published import published_lines
 from nermo_mjx.experiments.run import Directory
 from nermo_mjx.optimize import Tuning, run_landscape, run_tuning
 from nermo_mjx.plotting.files import write_figures
@@ -180,8 +180,8 @@ def test_a_directory_of_experiments_is_drawn_again(tmp_path: Path) -> None:
         held.note_session({})
     result = plot(out)
     assert result.exit_code == 0, result.stderr
-    lines = compare(outcome)
-    made = write_figures(figures_of(outcome, lines), tmp_path / "drawn")
+    lines = published_lines(outcome)
+    made = write_figures(figures_of_experiment(outcome, lines), tmp_path / "drawn")
     assert len(made) > 6
     assert content(out / "plots") == content(tmp_path / "drawn")
     # A picture that a user has changed is kept.

@@ -12,7 +12,7 @@ import pytest
 from matplotlib.collections import PolyCollection
 from matplotlib.image import imread
 
-from nermo_mjx.kinematics.leg import forward, four_legs
+from nermo_mjx.kinematics.leg import forward_kinematics, four_legs
 from nermo_mjx.plotting.files import FORMATS, write_figures
 from nermo_mjx.plotting.style import STYLE
 from nermo_mjx.robot import LIMBS, load_robot
@@ -176,7 +176,7 @@ def test_the_leg_frame_is_that_of_the_leg_kinematics(recording: Recording) -> No
     """A model's leg at taut servo angles has its foot where the closed form has it, however the torso stands."""
     robot = load_robot()
     joints, servo = robot.joints, np.array([[0.5, 0.3], [0.2, 0.1], [-0.4, 0.2], [-0.8, 0.4]])
-    pose = forward(four_legs(ROBOT), servo, "type3")
+    pose = forward_kinematics(four_legs(ROBOT), servo, "type3")
     qpos = np.tile(robot.model.qpos0, (2, 1))
     qpos[:, joints.hip], qpos[:, joints.pulley] = servo[:, 0], servo[:, 1]
     qpos[:, np.ravel(joints.knee)] = np.asarray(pose.knee_angle)

@@ -334,7 +334,7 @@ REFUSED: dict[Callable[[Any], Any], list[tuple[Any, str]]] = {
     choose_devices: [(each, f"devices is {each}: allowed is 1 to {DEVICES}, ") for each in (0, -1, 100)],
     assemble_leg: [("tail", "limb is 'tail': allowed is one of front_left, ")],
     lambda solve: solve(leg.leg_of(FRONT_LEG), np.zeros(2), "type4"): [
-        (solve, "type4.*type1, type2, type3") for solve in (leg.forward, leg.inverse)
+        (solve, "type4.*type1, type2, type3") for solve in (leg.forward_kinematics, leg.inverse_kinematics)
     ],
     lambda values: compile_model(load_robot(), values): [({"contact.glue": 1.0}, "contact.glue is not a parameter.")],
     resolve_engine: [("mujoco", "engine is 'mujoco': allowed is one of auto, c, mjx, warp.")],

@@ -69,7 +69,7 @@ def random_pose(robot: Robot, rng: np.random.Generator) -> tuple[mujoco.MjData, 
 def solve(geometry: LegGeometry, foot: np.ndarray, routing: str) -> leg.LegSolution:
     """The leg's inverse kinematics in double precision, leaves in numpy."""
     with jax.enable_x64(True):
-        return jax.tree.map(np.asarray, leg.inverse(leg.leg_of(geometry), foot, routing))
+        return jax.tree.map(np.asarray, leg.inverse_kinematics(leg.leg_of(geometry), foot, routing))
 
 
 def seen_from(data: mujoco.MjData, origin: np.ndarray, matrix: np.ndarray, site: str) -> np.ndarray:

@@ -17,7 +17,7 @@ from command import call, json_of
 
 from nermo_mjx import SERVOS, Run, ServoTable, Setup, Simulator, load_robot, servo_table
 from nermo_mjx.hardware import recorded_table, send_table
-from nermo_mjx.kinematics.leg import four_legs, inverse
+from nermo_mjx.kinematics.leg import four_legs, inverse_kinematics
 from nermo_mjx.robot import ParameterError
 from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.parameters import servo_range
@@ -72,7 +72,7 @@ def test_a_servo_is_where_the_leg_needs_it_at_the_end_of_stance() -> None:
     # The stance of front left begins at phase 0.5: its foot is half a stride ahead of its neutral place.
     place = np.array([-0.005 - 0.03, -0.045])
     leg = four_legs(ROBOT)
-    servo = np.degrees(np.asarray(inverse(leg, np.broadcast_to(place, (4, 2)), "type3").servo))[0]
+    servo = np.degrees(np.asarray(inverse_kinematics(leg, np.broadcast_to(place, (4, 2)), "type3").servo))[0]
     assert table.angles[50, 0] == pytest.approx(servo[0], abs=0.05)
     assert half[SERVOS.index("front_left_knee")] == pytest.approx(servo[1], abs=0.05)
 

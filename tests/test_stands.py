@@ -70,7 +70,7 @@ def test_servo_angles_put_the_foot_where_the_kinematics_says(limb, routing):
     for y, z in itertools.product(STRIDE, HEIGHTS):
         foot = np.add(NEUTRAL[pair], (y, z))
         with jax.enable_x64(True):
-            solution = jax.tree.map(np.asarray, leg.inverse(numbers, foot, routing))
+            solution = jax.tree.map(np.asarray, leg.inverse_kinematics(numbers, foot, routing))
         servo = solution.servo
         assert solution.reachable
         # The knee's servo must reach the whole box; the hip's may miss its far corners (1.62 rad) by a hair.

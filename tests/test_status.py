@@ -176,7 +176,7 @@ def test_an_experiment_that_was_killed_while_it_drew_is_not_complete(
         raise KeyboardInterrupt
 
     with monkeypatch.context() as drawing:
-        drawing.setattr(plots, "figures_of", killed)
+        drawing.setattr(plots, "figures_of_experiment", killed)
         with pytest.raises(Interrupted):
             run_experiments(["turning"], tmp_path, engine="c", video=False)
     assert known(said(tmp_path)) == ("experiments", None, 18, False)
@@ -213,7 +213,7 @@ def test_an_identification_counts_its_candidates(tmp_path: Path, monkeypatch: py
         raise KeyboardInterrupt
 
     with monkeypatch.context() as drawing:
-        drawing.setattr(identification, "figures_of", killed)
+        drawing.setattr(identification, "figures_of_identification", killed)
         with pytest.raises(KeyboardInterrupt):
             identification.run_identification(tmp_path, **settings)
     assert known(said(tmp_path)) == ("identification", None, 21, False)

@@ -36,7 +36,7 @@ from nermo_mjx.cli.directories import KINDS
 from nermo_mjx.control import protocol
 from nermo_mjx.control.schedule import Switch
 from nermo_mjx.experiments import identification
-from nermo_mjx.experiments.cases import Outcome
+from nermo_mjx.experiments.cases import CaseRuns
 from nermo_mjx.experiments.report import table_of
 from nermo_mjx.experiments.run import EXPERIMENTS, Directory
 from nermo_mjx.files import FileError, read_bytes
@@ -396,7 +396,7 @@ def kinds_of_files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[
     (experiments.out / "results").mkdir(parents=True)
     about = {"started": "2026-01-01", "engine": "c", "recordings": {}, "code": "0"}
     name = "free_gait" if "free_gait" in EXPERIMENTS else next(iter(EXPERIMENTS))
-    table = table_of(Outcome(name, columns, ABOUT, {}), {"about": json.dumps(about)}, "0")
+    table = table_of(CaseRuns(name, columns, ABOUT, {}), {"about": json.dumps(about)}, "0")
     pq.write_table(table, experiments.path(name))
     pq.write_table(pa.table({"frequency": [0.5, 0.8]}), top / "rows.parquet")
     part = next((sweep / "results").glob("*.parquet"))
@@ -440,7 +440,7 @@ def kinds_of_files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[
         "identification.json": (
             _file(identified / identification.RESULT, IDENTIFIED),
             text,
-            lambda: (identification.status(identified), identification.drawn(identified)),
+            lambda: (identification.identification_status(identified), identification.drawn(identified)),
         ),
         "experiment": (experiments.path(name), table_like, kind("experiments", experiments.out)),
         "part": (part, table_like, lambda: (read_table(sweep), Results([part]), sweep_status(sweep), runs_of(sweep))),

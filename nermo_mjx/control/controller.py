@@ -32,7 +32,7 @@ from nermo_mjx.control.protocol import leg_servos
 from nermo_mjx.control.spine_modes import SagittalLike, SagittalModes, SpineLike, SpineModes
 from nermo_mjx.control.stepping import FREE, FreeStepping, GaitLike, Stepping
 from nermo_mjx.kinematics.body import attitude, rear_foot_rise
-from nermo_mjx.kinematics.leg import four_legs, inverse
+from nermo_mjx.kinematics.leg import four_legs, inverse_kinematics
 from nermo_mjx.kinematics.spine import joint_angle
 from nermo_mjx.robot.geometry import Geometry, geometry_of, names_geometry
 from nermo_mjx.robot.masses import MassModel
@@ -425,7 +425,7 @@ def _reachable(paths: _Paths, routing: str) -> Bool[Array, "batch 4"]:
     down = jnp.asarray([True, False])[:, None, None]
     points = trajectory.nominal_points(stance, jnp.broadcast_to(down, (2, *each.shape)), each)
     path = trajectory.foot_position(points[:, None], progress)
-    return jnp.all(inverse(four_legs(geometry), path, routing).reachable, axis=(0, 1))
+    return jnp.all(inverse_kinematics(four_legs(geometry), path, routing).reachable, axis=(0, 1))
 
 
 def _sentence(paths: _Paths, params: ControlParameters, limb: int, routing: str) -> str:

@@ -27,7 +27,7 @@ from jaxtyping import Bool, Float
 
 from nermo_mjx.control.path import PathPoint
 from nermo_mjx.files import MOST_ARRAYS, MOST_JSON, read_bytes
-from nermo_mjx.kinematics.leg import four_legs, inverse
+from nermo_mjx.kinematics.leg import four_legs, inverse_kinematics
 from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.parameters import Sensors, ServoAngles
 from nermo_mjx.robot.quantity import ParameterError, did_you_mean
@@ -133,7 +133,7 @@ def leg_servos(
         geometry: of the robot, by default the published one. If a controller's parameters have a group `geometry:
             Geometry`, it receives that of its world.
     """
-    servo = inverse(four_legs(geometry or Geometry()), feet, routing).servo
+    servo = inverse_kinematics(four_legs(geometry or Geometry()), feet, routing).servo
     spine = jnp.asarray(spine, servo.dtype)
     rest = jnp.zeros_like(spine)
     return ServoAngles(hip=servo[..., 0], knee=servo[..., 1], spine=spine, neck=rest, tail=rest)

@@ -23,10 +23,10 @@ from scipy.spatial.transform import Rotation
 
 from nermo_mjx.control import spine_modes
 from nermo_mjx.control.parameters import AS_BUILT, ControlParameters, Spine, body_values
-from nermo_mjx.experiments.cases import BODY, Outcome, Settings, clock
+from nermo_mjx.experiments.cases import BODY, CaseRuns, Settings, clock
 from nermo_mjx.kinematics import body as kinematics
 from nermo_mjx.kinematics.body import attitude, diagonal_distance, hips, shoulders
-from nermo_mjx.kinematics.leg import forward, four_legs, inverse
+from nermo_mjx.kinematics.leg import forward_kinematics, four_legs, inverse_kinematics
 from nermo_mjx.kinematics.spine import joint_angle
 from nermo_mjx.physics import Variation, make_engine
 from nermo_mjx.physics.variation import compile_model
@@ -143,7 +143,7 @@ class BalanceLoop:
 
     def spine_servo(self, params: BalanceParameters) -> Float[Array, ""]:
         """Servo angle that balances the robot on the three other feet [rad] (5.35, 5.45); 0 without SBC."""
-        feet = forward(four_legs(Geometry()), STANCE, ROUTING).foot
+        feet = forward_kinematics(four_legs(Geometry()), STANCE, ROUTING).foot
         angle = spine_modes.balance(
             params.spine, self.robot.mass_model, feet, jnp.asarray(params.lifted) < 0.5, Geometry()
         )
@@ -159,7 +159,7 @@ class BalanceLoop:
         lifted = jnp.asarray(params.lifted)[:, None]
         legs = four_legs(Geometry())
         shift = (1.0 - lifted) * spine_modes.compensation(params.spine, spine, Geometry())
-        level = inverse(legs, forward(legs, STANCE, ROUTING).foot + shift, ROUTING).servo
+        level = inverse_kinematics(legs, forward_kinematics(legs, STANCE, ROUTING).foot + shift, ROUTING).servo
         # Exactly the stance if there is nothing to compensate: a round trip through the foot would lose some digits.
         stance = jnp.where(shift[:, 1:] == 0.0, jnp.asarray(STANCE, level.dtype), level)
         angles = stance + (1.0 - during(time, "stand")) * params.start
@@ -203,13 +203,13 @@ def start_pose(robot: Robot, start: Nudge) -> np.ndarray:
     """Positions (nq,): heading -y, the four soles of the neutral stance level with the ground, then perturbed."""
     legs = four_legs(Geometry())
     axes = np.concatenate([shoulders(Geometry()), hips(0.0, Geometry())]).astype(float)
-    neutral = _soles(axes, np.asarray(forward(legs, STANCE, ROUTING).foot, float))
+    neutral = _soles(axes, np.asarray(forward_kinematics(legs, STANCE, ROUTING).foot, float))
     # Front and rear legs differ in length, so the torso pitches by a fraction of a degree when all four feet stand.
     pitch = math.atan2(neutral[0, 2] - neutral[2, 2], neutral[2, 1] - neutral[0, 1])
 
     servo = STANCE + start.servo
     eased = servo + np.stack([np.zeros(4), legs.servo_direction * TAUT / legs.pulley_radius], axis=-1)
-    pose = forward(legs, eased, ROUTING)
+    pose = forward_kinematics(legs, eased, ROUTING)
     attitude = Rotation.from_euler("ZXY", start.turn[[2, 0, 1]] + np.array([0.0, pitch, 0.0]))
     lowest = attitude.apply(_soles(axes, np.asarray(pose.foot, float)))[:, 2].min()
     radius = robot.model.geom(f"{LIMBS[0]}_sole").size[0]
@@ -245,7 +245,9 @@ def tip_angle() -> float:
     of the level stance: 0.20 rad in front, 0.15 rad behind. The smaller one is used for all cases.
     """
     feet, raised = (
-        np.asarray(forward(four_legs(Geometry()), STANCE + [[0.0, q2] for q2 in change], ROUTING).foot, float)
+        np.asarray(
+            forward_kinematics(four_legs(Geometry()), STANCE + [[0.0, q2] for q2 in change], ROUTING).foot, float
+        )
         for change in (np.zeros(4), COMPRESSION)
     )
     axes = np.concatenate([shoulders(Geometry()), hips(0.0, Geometry())])
@@ -275,7 +277,7 @@ def inside(limb: int, com: Float[np.ndarray, "T 3"], feet: Float[np.ndarray, "T 
     return np.asarray(diagonal_distance(com, front, rear) * np.sign(side), float)
 
 
-def centre_of_mass(model: mujoco.MjModel, qpos: Float[np.ndarray, "T nq"]) -> Float[np.ndarray, "T 3"]:
+def measured_centre_of_mass(model: mujoco.MjModel, qpos: Float[np.ndarray, "T nq"]) -> Float[np.ndarray, "T 3"]:
     """Centre of mass of the whole robot [m], from the simulated model."""
     data, com = mujoco.MjData(model), np.full((len(qpos), 3), np.nan)
     root = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, "torso")
@@ -301,7 +303,7 @@ def readings(
     orientation = np.asarray(sensors["orientation"], float)
     roll, pitch, _ = np.asarray(attitude(jnp.asarray(orientation)), float).T
     up = 1.0 - 2.0 * (orientation[:, 1] ** 2 + orientation[:, 2] ** 2)
-    com = centre_of_mass(model, qpos)
+    com = measured_centre_of_mass(model, qpos)
     return {
         "roll": roll,
         "pitch": pitch,
@@ -374,7 +376,7 @@ SETTABLE: Final = frozenset(SPINE_NAMES) | {
 OFFSET_COMPENSATION: Final = 1.0
 
 
-def run(settings: Settings) -> Outcome:
+def run(settings: Settings) -> CaseRuns:
     """Run the balance experiment.
 
     The recordings also hold `readings` as sensors, and in their metadata `phases`: begin and end of each phase in
@@ -443,7 +445,7 @@ def run(settings: Settings) -> Outcome:
     def posture(params: BalanceParameters) -> tuple[jax.Array, jax.Array]:
         """Feet in the stance, and the angle of each world's spine joints."""
         bends = joint_angle(jax.vmap(loop.spine_servo)(params), Geometry())
-        return forward(four_legs(Geometry()), STANCE, ROUTING).foot, bends
+        return forward_kinematics(four_legs(Geometry()), STANCE, ROUTING).foot, bends
 
     feet, bends = (np.asarray(each) for each in posture(params))
 
@@ -493,4 +495,4 @@ def run(settings: Settings) -> Outcome:
             poses, speeds, ctrl = (trace[i : i + 1, :length] for trace in traces)
             history = History(time, poses, speeds, ctrl, world)
             recordings[case] = recording_of(history, model, metadata=metadata)
-    return Outcome.of("balance", {name: np.array([row[name] for row in rows]) for name in rows[0]}, recordings)
+    return CaseRuns.of("balance", {name: np.array([row[name] for row in rows]) for name in rows[0]}, recordings)

@@ -64,7 +64,7 @@ def columns_about(experiment: str) -> dict[str, Column]:
 
 
 @dataclasses.dataclass(frozen=True)
-class Outcome:
+class CaseRuns:
     """All worlds of one experiment, all profiles in one table.
 
     Attributes:
@@ -83,7 +83,7 @@ class Outcome:
     @classmethod
     def of(
         cls, experiment: str, columns: Mapping[str, np.ndarray], recordings: Mapping[str, Recording] | None = None
-    ) -> Outcome:
+    ) -> CaseRuns:
         """The outcome of a published experiment, whose columns have their known meanings."""
         about = columns_about(experiment)
         return cls(experiment, columns, {name: about[name] for name in columns}, recordings or {})
@@ -106,7 +106,7 @@ class Outcome:
         values = np.asarray(self.columns[column], float)[self.where(**wanted)]
         return float(values.mean()) if len(values) else float("nan")
 
-    def only(self, **wanted: object) -> Outcome:
+    def only(self, **wanted: object) -> CaseRuns:
         """The rows selected by `where`, without recordings."""
         rows = self.where(**wanted)
         columns = {name: values[rows] for name, values in self.columns.items()}
@@ -243,12 +243,12 @@ def check_whole(name: str, value: Any, least: int) -> None:
         raise ParameterError(f"{name} is {value!r}: allowed is a whole number of at least {least}.")
 
 
-def in_each_robot(run: Callable[[Settings], Outcome], settings: Settings) -> Outcome:
+def in_each_robot(run: Callable[[Settings], CaseRuns], settings: Settings) -> CaseRuns:
     """An experiment in all profiles; those that have different robots are simulated one after the other."""
     alike: dict[str, list[str]] = {}
     for profile in settings.profiles:
         alike.setdefault(str(robot_choices(profile)), []).append(profile)
-    parts: list[Outcome] = []
+    parts: list[CaseRuns] = []
     for profiles in alike.values():
 
         def tell(done: float, before: int = len(parts)) -> None:
@@ -259,7 +259,7 @@ def in_each_robot(run: Callable[[Settings], Outcome], settings: Settings) -> Out
     order = np.argsort([PROFILES.index(profile) for profile in columns["profile"]], kind="stable")
     columns = {name: column[order] if len(parts) > 1 else column for name, column in columns.items()}
     recordings = {name: made for part in reversed(parts) for name, made in part.recordings.items()}
-    return Outcome.of(parts[0].experiment, columns, recordings)
+    return CaseRuns.of(parts[0].experiment, columns, recordings)
 
 
 @dataclasses.dataclass(frozen=True)

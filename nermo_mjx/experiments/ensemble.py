@@ -32,8 +32,8 @@ from scipy.spatial.distance import cdist
 from scipy.stats import qmc
 
 from nermo_mjx.experiments.cases import texts
-from nermo_mjx.experiments.report import number
-from nermo_mjx.plotting.charts import Page
+from nermo_mjx.experiments.report import rounded
+from nermo_mjx.plotting.charts import FigurePage
 from nermo_mjx.plotting.style import BAND, BEST, COLOURS, INK, LINE, MUTED, SMALL
 from nermo_mjx.robot.model_parameters import ModelParameters
 from nermo_mjx.robot.quantity import quantities
@@ -88,7 +88,7 @@ def point_of(parameters: Mapping[str, float], space: Mapping[str, Free] = FREE) 
     return np.clip(shares, 0.0, 1.0)
 
 
-def names(space: Mapping[str, Free] = ALL) -> tuple[str, ...]:
+def free_names(space: Mapping[str, Free] = ALL) -> tuple[str, ...]:
     """Every model parameter of a space, in order."""
     return tuple(name for free in space.values() for name in free.names)
 
@@ -104,7 +104,7 @@ _INSIDE: Final = 20_000
 
 
 @dataclasses.dataclass(frozen=True)
-class Sample:
+class EnsembleSample:
     """Points within the tolerance.
 
     Attributes:
@@ -165,7 +165,7 @@ class _Mixture:
         return self.centres[chosen] + random.standard_normal((n, self.centres.shape[1])) @ self.root.T
 
 
-def sample(
+def sample_bodies(
     evaluate: Callable[[np.ndarray], np.ndarray],
     dimension: int,
     *,
@@ -174,7 +174,7 @@ def sample(
     sweeps: int,
     seed: int,
     seeds: np.ndarray | None = None,
-) -> Sample:
+) -> EnsembleSample:
     """Sample the region until the effective sample size reaches `size`, or for the given number of sweeps.
 
     Args:
@@ -209,10 +209,10 @@ def sample(
     ]
     taken = weights[within]
     share, total = float(np.sum(taken) / len(points)), taken.sum() or 1.0
-    return Sample(points[within], costs[within], taken / total, rounds, share, _effective(taken))
+    return EnsembleSample(points[within], costs[within], taken / total, rounds, share, _effective(taken))
 
 
-def thin(sample: Sample, n: int, seed: int) -> Sample:
+def thin(sample: EnsembleSample, n: int, seed: int) -> EnsembleSample:
     """At most n of the points, selected roughly in proportion to weight, so that the remaining weights are similar."""
     if len(sample.points) <= n:
         return sample
@@ -265,7 +265,7 @@ class Bodies:
     objective: np.ndarray
     weights: np.ndarray
     tolerance: float
-    found: Sample
+    found: EnsembleSample
 
 
 # --- an ensemble in identification.json, in ensemble.csv, and as a section to read
@@ -356,8 +356,10 @@ def ensemble_section(content: Mapping[str, Any]) -> str:
     for name, about in ensemble["parameters"].items():
         unit = "" if units.get(name, "1") == "1" else f" [{units[name]}]"
         bounds = f"{about['low']:g} to {about['high']:g}"
-        default = number(ensemble["bodies"][name][0])
-        rows.append([", ".join(about["names"]) + unit, *map(number, about["quantiles"]), default, bounds, about["why"]])
+        default = rounded(ensemble["bodies"][name][0])
+        rows.append(
+            [", ".join(about["names"]) + unit, *map(rounded, about["quantiles"]), default, bounds, about["why"]]
+        )
     sweeps = [
         [
             str(i) if i else "even",
@@ -411,7 +413,7 @@ def ensemble_figure(content: Mapping[str, Any]) -> Figure:
     order = np.argsort(-objective, kind="stable")  # the best on top
     units = {name: about.unit for name, about in quantities(ModelParameters)}
     labels = [f"{_SHORT.get(name, name.replace('.', chr(10), 1))}\n[{units.get(name, '1')}]" for name in names]
-    page = Page("Bodies that walk as published within the tolerance", (_PANEL * n + 0.9, _PANEL * n + 0.9), n, n)
+    page = FigurePage("Bodies that walk as published within the tolerance", (_PANEL * n + 0.9, _PANEL * n + 0.9), n, n)
     for i, j in itertools.product(range(n), range(n)):
         ax: Axes = page.axes[i, j]
         if j > i:

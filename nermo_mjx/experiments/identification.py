@@ -26,8 +26,8 @@ from scipy.stats import qmc
 
 from nermo_mjx.control.parameters import AS_PUBLISHED_BODY, body_values, robot_choices
 from nermo_mjx.experiments import ensemble
-from nermo_mjx.experiments.cases import AMPLITUDE, Case, Column, Outcome, Settings, columns_about, texts, worlds
-from nermo_mjx.experiments.report import REPEAT, number, published_text, table_of
+from nermo_mjx.experiments.cases import AMPLITUDE, Case, CaseRuns, Column, Settings, columns_about, texts, worlds
+from nermo_mjx.experiments.report import REPEAT, published_text, rounded, table_of
 from nermo_mjx.files import FileError, json_of
 from nermo_mjx.optimize.methods import strategy
 from nermo_mjx.physics.making import resolve_engine
@@ -40,7 +40,7 @@ from nermo_mjx.robot.quantity import choice, quantities
 from nermo_mjx.rollout import Run, Setup
 from nermo_mjx.runs import RunDirectory, Written, codes_of, engine_of, session
 from nermo_mjx.runs.code import CodeStamp
-from nermo_mjx.runs.directory import Session
+from nermo_mjx.runs.directory import SessionRecord
 from nermo_mjx.runs.files import (
     MISSING,
     DirectoryError,
@@ -106,7 +106,7 @@ _THEORY: Final = 0.096
 FAILED: Final = 10.0
 
 
-def figures(speed: np.ndarray) -> dict[str, np.ndarray]:
+def speed_figures(speed: np.ndarray) -> dict[str, np.ndarray]:
     """The figures of `TARGETS` from speeds of shape (candidates, cases)."""
     at = {tuple(case.labels.values()): speed[:, i] for i, case in enumerate(CASES)}
     return {name: at[one] / (_THEORY if other is None else at[other]) for name, (_, one, other) in _RATIOS.items()}
@@ -194,7 +194,7 @@ class Candidates:
             raise failed.error from None
         walks = np.array([self._known[key] for own in keys for key in own.tolist()])
         speed, walked = (column.reshape(len(points), -1) for column in walks.T)
-        found = figures(speed * self._cases.get("tracking.clock_ratio", 1.0))
+        found = speed_figures(speed * self._cases.get("tracking.clock_ratio", 1.0))
         return found, objective(found, np.logical_not(walked.all(axis=1)))
 
     def _store(self, keys: np.ndarray, named: Mapping[str, np.ndarray], found: Simulated) -> None:
@@ -207,7 +207,7 @@ class Candidates:
         columns = {"row": len(self._runs.numbers) + np.arange(count), **named, **labels, REPEAT: np.zeros(count, int)}
         units = {name: Column(about.unit, about.doc) for name, about in quantities(ModelParameters)}
         units |= {"row": Column("1", "position among the walks"), "case": Column("1", "which of a candidate's walks")}
-        outcome = Outcome(
+        outcome = CaseRuns(
             "identification",
             columns | metrics | {"status": found.status[:count]},
             columns_about("straight-line") | units,
@@ -256,7 +256,7 @@ class Identified:
 
 
 @dataclasses.dataclass(frozen=True)
-class Search:
+class IdentificationSearch:
     """Extent of the search.
 
     Attributes:
@@ -297,7 +297,7 @@ class Search:
 
 
 def identify(
-    wanted: Search,
+    wanted: IdentificationSearch,
     engine: str = "auto",
     runs: Runs | None = None,
     watch: Watch = SILENT,
@@ -355,7 +355,7 @@ def identify(
         # The first sweep also starts around the search's points within the tolerance, at the default frictions.
         near = points[costs <= tolerance]
         friction = np.tile(ensemble.point_of(defaults, ensemble.UNCERTAIN), (len(near), 1))
-        found = ensemble.sample(
+        found = ensemble.sample_bodies(
             lambda points: candidates.walk(points, space)[1],
             len(space),
             tolerance=tolerance,
@@ -367,7 +367,7 @@ def identify(
         with_best = bool(costs[least] <= tolerance)
         kept = ensemble.thin(found, bodies - with_best, seed)
         drawn, objectives, weights = ensemble.parameters_of(kept.points, space), kept.costs, kept.weights
-        values = {name: drawn[name] for name in ensemble.names(space)}
+        values = {name: drawn[name] for name in ensemble.free_names(space)}
         if with_best:  # it is the first, with the average weight of the others
             values = {name: np.append(best.get(name, defaults[name]), column) for name, column in values.items()}
             objectives = np.append(costs[least], objectives)
@@ -432,7 +432,7 @@ def run_identification(
     """
     resolve_engine(engine)
     folder = Path(out)
-    search = Search(**wanted)
+    search = IdentificationSearch(**wanted)
     settings = dataclasses.asdict(search)
     with RunDirectory(folder, "identification") as held, Written(held) as written, resumable(folder):
         if content := _result(folder):
@@ -466,7 +466,7 @@ def _publish(written: Written, content: dict[str, Any], watch: Watch) -> dict[st
     folder = written.held.out
     if content["ensemble"] and content["ensemble"]["size"]:
         written.write(folder / "ensemble.csv", ensemble.csv_text(content).encode())
-    plots = write_figures(figures_of(content), folder / "plots", written.write)
+    plots = write_figures(figures_of_identification(content), folder / "plots", written.write)
     content = content | {"plots": [written.name(path) for path in plots]}
     page = texts("report")["identification"].format(
         **content,
@@ -530,7 +530,7 @@ def target_rows(content: Mapping[str, Any]) -> list[list[str]]:
     for name, target in content["targets"].items():
         published, residual = target["published"], target["residual"]
         order = isinstance(published, list) and published[1] is None
-        values = [MISSING if target[key] is None else number(target[key]) for key in ("start", "value")]
+        values = [MISSING if target[key] is None else rounded(target[key]) for key in ("start", "value")]
         away = MISSING if residual is None else f"{residual + 0.0:+.2f}"
         text = f"at least {published[0]:g}" if order else published_text(published)
         rows.append([name, text, f"{target['tolerance']:.0%}", *values, away])
@@ -542,13 +542,13 @@ def parameter_rows(content: Mapping[str, Any]) -> list[list[str]]:
     rows = []
     for free in content["free"].values():
         names = ", ".join(free["parameters"]) + (f" [{free['unit']}]" if free["unit"] != "1" else "")
-        value = number(free["value"]) + (f" (at its {free['at_bound']} bound)" if free["at_bound"] else "")
+        value = rounded(free["value"]) + (f" (at its {free['at_bound']} bound)" if free["at_bound"] else "")
         default = ", ".join(dict.fromkeys(f"{value:g}" for value in free["default"]))
         rows.append([names, default, value, f"{free['low']:g} to {free['high']:g}", free["why"]])
     return rows
 
 
-def status(out: Path) -> Status:
+def identification_status(out: Path) -> Status:
     """Number of candidates that an identification has simulated."""
     notes, content = list[str](), stored_json(out / RESULT, _Content) or {}
     complete = "plots" in content  # comes last
@@ -571,7 +571,7 @@ def status(out: Path) -> Status:
 _SHOWN: Final = 2.0
 
 
-def figures_of(content: Mapping[str, Any]) -> Iterator[tuple[str, Figure]]:
+def figures_of_identification(content: Mapping[str, Any]) -> Iterator[tuple[str, Figure]]:
     """The figures of identification.json's content."""
     yield "identification-search", _search(content)
     yield "identification-residuals", _residuals(content)
@@ -588,7 +588,7 @@ def drawn(out: Path) -> Figures:
     content = _result(out)
     if content is None:
         raise DirectoryError(f"{out / RESULT} is missing: run the identification again.")
-    return figures_of(content)
+    return figures_of_identification(content)
 
 
 class _Target(BaseModel, extra="allow"):
@@ -624,7 +624,7 @@ class _Ensemble(BaseModel, extra="allow"):
     bodies: dict[str, list[FiniteFloat]] = Field(default_factory=dict)
 
 
-class _Content(Session):
+class _Content(SessionRecord):
     """What identification.json says, as far as it is read."""
 
     settings: _Settings

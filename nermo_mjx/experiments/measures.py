@@ -15,7 +15,7 @@ from typing import Any, Final
 import numpy as np
 
 from nermo_mjx.experiments import theory
-from nermo_mjx.experiments.cases import AMPLITUDE, FREQUENCIES, Outcome, clock
+from nermo_mjx.experiments.cases import AMPLITUDE, FREQUENCIES, CaseRuns, clock
 from nermo_mjx.experiments.walks import FULL_LOCK, GAITS, HARDWARE_STRIDE, STRATEGIES
 from nermo_mjx.robot.parameters import LEGS, LIMBS
 
@@ -34,7 +34,7 @@ class NotMeasured(Exception):
 class ProfileOutcome:
     """An outcome in one profile. A method that finds no such case, or no number, raises `NotMeasured`."""
 
-    def __init__(self, outcome: Outcome, profile: str) -> None:
+    def __init__(self, outcome: CaseRuns, profile: str) -> None:
         self._outcome, self._profile = outcome, profile
         self._clock, self._stride = clock(profile), HARDWARE_STRIDE if profile == "as_built" else 1.0
 

@@ -23,10 +23,10 @@ from matplotlib.patches import Patch, Polygon, Rectangle
 from matplotlib.ticker import FuncFormatter, MultipleLocator
 
 from nermo_mjx.experiments import walks
-from nermo_mjx.experiments.cases import PROFILES, SIMULATED, Outcome, clock, texts
+from nermo_mjx.experiments.cases import PROFILES, SIMULATED, CaseRuns, clock, texts
 from nermo_mjx.experiments.published import AGREES, Line
 from nermo_mjx.kinematics.body import attitude
-from nermo_mjx.plotting.charts import Page, horizontal_grid, light
+from nermo_mjx.plotting.charts import FigurePage, horizontal_grid, light
 from nermo_mjx.plotting.shown import shown as in_shown_unit
 from nermo_mjx.plotting.style import BEST, FOOT, GRID, INK, LINE, MISSING, MUTED, OKABE_ITO, SERIES, SHADE
 from nermo_mjx.recording import Recording
@@ -38,7 +38,7 @@ Case = Mapping[str, Any]
 Published = float | tuple[float, float] | None
 
 
-def figures_of(outcome: Outcome, lines: Lines) -> Iterator[tuple[str, Figure]]:
+def figures_of_experiment(outcome: CaseRuns, lines: Lines) -> Iterator[tuple[str, Figure]]:
     """(EXPERIMENT-PICTURE, figure) of each picture for which the outcome has data.
 
     Missing parts (a profile, a case, a recording) are left out of the figures.
@@ -84,7 +84,7 @@ def times(factor: float, value: Published) -> float | None:
     return factor * value if isinstance(value, float) else None
 
 
-def profiles(outcome: Outcome) -> list[str]:
+def profiles(outcome: CaseRuns) -> list[str]:
     """The simulated profiles of an outcome, `as_published` first; the few cases of `as_built` stand in the report."""
     found = set(map(str, outcome.columns["profile"]))
     return [name for name in reversed(SIMULATED) if name in found] or sorted(found)
@@ -200,7 +200,7 @@ class Bar:
         return len(self.good) < len(self.values)
 
 
-def repeats(outcome: Outcome, column: str, profile: str, **case: object) -> np.ndarray:
+def repeats(outcome: CaseRuns, column: str, profile: str, **case: object) -> np.ndarray:
     """Values of the repeats of one case in shown units (deg, mm, mm/s); times and speeds on the controller's clock.
 
     NaN for a run that did not end well; empty if the table has no such case.
@@ -218,7 +218,7 @@ def only(values: np.ndarray) -> float:
     return float(good[0]) if len(good) else math.nan
 
 
-def axis_label(outcome: Outcome, column: str, name: str) -> str:
+def axis_label(outcome: CaseRuns, column: str, name: str) -> str:
     """Name and shown unit of a column."""
     return in_shown_unit(name, outcome.about[column].unit, np.zeros(0)).label
 
@@ -290,7 +290,7 @@ def bar_page(
         note: below; `{spread}` in it says how many repeats there are, and what the error bars mean.
         hatched: meaning of hatched bars.
     """
-    page = Page(title, size, len(panels), len(panels[0]), **subplots)
+    page = FigurePage(title, size, len(panels), len(panels[0]), **subplots)
     bars: list[Bar] = []
     for ax, panel in zip(page.axes.ravel(), itertools.chain(*panels), strict=True):
         bars += panel.draw(ax)
@@ -307,7 +307,7 @@ def bar_page(
 
 
 def by_gait(
-    outcome: Outcome, kinds: Sequence[Case], rows: Sequence[tuple[str | None, str, Case, Callable[[Case], Bar]]]
+    outcome: CaseRuns, kinds: Sequence[Case], rows: Sequence[tuple[str | None, str, Case, Callable[[Case], Bar]]]
 ) -> list[list[Panel]]:
     """Rows of panels, with a column for each gait that was walked, and groups of bars for each frequency.
 
@@ -348,7 +348,7 @@ def _number(value: Any) -> float | None:
     return None if value is None or isinstance(value, bool | str | list | tuple) else float(value)
 
 
-def _agreement(outcome: Outcome, lines: Lines) -> Drawn:
+def _agreement(outcome: CaseRuns, lines: Lines) -> Drawn:
     """All numbers that were published and measured."""
     rows = []
     for line in lines:
@@ -360,7 +360,7 @@ def _agreement(outcome: Outcome, lines: Lines) -> Drawn:
     if not rows:
         return
     title = f"What was published, and what was measured: {outcome.experiment.replace('-', ' ')}"
-    page = Page(title, (11.4, 1.5 + 0.255 * len(rows)), 1, 2, sharey=True, gridspec_kw={"width_ratios": [1.2, 1]})
+    page = FigurePage(title, (11.4, 1.5 + 0.255 * len(rows)), 1, 2, sharey=True, gridspec_kw={"width_ratios": [1.2, 1]})
     ax, table = page.axes[0]
     ax.axvspan(1 - AGREES, 1 + AGREES, color=_NEAR, lw=0, zorder=-5)
     ax.axvline(1, color=MUTED, lw=0.8, zorder=0)
@@ -421,7 +421,7 @@ COMPENSATION: Final = {
 }
 
 
-def _straight_line(outcome: Outcome, lines: Lines) -> Drawn:
+def _straight_line(outcome: CaseRuns, lines: Lines) -> Drawn:
     # Published speeds by gait, frequency and spine [mm/s]: one is reported, the others follow from reported ratios.
     speed, gain, over = (published(lines, figure) for figure in (SPEED, GAIN, OVER_LATERAL))
     reported = {}
@@ -469,13 +469,13 @@ def _straight_line(outcome: Outcome, lines: Lines) -> Drawn:
     yield "offset-compensation", _compensation(outcome, lines)
 
 
-def _speed_over_stride(outcome: Outcome, reported: Mapping[Any, float]) -> Figure | None:
+def _speed_over_stride(outcome: CaseRuns, reported: Mapping[Any, float]) -> Figure | None:
     names = profiles(outcome)
     walked = outcome.only(gait="trt", frequency=0.8, compensated=False, profile=names[0])
     strides = sorted(set(walked.columns["stride"].tolist()))
     if len(strides) < 2:
         return None
-    page = Page("Speed over the length of the stride: trot at 0.8 Hz", (6.4, 4.6))
+    page = FigurePage("Speed over the length of the stride: trot at 0.8 Hz", (6.4, 4.6))
     ax = page.axes[0, 0]
     foot = {"transform": ax.get_xaxis_transform(), "gid": "failed"}
     for profile, on in itertools.product(names, (False, True)):
@@ -500,14 +500,14 @@ def _speed_over_stride(outcome: Outcome, reported: Mapping[Any, float]) -> Figur
     return page.finish(handles, note + CLOCK)
 
 
-def _orientation(outcome: Outcome, lines: Lines) -> Figure | None:
+def _orientation(outcome: CaseRuns, lines: Lines) -> Figure | None:
     """Roll, pitch and yaw over the last two whole gait cycles of the recordings."""
     runs = [recording for recording in outcome.recordings.values() if "spine" in recording.metadata.get("labels", {})]
     if not runs:
         return None
     labels = runs[0].metadata["labels"]
     title = f"Orientation over two gait cycles: {GAIT[labels['gait']]} at {labels['frequency']:g} Hz"
-    page = Page(title, (7.4, 6.6), 3, 1, sharex=True)
+    page = FigurePage(title, (7.4, 6.6), 3, 1, sharex=True)
     for run in runs:
         cycles = run.time * labels["frequency"] / clock(labels["profile"])
         begin = max(0.0, np.floor(cycles[-1] + 0.01) - 2)
@@ -528,7 +528,7 @@ def _orientation(outcome: Outcome, lines: Lines) -> Figure | None:
     return page.finish(handles, f"{plain(labels['profile'])}; positive: leaning left, nose down, turned left")
 
 
-def _compensation(outcome: Outcome, lines: Lines) -> Figure | None:
+def _compensation(outcome: CaseRuns, lines: Lines) -> Figure | None:
     """Roll with the spine, without and with compensation; the published change is applied to the value measured
     here."""
     if not outcome.where(compensated=True).any():
@@ -561,7 +561,7 @@ _BASED: Final = {name: f"{name}-based" for name in walks.STRATEGIES}
 _NOT_FOLLOWED: Final = "a repeat did not follow the path"
 
 
-def _turning(outcome: Outcome, lines: Lines) -> Drawn:
+def _turning(outcome: CaseRuns, lines: Lines) -> Drawn:
     names = profiles(outcome)
     kinds = [{"strategy": name, "profile": profile} for name in walks.STRATEGIES for profile in names]
 
@@ -627,7 +627,7 @@ def _turning(outcome: Outcome, lines: Lines) -> Drawn:
     yield "paths", _paths(outcome)
 
 
-def _paths(outcome: Outcome) -> Figure | None:
+def _paths(outcome: CaseRuns) -> Figure | None:
     """The recorded paths from above: the torso's, and its mean over each gait cycle."""
     runs = [run for run in outcome.recordings.values() if "strategy" in run.metadata.get("labels", {})]
     if not runs:
@@ -636,7 +636,7 @@ def _paths(outcome: Outcome) -> Figure | None:
     radius, side = float(labels["radius"]), walks.SIDES[str(labels["side"])]
     bound = float(walks.bound(np.asarray(radius)))
     title = f"Paths on the quarter circle of {1e3 * radius:g} mm: {GAIT[labels['gait']]} at {labels['frequency']:g} Hz"
-    page = Page(title, (6.8, 6.9))
+    page = FigurePage(title, (6.8, 6.9))
     ax, angle = page.axes[0, 0], np.linspace(0, np.pi / 2, 200)
 
     def arc(r: float) -> np.ndarray:
@@ -670,7 +670,7 @@ _SBC: Final = {False: "without compensation", True: "with compensation"}
 _VERDICT: Final = {"pass": PASS, "fail": FAIL}
 
 
-def _balance(outcome: Outcome, lines: Lines) -> Drawn:
+def _balance(outcome: CaseRuns, lines: Lines) -> Drawn:
     yield "verdicts", _verdicts(outcome, lines)
     runs = {
         (str(lift["leg"]), bool(lift["sbc"])): run
@@ -704,11 +704,11 @@ def _balance(outcome: Outcome, lines: Lines) -> Drawn:
     yield "forces-by-phase", figure if phases else None
 
 
-def _verdicts(outcome: Outcome, lines: Lines) -> Figure:
+def _verdicts(outcome: CaseRuns, lines: Lines) -> Figure:
     """One tile per leg and source; a tile that differs from the publication's in its set-up has a thick frame."""
     values = {line.figure: line.published for line in lines}
     names = [name for name in PROFILES if name in outcome.columns["profile"]]
-    page = Page("Which legs the robot can lift and swing", (10.4, 3.9), 1, 2, sharey=True)
+    page = FigurePage("Which legs the robot can lift and swing", (10.4, 3.9), 1, 2, sharey=True)
     frame: dict[str, Any] = {"fc": "none", "ec": "black", "lw": 1.8, "zorder": 4, "gid": "differs"}
     for ax, sbc in zip(page.axes[0], (False, True), strict=True):
         columns = ["published\nsimulation", *(plain(name).replace(" ", "\n") for name in names), "published\nhardware"]
@@ -743,7 +743,7 @@ Lifts = Mapping[tuple[str, bool], Recording]
 
 def _over_time(runs: Lifts, profile: str, sensor: str, title: str, label: str, factor: float) -> Figure:
     """One reading over time, with axes per lifted leg, and lines without and with compensation."""
-    page = Page(title, (9.4, 5.9), 2, 2, sharex=True, sharey="row")
+    page = FigurePage(title, (9.4, 5.9), 2, 2, sharex=True, sharey="row")
     handles, note = spine_strokes(_SBC), ""
     for ax, limb in zip(page.axes.ravel(), LIMBS, strict=True):
         for sbc in (False, True):
@@ -771,7 +771,7 @@ def _over_time(runs: Lifts, profile: str, sensor: str, title: str, label: str, f
 
 
 def _forces(runs: Lifts, profile: str) -> Figure:
-    page = Page("Forces on the feet over time", (9.4, 9.2), len(LIMBS), 2, sharex=True, sharey=True)
+    page = FigurePage("Forces on the feet over time", (9.4, 9.2), len(LIMBS), 2, sharex=True, sharey=True)
     highest = max(float(np.nanpercentile(run.sensors["foot_force"], 99.5)) for run in runs.values())
     for ax, (limb, sbc) in zip(page.axes.ravel(), itertools.product(LIMBS, (False, True)), strict=True):
         ax.set_title(f"{plain(limb)} leg, {_SBC[sbc]}", pad=16)
@@ -796,7 +796,7 @@ _FROM, _SECONDS = 0.3, 12.0
 _DOTS, _THINNED = 10.0, 4
 
 
-def _maze(outcome: Outcome, lines: Lines) -> Drawn:
+def _maze(outcome: CaseRuns, lines: Lines) -> Drawn:
     found: dict[str, dict[bool, Recording]] = {}
     for run in outcome.recordings.values():
         labels = run.metadata.get("labels", {})
@@ -818,13 +818,13 @@ def _maze(outcome: Outcome, lines: Lines) -> Drawn:
     yield "walk", bar_page("The walk through the maze", (9.6, 4.0), [panels], profile_swatches(names), note)
 
 
-def _arrival(outcome: Outcome, profile: str, on: bool) -> float:
+def _arrival(outcome: CaseRuns, profile: str, on: bool) -> float:
     """Time at which the recorded run reached the end [s of the controller's clock]; NaN if it did not."""
     return outcome.mean("time", profile=profile, spine=on, repeat=0) / clock(profile)
 
 
-def _ways(outcome: Outcome, runs: Mapping[str, Mapping[bool, Recording]]) -> Figure:
-    page = Page("Through the maze, seen from above", (0.9 + 5.2 * len(runs), 5.6), 1, len(runs), sharey=True)
+def _ways(outcome: CaseRuns, runs: Mapping[str, Mapping[bool, Recording]]) -> Figure:
+    page = FigurePage("Through the maze, seen from above", (0.9 + 5.2 * len(runs), 5.6), 1, len(runs), sharey=True)
     course = walks.maze_course()
     drawn = np.stack([course.x, course.y], axis=-1)
     boxes = walks.box_outlines(load_robot(scene="maze"))
@@ -863,9 +863,9 @@ def _ways(outcome: Outcome, runs: Mapping[str, Mapping[bool, Recording]]) -> Fig
     return page.finish(handles, "the torso's IMU, first repeat; the robot starts upwards")
 
 
-def _sway(outcome: Outcome, runs: Mapping[str, Mapping[bool, Recording]]) -> Figure:
+def _sway(outcome: CaseRuns, runs: Mapping[str, Mapping[bool, Recording]]) -> Figure:
     """Roll and pitch over a part of the walk, starting at the same point of the course."""
-    page = Page("How the torso sways in the maze", (9.4, 1.2 + 2.6 * len(runs)), 2 * len(runs), 1, sharex=True)
+    page = FigurePage("How the torso sways in the maze", (9.4, 1.2 + 2.6 * len(runs)), 2 * len(runs), 1, sharex=True)
     for i, (profile, ways) in enumerate(runs.items()):
         pair = page.axes[2 * i : 2 * i + 2, 0]
         for on, run in ways.items():
@@ -888,7 +888,7 @@ def _sway(outcome: Outcome, runs: Mapping[str, Mapping[bool, Recording]]) -> Fig
 # --- test stands
 
 
-def _stand(outcome: Outcome, lines: Lines) -> Drawn:
+def _stand(outcome: CaseRuns, lines: Lines) -> Drawn:
     """A panel for each column, with a bar for each case of each group, as described in `experiments.yaml`."""
     about, profile = texts("stand_figures")[outcome.experiment], outcome.columns["profile"][0]
     panels = []
@@ -903,7 +903,7 @@ def _stand(outcome: Outcome, lines: Lines) -> Drawn:
     yield about["name"], bar_page(about["title"], (7.2, 5.2), [panels[:2], panels[2:]], handles, note)
 
 
-_DRAWERS: Final[dict[str, Callable[[Outcome, Lines], Drawn]]] = {
+_DRAWERS: Final[dict[str, Callable[[CaseRuns, Lines], Drawn]]] = {
     "straight-line": _straight_line,
     "turning": _turning,
     "balance": _balance,

@@ -35,7 +35,7 @@ from typing import Any, Final, Literal, get_args
 import numpy as np
 import yaml
 
-from nermo_mjx.experiments.cases import BODY, PROFILES, Outcome, Settings
+from nermo_mjx.experiments.cases import BODY, PROFILES, CaseRuns, Settings
 from nermo_mjx.experiments.measures import MEASURES, Measure, NotMeasured, ProfileOutcome
 
 Kind = Literal["predicted", "chosen", "fitted", "theory"]
@@ -103,7 +103,7 @@ class Figure:
         """The value without an effect."""
         return 1.0 if self.rule == "effect" else 0.0
 
-    def measured(self, outcome: Outcome, profile: str) -> Value:
+    def measured(self, outcome: CaseRuns, profile: str) -> Value:
         """The figure in a profile; None where it was not measured."""
         if profile not in set(outcome.columns["profile"]):
             return None
@@ -168,7 +168,7 @@ def _content() -> dict[str, Any]:
 
 
 @functools.cache
-def figures(experiment: str) -> tuple[Figure, ...]:
+def published_figures(experiment: str) -> tuple[Figure, ...]:
     """The published figures of an experiment, in the order of the report."""
     measures = MEASURES.get(experiment, {})
     return tuple(
@@ -200,7 +200,7 @@ class Shot:
     speed: float = 1.0
     until: str = ""
 
-    def choose(self, outcome: Outcome) -> str | None:
+    def choose(self, outcome: CaseRuns) -> str | None:
         """Name of the recording that is shown; None if there is none."""
         names = list(outcome.recordings)
         return next((name for name in names if self.recording in name), names[-1] if names else None)
@@ -225,7 +225,7 @@ class Experiment:
     """
 
     name: str
-    run: Callable[[Settings], Outcome]
+    run: Callable[[Settings], CaseRuns]
     settable: frozenset[str]
     title: str
     description: str
@@ -239,7 +239,7 @@ class Experiment:
     @property
     def figures(self) -> tuple[Figure, ...]:
         """Published figures, and how they are measured here."""
-        return figures(self.name) if self.own_figures is None else self.own_figures
+        return published_figures(self.name) if self.own_figures is None else self.own_figures
 
 
 @dataclasses.dataclass(frozen=True)
@@ -283,7 +283,9 @@ class Line:
     reason: str
 
 
-def compare(outcome: Outcome, bodies: Outcome | None = None, chosen: Sequence[Figure] | None = None) -> list[Line]:
+def published_lines(
+    outcome: CaseRuns, bodies: CaseRuns | None = None, chosen: Sequence[Figure] | None = None
+) -> list[Line]:
     """The lines of one experiment.
 
     Args:
@@ -292,13 +294,13 @@ def compare(outcome: Outcome, bodies: Outcome | None = None, chosen: Sequence[Fi
             experiment's own body, is then a sample of the interval.
         chosen: figures, by default those of the experiment.
     """
-    samples: list[Outcome] = []
+    samples: list[CaseRuns] = []
     if bodies is not None:
         samples = [outcome.only(repeat=int(i)) for i in np.unique(outcome.columns["repeat"])]
         samples += [bodies.only(**{BODY: int(i)}) for i in np.unique(bodies.columns[BODY])]
     copied = {field.name for field in dataclasses.fields(Line)} & {field.name for field in dataclasses.fields(Figure)}
     lines = []
-    for figure in figures(outcome.experiment) if chosen is None else chosen:
+    for figure in published_figures(outcome.experiment) if chosen is None else chosen:
         values: dict[str, Any] = {profile: figure.measured(outcome, profile) for profile in PROFILES}
         own = values[figure.profile]
         spread = [figure.measured(each, figure.profile) for each in samples]
@@ -326,7 +328,7 @@ def compare(outcome: Outcome, bodies: Outcome | None = None, chosen: Sequence[Fi
     return lines
 
 
-def counts(lines: Sequence[Mapping[str, Any]]) -> dict[str, int]:
+def line_counts(lines: Sequence[Mapping[str, Any]]) -> dict[str, int]:
     """Number of lines, of those that hold, and of those that were not measured or are not judged; coverage.
 
     Args:

@@ -12,8 +12,8 @@ import numpy as np
 import pyarrow as pa
 
 from nermo_mjx.control.parameters import PUBLISHED_CLOCK_RATIO
-from nermo_mjx.experiments.cases import PROFILES, Column, Outcome, texts
-from nermo_mjx.experiments.published import AGREES, KINDS, Experiment, Line, counts, set_ups
+from nermo_mjx.experiments.cases import PROFILES, CaseRuns, Column, texts
+from nermo_mjx.experiments.published import AGREES, KINDS, Experiment, Line, line_counts, set_ups
 from nermo_mjx.plotting.shown import shown
 from nermo_mjx.recording import Recording
 from nermo_mjx.runs.code import local_time
@@ -27,7 +27,7 @@ from nermo_mjx.sweep.table import Columns, meta
 REPEAT, PROFILE, CODE = "repeat", "profile", "code"
 
 
-def table_of(outcome: Outcome, about: Mapping[str, Any], code: str) -> pa.Table:
+def table_of(outcome: CaseRuns, about: Mapping[str, Any], code: str) -> pa.Table:
     """The table of an outcome.
 
     Args:
@@ -43,22 +43,22 @@ def table_of(outcome: Outcome, about: Mapping[str, Any], code: str) -> pa.Table:
     return columns.table({"experiment": outcome.experiment, **about})
 
 
-def outcome_of(content: pa.Table, recordings: Mapping[str, Recording]) -> Outcome:
+def outcome_of(content: pa.Table, recordings: Mapping[str, Recording]) -> CaseRuns:
     """The outcome that `table_of` converted to a table; its recordings are stored separately."""
     fields = [field for field in content.schema if meta(field).get("role") != CODE]
     # Texts become string arrays again instead of object arrays.
     columns = {field.name: np.array(content.column(field.name).to_pylist()) for field in fields}
     about = {field.name: Column(meta(field)["unit"], meta(field)["description"]) for field in fields}
-    return Outcome(content.schema.metadata[b"experiment"].decode(), columns, about, recordings)
+    return CaseRuns(content.schema.metadata[b"experiment"].decode(), columns, about, recordings)
 
 
-def case_columns(outcome: Outcome) -> list[str]:
+def case_columns(outcome: CaseRuns) -> list[str]:
     """Names of the columns that tell the cases apart, `profile` first: those before `repeat`."""
     names = list(outcome.columns)
     return names[: names.index(REPEAT)] if REPEAT in names else [PROFILE]
 
 
-def case_table(outcome: Outcome, profile: str, metrics: Sequence[str], needs: Mapping[str, str]) -> tuple[str, int]:
+def case_table(outcome: CaseRuns, profile: str, metrics: Sequence[str], needs: Mapping[str, str]) -> tuple[str, int]:
     """A Markdown table of the cases of a profile, mean and standard deviation of `metrics` over their repeats, and
     the number of cases.
 
@@ -86,7 +86,7 @@ def case_table(outcome: Outcome, profile: str, metrics: Sequence[str], needs: Ma
     return table([*map(heading, (*labels, *metrics))], rows, "l" * len(labels) + "r" * len(metrics)), len(rows)
 
 
-def _over_repeats(outcome: Outcome, name: str, rows: list[int], need: str) -> str:
+def _over_repeats(outcome: CaseRuns, name: str, rows: list[int], need: str) -> str:
     """Mean and spread of numbers, counts of Booleans, all distinct texts."""
     if need in outcome.columns and not np.isfinite(outcome.columns[need][rows]).any():
         return MISSING
@@ -100,14 +100,14 @@ def _over_repeats(outcome: Outcome, name: str, rows: list[int], need: str) -> st
     if not len(good):
         return MISSING
     mean = float(good.mean())
-    text = number(mean)
+    text = rounded(mean)
     # Values that do not depend on the start, such as theory, have no spread except rounding.
     if np.ptp(good) > 1e-6 * abs(mean):
         text += f" ± {good.std(ddof=1):.{len(text.partition('.')[2])}f}"
     return text if len(good) == len(values) else f"{text} ({len(good)} of {len(values)})"
 
 
-def number(value: float, digits: int = 3) -> str:
+def rounded(value: float, digits: int = 3) -> str:
     """A number with the given significant digits and no exponent; "–" where it is not finite, "0" below 5e-5."""
     if not math.isfinite(value):
         return MISSING
@@ -127,7 +127,7 @@ HEADINGS = (
 )
 
 
-def entry_of(title: str, outcome: Outcome, about: Mapping[str, Any], lines: Sequence[Line]) -> dict[str, Any]:
+def entry_of(title: str, outcome: CaseRuns, about: Mapping[str, Any], lines: Sequence[Line]) -> dict[str, Any]:
     """The stored entry of an experiment: its lines, its settings, and its size.
 
     Args:
@@ -158,7 +158,7 @@ def collect(entries: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
 
     def summary(lines: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         by_kind = {kind: [line for line in lines if line["kind"] == kind] for kind in KINDS}
-        return counts(lines) | {"by_kind": {kind: counts(found) for kind, found in by_kind.items() if found}}
+        return line_counts(lines) | {"by_kind": {kind: line_counts(found) for kind, found in by_kind.items() if found}}
 
     def conditions(entry: Mapping[str, Any]) -> dict[str, Any]:
         made = {f"version of {name}": entry["versions"].get(name, "unknown") for name in ("nermo-mjx", "mujoco", "jax")}
@@ -190,7 +190,7 @@ def cells(line: Mapping[str, Any]) -> list[str]:
     name = f"{line['figure']} [{line['unit']}]" if line["unit"] not in ("", "1") else line["figure"]
     published = published_text(line["published"], at_most=line["rule"] == "at_most")
     values = [_value(line[profile]) for profile in ("as_published", "exact", "as_built")]
-    spread = MISSING if line["low"] is None else f"{number(line['low'])} to {number(line['high'])}"
+    spread = MISSING if line["low"] is None else f"{rounded(line['low'])} to {rounded(line['high'])}"
     if line["low"] is None and line["ensemble"] is not None:
         spread = f"{line['ensemble']:.0%} of the bodies"
     judged = (_value(line["covered"]), _value(line["holds"]))
@@ -210,7 +210,7 @@ def published_text(value: Any, *, at_most: bool = False) -> str:
 def _value(value: Any) -> str:
     if value is None or isinstance(value, bool):
         return {None: MISSING, True: "yes", False: "no"}[value]
-    return number(value) if isinstance(value, int | float) else str(value)
+    return rounded(value) if isinstance(value, int | float) else str(value)
 
 
 def differences(one: Mapping[str, Any], other: Mapping[str, Any]) -> list[str]:
@@ -248,7 +248,9 @@ _MEANING: Final = {
 }
 
 
-def page(content: Mapping[str, Any], experiments: Mapping[str, Experiment], outcomes: Mapping[str, Outcome]) -> str:
+def report_page(
+    content: Mapping[str, Any], experiments: Mapping[str, Experiment], outcomes: Mapping[str, CaseRuns]
+) -> str:
     """The text of report.md.
 
     Args:
@@ -268,7 +270,7 @@ def page(content: Mapping[str, Any], experiments: Mapping[str, Experiment], outc
 
 def headline(summary: Mapping[str, Any]) -> str:
     """How many predicted figures hold, and how many published values lie in their interval."""
-    predicted = summary["by_kind"].get("predicted", counts([]))
+    predicted = summary["by_kind"].get("predicted", line_counts([]))
     text = f"{predicted['hold']} of {_judged(predicted)} predicted figures hold"
     spread = predicted["covered"] + predicted["not_covered"]
     return f"{text}; {predicted['covered']} of {spread} published values lie in the 90 % interval" if spread else text
@@ -312,7 +314,7 @@ def _summary(content: Mapping[str, Any], chosen: list[Experiment]) -> Iterator[s
         yield f"> **Run in different ways.** {sentence}\n"
 
 
-def _experiment(content: Mapping[str, Any], each: Experiment, outcome: Outcome | None) -> Iterator[str]:
+def _experiment(content: Mapping[str, Any], each: Experiment, outcome: CaseRuns | None) -> Iterator[str]:
     about = content["experiments"][each.name]
     lines = [line for line in content["lines"] if line["experiment"] == each.name]
     yield f"## {each.title}\n"

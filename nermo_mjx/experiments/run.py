@@ -32,9 +32,9 @@ import numpy as np
 from pydantic import BaseModel
 
 from nermo_mjx.experiments import balance, cases, stands, walks
-from nermo_mjx.experiments.cases import BODY, PROFILES, Outcome, ReplacementPolicy, Settings
-from nermo_mjx.experiments.published import Experiment, Line, Shot, compare
-from nermo_mjx.experiments.report import collect, differences, entry_of, outcome_of, page, table_of
+from nermo_mjx.experiments.cases import BODY, PROFILES, CaseRuns, ReplacementPolicy, Settings
+from nermo_mjx.experiments.published import Experiment, Line, Shot, published_lines
+from nermo_mjx.experiments.report import collect, differences, entry_of, outcome_of, report_page, table_of
 from nermo_mjx.files import MOST_FILE, TEMPORARY, FileError, json_of, read_bytes
 from nermo_mjx.physics.making import resolve_engine
 from nermo_mjx.plotting.files import Figures
@@ -43,7 +43,7 @@ from nermo_mjx.robot import ParameterError, load_robot
 from nermo_mjx.robot.quantity import choice
 from nermo_mjx.runs import CodeStamp, DirectoryError, RunDirectory, Written, codes_of, engine_of, session, stamp
 from nermo_mjx.runs.code import local_time
-from nermo_mjx.runs.directory import Session, read_record
+from nermo_mjx.runs.directory import SessionRecord, read_record
 from nermo_mjx.runs.files import clear_errors, parquet_bytes, parquet_table, replace_file, stored_json, to_json
 from nermo_mjx.runs.job import SILENT, JobFailed, Progress, Watch, resumable
 from nermo_mjx.runs.status import Status, last_command
@@ -83,13 +83,13 @@ class Stored:
         table: the file of the table; recordings: those of the recordings.
     """
 
-    outcome: Outcome
+    outcome: CaseRuns
     about: dict[str, Any]
     table: Path
     recordings: tuple[Path, ...]
 
 
-class _About(Session):
+class _About(SessionRecord):
     """What a table says of its run."""
 
     started: str
@@ -122,7 +122,7 @@ class Directory:
         """The table of an experiment, or of the identified bodies in it."""
         return self.out / "results" / f"{experiment}{'-bodies' if bodies else ''}.parquet"
 
-    def save(self, outcome: Outcome, about: Mapping[str, Any], written: Written, *, bodies: bool = False) -> Stored:
+    def save(self, outcome: CaseRuns, about: Mapping[str, Any], written: Written, *, bodies: bool = False) -> Stored:
         """Store an experiment's results, replacing earlier ones; the table is written last and makes them valid.
 
         Args:
@@ -188,12 +188,12 @@ class Directory:
         content = collect(entries)
         outcomes = {name: stored.outcome for name in entries if (stored := self.load(name)) is not None}
         written.write(self.out / "report.json", to_json(content))
-        written.write(self.out / "report.md", page(content, EXPERIMENTS, outcomes).encode())
+        written.write(self.out / "report.md", report_page(content, EXPERIMENTS, outcomes).encode())
         written.note()
         return content
 
 
-def status(out: Path) -> Status:
+def experiments_status(out: Path) -> Status:
     """The experiments in a directory, out of the requested ones."""
     directory, sessions = Directory(out), read_record(out).get("sessions", [])
     found = {name: stored for name in EXPERIMENTS if (stored := directory.load(name)) is not None}
@@ -223,7 +223,7 @@ def images(out: Path) -> Figures:
     Raises:
         DirectoryError: it contains no readable experiment.
     """
-    from nermo_mjx.experiments.plots import figures_of
+    from nermo_mjx.experiments.plots import figures_of_experiment
 
     directory = Directory(out)
     found = {name: stored.outcome for name in EXPERIMENTS if (stored := directory.load(name)) is not None}
@@ -232,7 +232,7 @@ def images(out: Path) -> Figures:
     return (
         named
         for name, outcome in found.items()
-        for named in figures_of(outcome, compare(outcome, None, EXPERIMENTS[name].figures))
+        for named in figures_of_experiment(outcome, published_lines(outcome, None, EXPERIMENTS[name].figures))
     )
 
 
@@ -254,7 +254,7 @@ class ExperimentResult:
 
     name: str
     out: Path
-    outcome: Outcome
+    outcome: CaseRuns
     lines: tuple[Line, ...]
     table: Path
     plots: tuple[Path, ...]
@@ -396,7 +396,7 @@ class Part:
     """
 
     name: str
-    run: Callable[[Settings], Outcome]
+    run: Callable[[Settings], CaseRuns]
     settings: Settings
     bodies: int = 0
     begin: int = 0
@@ -425,7 +425,7 @@ class Simulation:
         """Stamp of the code, the model and the engine that simulate here."""
         return stamp(load_robot().fingerprint, self.engine)
 
-    def __call__(self, part: Part, progress: Callable[[float], None] | None = None) -> tuple[Outcome, float]:
+    def __call__(self, part: Part, progress: Callable[[float], None] | None = None) -> tuple[CaseRuns, float]:
         """The result of a part, and its duration [s]."""
         begun = time.monotonic()
         outcome = part.run(part.settings.but(engine=self.engine, progress=progress or (lambda share: None)))
@@ -493,7 +493,7 @@ class _Call:
         A result in several parts is stored when the last of them has arrived.
         """
         sessions: dict[str, dict[str, Any]] = {}
-        came: dict[str, dict[int, tuple[Outcome, float]]] = collections.defaultdict(dict)
+        came: dict[str, dict[int, tuple[CaseRuns, float]]] = collections.defaultdict(dict)
         fresh = set()  # experiments whose bodies finished first
 
         def tasks() -> Iterator[tuple[int, Part]]:
@@ -545,7 +545,7 @@ class _Call:
 
     def finish(self, chosen: Experiment, kept: Stored | None) -> ExperimentResult:
         """Everything derived from new or stored results."""
-        from nermo_mjx.experiments.plots import figures_of
+        from nermo_mjx.experiments.plots import figures_of_experiment
         from nermo_mjx.plotting.files import write_figures
 
         written, out, stored = self.written, self.directory.out, kept or self.directory.load(chosen.name)
@@ -558,7 +558,7 @@ class _Call:
                 f"{chosen.name}: kept as run on {local_time(kept.about['started'])}{other}; --again reruns it."
             )
         several = self.directory.load(chosen.name, bodies=True)
-        lines = compare(stored.outcome, several.outcome if several else None, chosen.figures)
+        lines = published_lines(stored.outcome, several.outcome if several else None, chosen.figures)
         if stored.about["settings"].get("controller"):  # reasons were found for the published controller
             lines = [dataclasses.replace(line, reason="") for line in lines]
         former = (self.directory.entry(chosen.name) if kept is not None else None) or {}
@@ -572,7 +572,7 @@ class _Call:
         }
         self._publish(chosen, entry)
         self._tell(f"{chosen.name}, plots", 0.0)
-        plots = write_figures(figures_of(stored.outcome, lines), out / "plots", written.write)
+        plots = write_figures(figures_of_experiment(stored.outcome, lines), out / "plots", written.write)
         entry["plots"] = [written.name(plot) for plot in plots]
         old = [name for name in written.known if name.startswith(f"plots/{chosen.name}-")]
         written.remove([name for name in old if name not in entry["plots"]])
@@ -595,7 +595,7 @@ class _Call:
         self.directory.report(self.written)
 
     def _videos(
-        self, chosen: Experiment, outcome: Outcome, made: list[dict[str, Any]]
+        self, chosen: Experiment, outcome: CaseRuns, made: list[dict[str, Any]]
     ) -> tuple[list[dict[str, Any]], list[str]]:
         """The video's file, content and speed, and a note if it should exist but does not."""
         if made and all((self.directory.out / video["file"]).exists() for video in made):
@@ -621,7 +621,7 @@ class _Call:
 FPS, WIDTH, HEIGHT, LONGEST = 20, 480, 360, 8.0
 
 
-def shoot(outcome: Outcome, shot: Shot, path: Path, progress: Callable[[float], None] | None = None) -> float:
+def shoot(outcome: CaseRuns, shot: Shot, path: Path, progress: Callable[[float], None] | None = None) -> float:
     """Render the video of an experiment that has a recording, and return its speed.
 
     Raises:

@@ -15,7 +15,7 @@ import jax
 import mujoco
 import numpy as np
 
-from nermo_mjx.experiments.cases import BODY, Outcome, Settings
+from nermo_mjx.experiments.cases import BODY, CaseRuns, Settings
 from nermo_mjx.kinematics import leg
 from nermo_mjx.kinematics.spine import joint_angle
 from nermo_mjx.robot import LIMBS, ModelParameters, ParameterError, assemble_leg, assemble_spine, load_robot
@@ -127,7 +127,7 @@ def bend(spec: Any, joints: Sequence[str], torque: float = TORQUE) -> float:
 
 def _measured(
     name: str, settings: Settings, cases: Sequence[Mapping[str, Any]], measure: Any, settable: frozenset[str]
-) -> Outcome:
+) -> CaseRuns:
     """All cases, once for each profile, with the same values; there are no repeats, and the engine is MuJoCo C.
 
     Args:
@@ -150,7 +150,7 @@ def _measured(
             rows += [{"profile": profile, **numbered, **case, "repeat": 0, **found} for profile in settings.profiles]
             if settings.progress:
                 settings.progress(len(rows) / len(settings.profiles) / (count * len(cases)))
-    return Outcome.of(name, {column: np.array([row[column] for row in rows]) for column in rows[0]})
+    return CaseRuns.of(name, {column: np.array([row[column] for row in rows]) for column in rows[0]})
 
 
 # --- the body alone
@@ -158,7 +158,7 @@ def _measured(
 _LATERAL: Final = tuple(f"spine_joint_{i}" for i in range(1, 5))
 
 
-def run_body(settings: Settings) -> Outcome:
+def run_body(settings: Settings) -> CaseRuns:
     """Measure the body; see `_measured`."""
 
     def measure(parameters: ModelParameters) -> dict[str, float]:
@@ -218,10 +218,10 @@ LEG_CASES: Final = tuple(
     for pair in LEGS
     for routing, hinges in (*((routing, 1) for routing in ROUTINGS), *(("type3", n) for n in HINGES[1:]))
 )
-_inverse: Final = jax.jit(leg.inverse, static_argnames="routing")
+_inverse: Final = jax.jit(leg.inverse_kinematics, static_argnames="routing")
 
 
-def run_leg(settings: Settings) -> Outcome:
+def run_leg(settings: Settings) -> CaseRuns:
     """Measure all routings of a leg, and chains of hinges; see `_measured`."""
 
     def measure(parameters: ModelParameters, pair: str, routing: str, hinges: int) -> dict[str, float]:
@@ -275,7 +275,7 @@ SPINE_CASES: Final[tuple[dict[str, Any], ...]] = (
 )
 
 
-def run_spine(settings: Settings) -> Outcome:
+def run_spine(settings: Settings) -> CaseRuns:
     """Measure all planes of the spine, and chains of hinges; see `_measured`."""
 
     def measure(parameters: ModelParameters, robot: str, plane: str, hinges: int) -> dict[str, float]:

@@ -54,7 +54,7 @@ def _stride_gain(servo: ArrayLike) -> Array:
 
 
 @functools.cache
-def smallest_radius(steering: str, stride: float = 0.06) -> float:
+def theory_radius(steering: str, stride: float = 0.06) -> float:
     """Radius at full lock without slip [m]: (5.40-5.42) for `leg` and `mix`, the shoulder axis (5.43) for `spine`.
 
     (5.43) assumes shorter steps of the inner feet than of the outer ones, as wheels on two axles do; the strides of

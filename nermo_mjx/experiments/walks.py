@@ -19,7 +19,7 @@ from scipy.signal import find_peaks
 
 from nermo_mjx.control.path import Course, course_through
 from nermo_mjx.experiments import cases, theory
-from nermo_mjx.experiments.cases import AMPLITUDE, FREQUENCIES, SIMULATED, Case, Label, Outcome, Settings, Worlds
+from nermo_mjx.experiments.cases import AMPLITUDE, FREQUENCIES, SIMULATED, Case, CaseRuns, Label, Settings, Worlds
 from nermo_mjx.kinematics.body import attitude
 from nermo_mjx.recording import Recording
 from nermo_mjx.robot import LIMBS, Robot
@@ -81,7 +81,7 @@ def line_cases(quick: bool = False) -> tuple[Case, ...]:
     return (stands, *gaits, *lateral, *strides, *compensated, *built)
 
 
-def walk_line(settings: Settings) -> Outcome:
+def walk_line(settings: Settings) -> CaseRuns:
     """Simulate all cases in one batch, and those whose gait cycle is analysed in another, which is recorded.
 
     Quick: fewer cases, and half a metre.
@@ -101,7 +101,7 @@ def walk_line(settings: Settings) -> Outcome:
     names = [f"trt, 0.67 Hz, {which} spine" for which in ("without", "with")]
     shown = [_line("trt", 0.67, spine) for spine in (False, True)]
     recordings = _record(simulator, shown, settings, Run(cycles=4.0 if quick else _RECORDED), names)
-    return Outcome.of("straight-line", columns, recordings)
+    return CaseRuns.of("straight-line", columns, recordings)
 
 
 # --- the gait cycle: pitch, yaw and the spine's angle of recorded walks are folded over the phase of the gait, on the
@@ -264,7 +264,7 @@ def turn_cases(quick: bool = False) -> tuple[Case, ...]:
     return (*left, *right, *built)
 
 
-def walk_turns(settings: Settings) -> Outcome:
+def walk_turns(settings: Settings) -> CaseRuns:
     """Turn in all cases: the quarter circles in one batch, full lock in another, whose pilot holds its command.
 
     Full lock is left out for a controller that needs a path.
@@ -311,7 +311,7 @@ def walk_turns(settings: Settings) -> Outcome:
 
             recordings = _record(simulator, shown, settings, length_of, names)
     columns = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-    return Outcome.of("turning", columns, recordings)
+    return CaseRuns.of("turning", columns, recordings)
 
 
 def _turn_length(values: Mapping[str, np.ndarray], radius: np.ndarray) -> Run:
@@ -330,7 +330,7 @@ def _judged(columns: dict[str, np.ndarray], longest: np.ndarray, max_stride: np.
     near = columns["cross_track_peak"] <= bound(radius)
     arrived = columns["duration"] < longest - 0.05
     strides = columns["stride"] * max_stride
-    theory_radius = [theory.smallest_radius(str(name), l_s) for name, l_s in zip(strategy, strides, strict=True)]
+    theory_radius = [theory.theory_radius(str(name), l_s) for name, l_s in zip(strategy, strides, strict=True)]
     equal = [theory.equal_stride_radius(AMPLITUDE, l_s) for l_s in strides.tolist()]
     return columns | {
         "time": np.where(lock, np.nan, radius * np.pi / 2 / columns["speed"]),
@@ -377,7 +377,7 @@ def maze_cases() -> tuple[Case, ...]:
     return tuple(chosen)
 
 
-def walk_maze(settings: Settings) -> Outcome:
+def walk_maze(settings: Settings) -> CaseRuns:
     """Walk through the maze in all cases, in one batch.
 
     Quick: the first metre only, so that no run reaches the end.
@@ -395,7 +395,7 @@ def walk_maze(settings: Settings) -> Outcome:
     labels = batch.labels
     shown = np.flatnonzero((labels["repeat"] == 0) & (settings.bodies is None)).tolist()
     names = {i: f"{labels['profile'][i]}, {'with' if labels['spine'][i] else 'without'} spine" for i in shown}
-    return Outcome.of("maze", columns, cases.recordings_of(simulator, batch, result, names))
+    return CaseRuns.of("maze", columns, cases.recordings_of(simulator, batch, result, names))
 
 
 def _arrivals(trace: History) -> dict[str, np.ndarray]:

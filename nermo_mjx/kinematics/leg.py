@@ -285,7 +285,7 @@ def knee_servo(leg: Leg, q1: ArrayLike, knee_angle: ArrayLike, routing: str) -> 
     return (length - leg.tendon_length) / (leg.servo_direction * leg.pulley_radius)
 
 
-def forward(leg: Leg, servo: ArrayLike, routing: str) -> LegPose:
+def forward_kinematics(leg: Leg, servo: ArrayLike, routing: str) -> LegPose:
     """Foot of the leg at servo angles (q1, q2) [rad], shape (..., 2), with a taut tendon.
 
     A tendon longer or shorter than `knee_range` allows leaves the knee at the end of its range, not reachable.
@@ -305,7 +305,7 @@ def forward(leg: Leg, servo: ArrayLike, routing: str) -> LegPose:
     return LegPose(points(leg, q1, knee_angle).foot, knee_angle, reachable)
 
 
-def inverse(leg: Leg, foot: ArrayLike, routing: str) -> LegSolution:
+def inverse_kinematics(leg: Leg, foot: ArrayLike, routing: str) -> LegSolution:
     """Servo angles that put the foot at (y, z) from O [m], shape (..., 2): closed form for every routing.
 
     The workspace is a ring around O, and a foot outside it is moved in along its radius (a foot at O itself hangs
@@ -348,7 +348,10 @@ def four_reaches(geometry: Geometry, routing: str) -> tuple[PerLimb, PerLimb]:
     low, high = arm_range(leg)
     if routing == "type3":
         ends = [[servo_range(servo)[end] for servo in SERVOS[4:8]] for end in (0, 1)]
-        held = [forward(leg, jnp.stack([jnp.zeros(4), jnp.asarray(end)], axis=-1), routing).knee_angle for end in ends]
+        held = [
+            forward_kinematics(leg, jnp.stack([jnp.zeros(4), jnp.asarray(end)], axis=-1), routing).knee_angle
+            for end in ends
+        ]
         low, high = jnp.maximum(low, jnp.minimum(*held)), jnp.minimum(high, jnp.maximum(*held))
     link, bend = shank(leg)
     arms = [knee - leg.knee_direction * bend for knee in (high, low)]
@@ -360,7 +363,7 @@ def jacobian(leg: Leg, servo: ArrayLike, routing: str) -> Float[Array, "*batch 2
     """d(y, z) / d(q1, q2) [m/rad] of the foot at servo angles of shape (..., 2); zero where the pose is saturated."""
     servo = jnp.asarray(servo)
     nothing = jnp.zeros(2, jnp.result_type(float, servo.dtype))
-    return jax.jacfwd(lambda change: forward(leg, servo + change, routing).foot)(nothing)
+    return jax.jacfwd(lambda change: forward_kinematics(leg, servo + change, routing).foot)(nothing)
 
 
 def _arrays(leg: Leg) -> Leg:

@@ -106,7 +106,7 @@ _TITLE_CHARACTER: Final = 0.098
 _TITLE_LINE: Final = 0.21
 
 
-class Page:
+class FigurePage:
     """A figure with a title above its axes, and a legend and a note below.
 
     Attributes:

@@ -270,7 +270,7 @@ def pull(leg: Any, q1: Any, knee_angle: Any, routing: str, xp: Any = jnp) -> Any
 def standing(leg: LegGeometry, routing: str) -> tuple[float, float, float]:
     """Hip, knee and pulley angle [rad] that put the foot of one leg at its `neutral_foot`, the tendon just taut.
 
-    O-A-H is a planar two-link arm: the cosine rule, as in `kinematics.leg.inverse`.
+    O-A-H is a planar two-link arm: the cosine rule, as in `kinematics.leg.inverse_kinematics`.
     """
     (y, z), side = leg.neutral_foot, leg.knee_direction
     link, bend = shank(leg, np)

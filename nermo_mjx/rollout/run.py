@@ -17,7 +17,7 @@ from nermo_mjx.control.protocol import ControllerLike
 from nermo_mjx.dynamics.precision import full_precision
 from nermo_mjx.kinematics import spine
 from nermo_mjx.kinematics.body import feet_positions, hips, shoulders
-from nermo_mjx.kinematics.leg import forward, four_legs
+from nermo_mjx.kinematics.leg import forward_kinematics, four_legs
 from nermo_mjx.robot import LIMBS, ModelParameters, ParameterError, Robot
 from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.terrains import TerrainShape
@@ -184,7 +184,7 @@ class StartPose:
         pairs = [limb.split("_")[0] for limb in LIMBS]
         slack = jnp.stack([body.build.slack(pair) for pair in pairs]) if body else 0.0
         eased = servo.knee + legs.servo_direction * (TAUT + slack) / legs.pulley_radius
-        pose = forward(legs, jnp.stack([servo.hip, eased], axis=-1), self.robot.config.routing)
+        pose = forward_kinematics(legs, jnp.stack([servo.hip, eased], axis=-1), self.robot.config.routing)
         if body:
             tilt = jnp.stack([getattr(body.build, f"{pair}_tilt") for pair in pairs])
             (y, z), cosine, sine = pose.foot.T, jnp.cos(tilt), jnp.sin(tilt)

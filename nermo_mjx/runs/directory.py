@@ -206,7 +206,7 @@ def read_record(out: Path) -> dict[str, Any]:
     raise DirectoryError(f"{reason}: move it away to continue without it.")
 
 
-class Session(BaseModel, extra="allow"):
+class SessionRecord(BaseModel, extra="allow"):
     """One session in run.json, see `code.session`, as far as it is read."""
 
     started: str | None = None
@@ -221,7 +221,7 @@ class _Record(BaseModel, extra="allow"):
 
     kind: str | None = None
     codes: dict[str, dict[str, str]] = {}
-    sessions: list[Session] = []
+    sessions: list[SessionRecord] = []
     files: dict[str, str] = {}
 
 

@@ -19,7 +19,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter
 from scipy import stats
 
-from nermo_mjx.plotting.charts import Page, horizontal_grid, set_scales
+from nermo_mjx.plotting.charts import FigurePage, horizontal_grid, set_scales
 from nermo_mjx.plotting.files import Figures
 from nermo_mjx.plotting.shown import ShownValues, shown, spoken, titled
 from nermo_mjx.plotting.style import BEST, GRID, INK, LINE, MUTED, SERIES
@@ -729,7 +729,7 @@ def _forest(rows: Sequence[Row], against: str, profile: str) -> Figure:
     listed = [row for row in known if row["metric"] in OBJECTIVES or row["beyond_noise"]] or known
     order = {name: place for place, name in enumerate(OBJECTIVES)}
     drawn = sorted(listed, key=lambda row: (not row["better"], order.get(row["metric"], len(order))))[:_MOST_METRICS]
-    page = Page(f"Relative differences: {against}", (7.6, 0.24 * len(drawn) + 1.5))
+    page = FigurePage(f"Relative differences: {against}", (7.6, 0.24 * len(drawn) + 1.5))
     ax = page.axes[0, 0]
     # An outlier would leave the others no room.
     ends = np.abs([[row["relative_low"], row["relative_high"]] for row in drawn] or [[0.1, 0.1]])
@@ -788,7 +788,7 @@ def _by_groups(
     drawn = [(part, metric) for part in parts for metric in metrics]
     columns = min(len(metrics) if len(metrics) > 1 else len(parts), _COLUMNS)
     lines = -(-len(drawn) // columns)
-    page = Page(
+    page = FigurePage(
         f"{titled(metrics[0]) if len(metrics) == 1 else 'Speed and costs of transport'}: {against}",
         (max(6.4, 3.3 * columns), 3.0 * lines + 1.0),
         lines,

@@ -15,7 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from nermo_mjx.plotting.charts import Page
+from nermo_mjx.plotting.charts import FigurePage
 from nermo_mjx.plotting.files import Figures
 from nermo_mjx.plotting.shown import spoken
 from nermo_mjx.plotting.style import BAND, GRID, INK, LINE, MUTED, OKABE_ITO
@@ -269,7 +269,7 @@ def figures_of_indices(table: pa.Table) -> Iterator[tuple[str, Figure]]:
     columns = 2 if pairs else min(len(parts), 2)
     rows = len(parts) if pairs else -(-len(parts) // columns)
     size = (5.6 if columns == 1 else 9.6, rows * (0.34 * len(names) + 0.9) + 1.2)
-    page = Page(f"What {spoken(metric)} depends on", size, rows, columns)
+    page = FigurePage(f"What {spoken(metric)} depends on", size, rows, columns)
     places = iter(page.axes.ravel())
     for part in parts:
         own = [line for line in lines if tuple(line[name] for name in structures) == part]

@@ -17,8 +17,8 @@ from matplotlib.patches import Patch
 
 from nermo_mjx.control.parameters import ControlParameters, published_values
 from nermo_mjx.control.stepping import FREE, FreeStepping, Stepping
-from nermo_mjx.kinematics.leg import forward, four_legs
-from nermo_mjx.plotting.charts import Page, horizontal_grid
+from nermo_mjx.kinematics.leg import forward_kinematics, four_legs
+from nermo_mjx.plotting.charts import FigurePage, horizontal_grid
 from nermo_mjx.plotting.style import FOOT, GRID, INK, LINE, MISSING, MUTED, SERIES, TAIL
 from nermo_mjx.recording import Recording, RecordingError
 from nermo_mjx.robot import GAITS, LIMBS, ParameterError, Robot
@@ -116,7 +116,7 @@ def gait_diagram(walk: RecordedGait) -> Figure | None:
     part, what = walk.shown
     time, contact = walk.recording.time[part], walk.contact[part]
     planned = None if walk.planned is None else walk.planned[part]
-    page = Page(f"Gait diagram{walk.title}", (7.4, 3.9))
+    page = FigurePage(f"Gait diagram{walk.title}", (7.4, 3.9))
     ax = page.axes[0, 0]
     shares, names = [], [name_of(limb) for limb in LIMBS]
     for row, limb in enumerate(LIMBS):
@@ -165,7 +165,7 @@ def orientation(walk: RecordedGait) -> Figure | None:
     """Roll, pitch and yaw over the whole recording."""
     if walk.angles is None:
         return None
-    page = Page(f"Orientation of the torso{walk.title}", (7.4, 5.6), 3, 1, sharex=True)
+    page = FigurePage(f"Orientation of the torso{walk.title}", (7.4, 5.6), 3, 1, sharex=True)
     time = walk.recording.time
     for ax, name, values in zip(page.axes[:, 0], ("roll", "pitch", "yaw"), walk.angles.T, strict=True):
         ax.plot(time, values, color=LINE, lw=1.3, zorder=3)
@@ -205,7 +205,7 @@ def ground_path(walk: RecordedGait) -> Figure | None:
     ahead, left = seen(np.asarray(position))
     feet = walk.recording.sensors.get("foot_position")
     tall = (float(np.ptp(left)) + 120) / (float(np.ptp(ahead)) + 120)
-    page = Page(f"Way on the ground, seen from above{walk.title}", (7.4, 1.9 + min(max(6.4 * tall, 1.3), 5.6)))
+    page = FigurePage(f"Way on the ground, seen from above{walk.title}", (7.4, 1.9 + min(max(6.4 * tall, 1.3), 5.6)))
     ax = page.axes[0, 0]
     handles: list[Artist] = [Line2D([], [], color=INK, lw=0.9, label="torso")]
     ax.plot(ahead, left, color=INK, lw=0.8, zorder=4)
@@ -248,7 +248,7 @@ def leg_paths(walk: RecordedGait, robot: Robot) -> Figure | None:
     measured = in_leg_frame(recorded_model(walk.recording, robot), walk.recording.qpos[part])
     geometry = own_geometry(walk.recording) or Geometry()
     commanded = commanded_feet(walk.recording.ctrl[part], robot.config.routing, geometry)
-    page = Page(f"Foot paths in the leg's frame{walk.title}", (7.4, 4.9), 2, 2, sharex=True, sharey="row")
+    page = FigurePage(f"Foot paths in the leg's frame{walk.title}", (7.4, 4.9), 2, 2, sharex=True, sharey="row")
     for i, (ax, limb) in enumerate(zip(page.axes.ravel(), LIMBS, strict=True)):
         ax.plot(-1e3 * commanded[:, i, 0], 1e3 * commanded[:, i, 1], color=INK, lw=1.0, ls=(0, (4, 2)), zorder=3)
         ax.plot(-1e3 * measured[:, i, 0], 1e3 * measured[:, i, 1], color=FOOT[limb], lw=1.6, zorder=4)
@@ -278,7 +278,7 @@ def over_ground(walk: RecordedGait) -> Figure | None:
     course = np.array([np.sin(mean_yaw), -np.cos(mean_yaw)])
     along = 1e3 * (places[..., :2] - np.asarray(position)[part][0, :2]) @ course
     height = 1e3 * places[..., 2]
-    page = Page(f"Foot paths over the ground{walk.title}", (7.4, 6.0), 4, 1, sharex=True, sharey=True)
+    page = FigurePage(f"Foot paths over the ground{walk.title}", (7.4, 6.0), 4, 1, sharex=True, sharey=True)
     for i, (ax, limb) in enumerate(zip(page.axes[:, 0], LIMBS, strict=True)):
         ax.plot(along[:, i], height[:, i], color=FOOT[limb], lw=1.0, zorder=3)
         if walk.contact is not None:
@@ -322,7 +322,7 @@ def in_leg_frame(model: mujoco.MjModel, qpos: np.ndarray) -> np.ndarray:
 def commanded_feet(ctrl: np.ndarray, routing: str, geometry: Geometry) -> np.ndarray:
     """Feet (T, 4, 2) as (y, z) from the axis [m] of commanded servo angles (T, nu), without compliance."""
     servo = np.stack([ctrl[:, : len(LIMBS)], ctrl[:, len(LIMBS) : 2 * len(LIMBS)]], axis=-1)
-    return np.asarray(forward(four_legs(geometry), servo, routing).foot)
+    return np.asarray(forward_kinematics(four_legs(geometry), servo, routing).foot)
 
 
 _HIP, _KNEE, _OTHER = SERIES[0], SERIES[1], SERIES[2]
@@ -344,7 +344,7 @@ def servo_angles_figure(walk: RecordedGait) -> Figure | None:
     ]
     rows = [(f"{name_of(limb)} leg", [(i, _HIP), (i + len(LIMBS), _KNEE)]) for i, limb in enumerate(LIMBS)]
     rows += [(names[i].replace("_", " "), [(i, _OTHER)]) for i in others]
-    page = Page(f"Servo angles{walk.title}", (7.4, 1.3 + 1.3 * len(rows)), len(rows), 1, sharex=True)
+    page = FigurePage(f"Servo angles{walk.title}", (7.4, 1.3 + 1.3 * len(rows)), len(rows), 1, sharex=True)
     for ax, (name, lines) in zip(page.axes[:, 0], rows, strict=True):
         for i, colour in lines:
             ax.plot(time, angle[:, i], color=colour, lw=1.5, zorder=3)
