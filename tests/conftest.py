@@ -49,6 +49,10 @@ gc.set_threshold(50_000, 20, 10)  # tracing makes millions of small objects: wit
 jax.config.update("jax_traceback_in_locations_limit", 0)  # nobody reads where in Python an operation comes from
 runtime.start_jax()  # before a test does, with too few threads for large batches on two cores
 
+TESTS = Path(__file__).parent
+# Tests of one room share what those of another define.
+sys.path.extend(sorted({str(path.parent) for path in TESTS.rglob("test_*.py")} - {str(TESTS)}))
+
 #: Files that take 25 s or more of a core, or wait as long; a notebook finds the program of test_tune_walk.py compiled.
 FIRST = (
     "test_tune_walk.py",
@@ -103,7 +107,7 @@ def pytest_collection(session: pytest.Session) -> Generator[None, Any, Any]:
     """
     worker = getattr(session.config, "workerinput", None)
     if worker and session.config.args == session.config.getini("testpaths"):
-        names = sorted(path.stem for path in Path(__file__).parent.glob("test_*.py"))
+        names = sorted(path.stem for path in TESTS.rglob("test_*.py"))
         for name in names[int(worker["workerid"].removeprefix("gw")) :: worker["workercount"]]:
             with contextlib.suppress(Exception, pytest.skip.Exception):  # which are reported when it is collected
                 importlib.import_module(name)

@@ -28,7 +28,7 @@ pytestmark = pytest.mark.usefixtures("shared_simulators")
 
 ROOT = Path(__file__).parents[1]
 README = ROOT / "README.md"
-#: Pages of the site. The examples of one need a sweep, a recording and a servo table: tests/test_tables.py has them.
+#: Pages of the site. What one needs for its examples, a sweep and a recording, is in tests/runs/test_tables.py.
 PAGES = sorted((ROOT / "docs").rglob("*.md"))
 TRIED = [README, *(page for page in PAGES if page != ROOT / "docs" / "files.md")]
 

@@ -57,7 +57,8 @@ def test_the_longest_files_come_first() -> None:
 
 def test_every_test_marked_long_is_in_the_record(request: pytest.FixtureRequest) -> None:
     """With the day when it last passed, or null: of the tests that were collected, none is forgotten."""
-    files = {path.name for path in Path(__file__).parent.glob("test_*.py")}
+    here = Path(__file__).parent
+    files = {path.relative_to(here).as_posix() for path in here.rglob("test_*.py")}
     recorded = set(tiers.last_runs())
     assert set(request.config.stash[LONG]) <= recorded
     assert {name.partition("::")[0].removeprefix("tests/") for name in recorded} <= files

@@ -1,0 +1,179 @@
+"""Processes of every kind of job, killed by SIGKILL before the n-th change of their directory: when the same command
+has gone on, the tables are those of a job that was left alone, bit for bit.
+
+test_kills.py OUT: imports everything once, and forks a process for each run, before JAX starts any thread.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import types
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pytest
+
+from nermo_mjx.files import TEMPORARY
+
+#: Changes of a directory before which its process is killed.
+BEFORE = (1, 2, 3, 5, 8, 12, 17)
+#: Columns that are never twice the same.
+CLOCK = "wall_seconds"
+
+
+@pytest.mark.long
+@pytest.mark.process
+@pytest.mark.compiles
+def test_forty_kills_leave_the_tables_as_they_were(tmp_path: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, __file__, str(tmp_path)],
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr[-3000:]
+    kills = json.loads(done.stdout.splitlines()[-1])
+    assert sum(kills.values()) >= 40, kills
+    assert min(kills.values()) >= 3, kills
+
+
+def jobs() -> dict[str, Callable[[Path], pa.Table]]:
+    """By kind: runs a job into a directory, and reads its table."""
+    from experiment_fake import Fake
+    from search_fake import SPEED
+    from search_fake import FakeSimulator as Searched
+    from sweep_fake import SPEC, FakeSimulator
+    from tune_fake import SPEC as TUNE
+    from tune_fake import FakeProblem
+
+    from nermo_mjx.experiments import identification, plots
+    from nermo_mjx.experiments.run import EXPERIMENTS, run_experiments
+    from nermo_mjx.optimize import Tuning, read_history, run_landscape, run_search, run_tuning
+    from nermo_mjx.sweep import merge_sweeps, read_table, run_sweep, simulating
+
+    name = next(iter(EXPERIMENTS))
+    EXPERIMENTS[name] = Fake(name).experiment()
+    plots.figures_of_experiment = lambda outcome, lines: []  # type: ignore[assignment, return-value]
+
+    class Walker:
+        """Speeds of all walks of a candidate, by its gain."""
+
+        def __init__(self, setup: Any, engine: str) -> None:
+            self.setup = setup
+
+        def run(self, values: dict[str, np.ndarray], run: Any, **_: Any) -> Any:
+            gain = np.asarray(values["servo.kp"])
+            speed = np.resize(0.05 + 0.01 * np.arange(len(identification.CASES)), len(gain)) * (1 + 0.01 * gain)
+            return types.SimpleNamespace(metrics={"speed": speed}, status=np.full(len(speed), "ok"), steps=1)
+
+    simulating.Simulator = Walker  # type: ignore[misc, assignment]
+
+    def sweep(out: Path) -> pa.Table:
+        run_sweep(SPEC, out, chunk=4, simulator=FakeSimulator())
+        return read_table(out)
+
+    def merge(out: Path) -> pa.Table:
+        for i in range(2):
+            run_sweep(SPEC, out.with_name(f"{out.name}-{i}"), chunk=4, shard=(i, 2), simulator=FakeSimulator())
+        merge_sweeps([out.with_name(f"{out.name}-{i}") for i in range(2)], out)
+        return read_table(out)
+
+    def search(out: Path) -> pa.Table:
+        run_search(SPEED, out, simulator=Searched())
+        return read_table(out)
+
+    def tuning(out: Path) -> pa.Table:
+        wanted = Tuning.from_dict(TUNE | {"iterations": 4})
+        run_tuning(wanted, out, problem=FakeProblem(wanted))
+        return read_history(out).drop([CLOCK])
+
+    def landscape(out: Path) -> pa.Table:
+        wanted = Tuning.from_dict(TUNE)
+        return run_landscape(wanted, out, problem=FakeProblem(wanted), points=9).table
+
+    def experiments(out: Path) -> pa.Table:
+        outcome = run_experiments([name], out, engine="c", video=False).results[0].outcome
+        return pa.table({key: pa.array(column.tolist()) for key, column in outcome.columns.items()})
+
+    def identified(out: Path) -> pa.Table:
+        settings: dict[str, Any] = {"samples": 8, "generations": 2, "population": 6, "bodies": 0, "engine": "c"}
+        content = identification.run_identification(out, **settings)
+        return pa.table(
+            {"costs": content["costs"], "best": [json.dumps(content["parameters"])] * len(content["costs"])}
+        )
+
+    return {
+        "sweep": sweep,
+        "merge": merge,
+        "search": search,
+        "tuning": tuning,
+        "landscape": landscape,
+        "experiments": experiments,
+        "identification": identified,
+    }
+
+
+def ended(job: Callable[[Path], pa.Table], out: Path, before: int = 0) -> bool:
+    """Run a job in a process of its own, which writes its table beside the directory; whether it was killed."""
+    child = os.fork()
+    if child:
+        _, status = os.waitpid(child, 0)
+        if os.WIFSIGNALED(status):
+            return os.WTERMSIG(status) == signal.SIGKILL
+        assert os.WEXITSTATUS(status) == 0, out
+        return False
+    code, changes = 1, 0
+
+    def counted(act: Callable[..., Any]) -> Callable[..., Any]:
+        def acting(*given: Any, **named: Any) -> Any:
+            nonlocal changes
+            changes += str(given[0]).startswith(str(out))
+            if changes == before > 0:
+                os.kill(os.getpid(), signal.SIGKILL)
+            return act(*given, **named)
+
+        return acting
+
+    try:
+        for name in ("replace", "rename", "link"):
+            setattr(os, name, counted(getattr(os, name)))
+        Path.with_name(out, f"{out.name}.txt").write_text(shown(job(out)))
+        code = 0
+    finally:
+        sys.stderr.flush()
+        os._exit(code)
+
+
+def shown(table: pa.Table) -> str:
+    """All of a table's values, to the last bit."""
+    table = table.drop([name for name in table.column_names if name == CLOCK])
+    return json.dumps({name: [repr(value) for value in table.column(name).to_pylist()] for name in table.column_names})
+
+
+if __name__ == "__main__":
+    import faulthandler
+
+    faulthandler.enable()
+    top, kills = Path(sys.argv[1]), {}
+    for kind, job in jobs().items():
+        alone = top / f"{kind}-alone"
+        assert not ended(job, alone)
+        for before in BEFORE:
+            out = top / f"{kind}-{before}"
+            if not ended(job, out, before):
+                break
+            kills[kind] = kills.get(kind, 0) + 1
+            assert not ended(job, out), out
+            texts = [place.with_name(f"{place.name}.txt").read_text() for place in (alone, out)]
+            assert texts[0] == texts[1], out
+            assert [path.name for path in out.rglob("*") if "aside" in path.name or TEMPORARY in path.name] == [], out
+        print(kind, kills.get(kind), flush=True)
+    print(json.dumps(kills))

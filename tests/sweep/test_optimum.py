@@ -1,0 +1,314 @@
+"""The optimum of a sweep: how often its region and its interval hold the truth, and its runs, files and refusals."""
+
+from __future__ import annotations
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from matplotlib.text import Text
+from scipy import stats
+from sweep_fake import FakeSimulator
+
+from nermo_mjx.sweep import SpecError, Sweep, run_sweep
+from nermo_mjx.sweep.counting import two_stage
+from nermo_mjx.sweep.optimum import hsu_margin, judged
+from nermo_mjx.sweep.plots import sweep_figures
+from nermo_mjx.sweep.spec import SoughtOptimum
+
+REPEATS, FRESH, TRIALS = 4, 24, 400
+AMPLITUDES, PHASES = np.array([0.1, 0.2, 0.3, 0.4])[:, None], np.arange(12) * np.pi / 6
+#: Gains of 48 points [m/s]: one phase is best and the amplitude hardly matters; a plateau; and one clear best point.
+LANDSCAPES = {
+    "ridge": (0.008 * np.cos(PHASES - 0.3) - 0.002 * (AMPLITUDES - 0.3) ** 2).ravel(),
+    "plateau": np.where(np.arange(48) == 17, 1e-9, 0.0),
+    "peak": (0.02 * AMPLITUDES * np.cos(PHASES - 0.3) - 0.1 * (AMPLITUDES - 0.32) ** 2).ravel(),
+}
+
+
+def draws(rng: np.random.Generator, truth: np.ndarray, repeats: int, spread: float, noise: str) -> np.ndarray:
+    """Runs (repeats, points): what a repeat's friction does to all of them, and noise of each."""
+    common = rng.normal(0.0, 0.005, (repeats, 1))
+    own = (
+        rng.normal(size=(repeats, len(truth))) if noise == "normal" else rng.exponential(size=(repeats, len(truth))) - 1
+    )
+    return truth + common + spread * own
+
+
+def study(rng, truth, asked: SoughtOptimum, spread=0.002, noise="normal"):
+    """Judge a landscape as a sweep does, with the runs that are asked for: the verdict, and its gain with interval on
+    fresh runs and on those that chose."""
+    size = (REPEATS + asked.fresh + REPEATS * (2 + asked.budget // REPEATS), len(truth))
+    all_runs = draws(rng, truth, size[0], spread, noise)
+    there = np.zeros(size, bool)
+    while True:
+        found = judged(np.where(there, all_runs, np.nan), there, asked, REPEATS)
+        if not len(found.wanted[0]):
+            break
+        there[found.wanted] = True
+    assert not there[REPEATS : REPEATS + asked.fresh].any(), "fresh runs choose nothing"
+    assert there[REPEATS:].sum() == found.spent <= asked.budget
+    base = draws(rng, np.zeros(1), len(all_runs), spread, noise)  # of the same draws, but for the friction: added below
+    base += (all_runs - truth).mean(axis=1, keepdims=True)
+    gains = all_runs[:, found.best] - base[:, 0]
+    chose = there[:, found.best]
+    each = [gains[REPEATS : REPEATS + asked.fresh], gains[chose]]
+    return found, [two_stage(own[:, None], np.zeros(len(own), int), np.zeros(1, int)) for own in each]
+
+
+def shares(landscape: str, noise: str, budget: int) -> dict[str, float]:
+    """Of 400 landscapes: how often the region holds the best point, and both intervals the gain; sizes and biases."""
+    rng, truth, found = np.random.default_rng(7), LANDSCAPES[landscape], []
+    asked = SoughtOptimum.model_validate({"over": ["a"], "base": {"b": "none"}, "fresh": FRESH, "budget": budget})
+    for _ in range(TRIALS):
+        verdict, each = study(rng, truth, asked, noise=noise)
+        gain = truth[verdict.best]
+        line = {"region holds it": verdict.region[truth.argmax()], "points": verdict.region.sum()}
+        for name, own in zip(("fresh", "chosen"), each, strict=True):
+            line |= {name: own.low[0] <= gain <= own.high[0], f"{name} bias": 1e3 * (own.estimate[0] - gain)}
+        found.append(line)
+    return {name: float(np.mean([line[name] for line in found])) for name in found[0]}
+
+
+@pytest.mark.parametrize("budget", [0, 200])
+@pytest.mark.parametrize(("landscape", "noise"), [("plateau", "normal"), ("ridge", "normal"), ("ridge", "skewed")])
+def test_the_region_and_the_interval_hold_the_truth_as_often_as_they_say(landscape, noise, budget):
+    """400 landscapes with a known optimum: a standard error of a hundredth. The region holds it 95 times of 100 where
+    all points are alike, which is the case that the method is made for, and more often where most are worse."""
+    found = shares(landscape, noise, budget)
+    assert 0.93 <= found["region holds it"] <= (0.98 if landscape == "plateau" else 0.995), found
+    assert found["points"] <= (48 if landscape == "plateau" else 14), found
+    assert 0.925 <= found["fresh"] <= 0.975, found
+    assert abs(found["fresh bias"]) <= 0.1, found  # of noise of 0.6 mm/s: 400 means have a standard error of 0.03
+    assert found["chosen bias"] >= 0.4, "the winner's curse"
+
+
+def test_a_second_stage_narrows_a_clear_optimum():
+    """A peak: three points instead of seven or more, none of them lost."""
+    first, second = (shares("peak", "normal", budget) for budget in (0, 200))
+    assert second["points"] < 0.5 * first["points"]
+    assert min(first["region holds it"], second["region holds it"]) >= 0.98
+
+
+def test_the_margin_is_the_quantile_of_the_largest_difference():
+    """Of two points Student's t; of five and 48 as drawn 200,000 times."""
+    assert hsu_margin(2, 10, 0.95) == pytest.approx(stats.t.ppf(0.95, 10), abs=0.01)
+    rng = np.random.default_rng(0)
+    for points, freedom in ((5, 10), (48, 141)):
+        z, s = rng.normal(size=(200_000, points)), np.sqrt(rng.chisquare(freedom, 200_000) / freedom)
+        largest = ((z[:, 1:] - z[:, :1]) / np.sqrt(2) / s[:, None]).max(axis=1)
+        assert hsu_margin(points, freedom, 0.95) == pytest.approx(np.quantile(largest, 0.95), abs=0.02)
+
+
+# --- through a sweep: its runs, files and refusals
+
+SPEC = {
+    "run": {"duration": 0.2, "warmup": 0},
+    "plots": False,
+    "vary": {
+        "gait": ["trot", "lateral_walk"],
+        "spine": ["none", "stride_extension"],
+        "spine.amplitude": [0.1, 0.3],
+        "spine.phase": [-1.0, 0.0, 1.0],
+    },
+    "randomize": {
+        "repeats": 3,
+        "paired": ["spine.amplitude", "spine.phase"],
+        "contact.friction": {"uniform": [0.8, 1.4]},
+    },
+    "optimum": {
+        "over": ["spine.amplitude", "spine.phase"],
+        "for": ["gait"],
+        "base": {"spine": "none"},
+        "fresh": 4,
+        "budget": 30,
+        "until": 1,
+    },
+}
+
+
+class Noisy(FakeSimulator):
+    """Adds noise that depends on the run alone: 0.02 at the phases 0 and 1, which are alike."""
+
+    def run(self, values, run, **more):
+        alike = {"spine.phase": np.minimum(values["spine.phase"], 0.0)} if "spine.phase" in values else {}
+        result = super().run({**values, **alike}, run)
+        parts = [values[name] for name in ("spine.amplitude", "spine.phase", "start.x") if name in values]
+        speed = result.metrics["speed"] + 2e-4 * np.sin(1e4 * sum(parts) + 1e5 * values.get("contact.friction", 1.0))
+        costs = {"cost_of_transport": 1.0 - speed, "electrical_cost_of_transport": 8.0 + speed}
+        result.metrics.update(speed=speed, **costs)
+        return result
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory):
+    """The sweep, complete."""
+    return run_sweep(SPEC, tmp_path_factory.mktemp("sweep"), simulator=Noisy())
+
+
+def test_further_runs_are_rows_of_the_table_and_fresh_ones_chose_nothing(done):
+    """Draws of all points and the base are pairs; of the second stage only points of the region have rows."""
+    table, about = done.table.to_pandas(), done.summary["optimum"]
+    variants = 2 * (1 + 6)
+    assert done.complete
+    assert done.rows == len(table) == done.rows_done
+    own = table[table.row < 3 * variants]
+    assert len(own) == 3 * variants
+    assert (own.groupby(["repeat"]).seed.nunique() == 1).all(), "paired, also across gaits and with the base"
+    for answer in about["answers"]:
+        here = table[table.gait == answer["for"]["gait"]]
+        fresh = here[(here.repeat >= 3) & (here.repeat < 7)]
+        best = fresh[fresh.spine != "none"]
+        assert (best["spine.amplitude"] == answer["at"]["spine.amplitude"]).all()
+        assert (best["spine.phase"] == answer["at"]["spine.phase"]).all()
+        assert len(best) == 4 == answer["metrics"]["speed"]["pairs"]
+        base = fresh[fresh.spine == "none"].set_index("seed").speed
+        gain = best.set_index("seed").speed - base
+        line = answer["metrics"]["speed"]
+        interval = stats.ttest_1samp(gain, 0.0).confidence_interval(0.95)
+        assert line["difference"] == pytest.approx(gain.mean())
+        assert (line["low"], line["high"]) == pytest.approx(tuple(interval))
+        assert line["relative"] == pytest.approx(gain.mean() / base.mean())
+        half = stats.t.ppf(0.975, 3) * best.speed.std() / 2
+        assert line["mean_high"] - line["mean"] == pytest.approx(half)
+        second = here[here.repeat >= 7]
+        assert len(second) == answer["spent"] <= 30
+        assert answer["ended"] in ("few", "budget")
+        assert {point["spine.amplitude"] for point in answer["region"]} == {0.3}
+        assert min(point["spine.phase"] for point in answer["region"]) >= 0.0
+
+
+def test_files_say_the_same(done):
+    """Parquet, CSV and LaTeX."""
+    lines = pq.read_table(done.out / "optimum.parquet").to_pylist()
+    assert [line["metric"] for line in lines[:3]] == ["speed", "cost_of_transport", "electrical_cost_of_transport"]
+    assert (done.out / "optimum.csv").read_text().count("\n") == len(lines) + 1 == 7
+    latex = (done.out / "optimum.tex").read_text()
+    share = 100 * done.summary["optimum"]["answers"][0]["metrics"]["speed"]["relative"]
+    assert f"+{share:.1f} \\%" in latex
+    assert "Lateral walk" in latex
+    assert "the stiff spine" in latex
+
+
+def texts(figure) -> str:
+    """All that stands in a figure."""
+    return " ".join(" ".join(each.get_text() for each in figure.findobj(Text)).split())
+
+
+def test_the_figure_has_a_map_for_each_gait_with_the_gain_on_fresh_runs(done):
+    figure = dict(sweep_figures(done.out))["optimum"]
+    for answer, ax in zip(done.summary["optimum"]["answers"], figure.axes, strict=False):
+        line = answer["metrics"]["speed"]
+        assert f"{100 * line['relative']:+.1f} %" in ax.get_title()
+        (colours,) = (each for each in ax.collections if each.get_array() is not None)
+        assert colours.get_array().size == 6
+    said = texts(figure)
+    for words in (
+        "Trot",
+        "Lateral walk",
+        "Mechanical cost",
+        "intervals over contact",
+        "exact",
+    ):
+        assert words in said
+
+
+def test_one_parameter_is_a_line_and_less_may_be_better(tmp_path):
+    spec = SPEC | {"vary": {"spine": ["none", "stride_extension"], "spine.amplitude": [0.1, 0.2, 0.3]}}
+    spec["randomize"] = {"repeats": 3, "paired": ["spine.amplitude"]}
+    asked = {"minimize": "cost_of_transport", "over": ["spine.amplitude"], "base": {"spine": "none"}, "fresh": 4}
+    spec["optimum"] = asked
+    result = run_sweep(spec, tmp_path, simulator=Noisy())
+    (answer,) = result.summary["optimum"]["answers"]
+    assert answer["at"] == {"spine.amplitude": 0.3}
+    assert answer["metrics"]["cost_of_transport"]["relative"] < 0
+    figure = dict(sweep_figures(tmp_path))["optimum"]
+    assert "Lowest mechanical cost of transport over spine amplitude" in texts(figure)
+    assert figure.axes[0].get_xlabel() == "spine amplitude [deg]"
+
+
+def test_gains_and_best_variants_are_told_for_each_structure(tmp_path):
+    """A grid from amplitude 0 over two gaits: a map of the gain for each, and no mean over the stiff runs."""
+    vary = {"gait": ["trot", "lateral_walk"], "spine.amplitude": [0.0, 0.2, 0.4], "spine.phase": [-1.0, 0.0, 1.0]}
+    spec = {"run": {"duration": 0.2, "warmup": 0}, "plots": False, "vary": vary, "spine": "stride_extension"}
+    result = run_sweep(spec, tmp_path, simulator=FakeSimulator())
+    figure = dict(sweep_figures(tmp_path))["speed-gain-over-spine.amplitude-and-spine.phase"]
+    assert [ax.get_title() for ax in figure.axes[:2]] == ["trot", "lateral walk"]
+    best = result.summary["best_of_each"]
+    assert len({each["parameters"]["gait"] for each in best}) == len(best) == 2
+    assert all(each["parameters"]["spine.amplitude"] == 0.4 for each in best)
+
+
+@pytest.mark.parametrize("stop", [2, 5, 6, 7])
+def test_it_resumes_anywhere_with_the_same_rows(tmp_path, done, stop):
+    """Interrupted in the first stage, the second one, and in fresh runs."""
+    from nermo_mjx.runs import Interrupted
+
+    with pytest.raises(Interrupted):
+        run_sweep(SPEC, tmp_path, simulator=Noisy(stop_at=stop))
+    again = run_sweep(SPEC, tmp_path, simulator=Noisy())
+    assert again.table.equals(done.table)
+    assert again.summary["optimum"] == done.summary["optimum"]
+    idle = Noisy()
+    run_sweep(SPEC, tmp_path, simulator=idle)
+    assert not idle.batches
+
+
+def test_it_may_be_sought_in_a_finished_directory(tmp_path):
+    """No row of it depends on what is sought; without common draws the gain is not of pairs."""
+    spec = {key: value for key, value in SPEC.items() if key != "optimum"}
+    spec |= {"spine": "stride_extension", "randomize": {"repeats": 3, "contact.friction": {"uniform": [0.8, 1.4]}}}
+    spec["vary"] = {"gait": ["trot"], "spine.amplitude": [0.0, 0.1, 0.3], "spine.phase": [-1.0, 0.0, 1.0]}
+    first = run_sweep(spec, tmp_path, simulator=Noisy()).table
+    sweep = Sweep.from_directory(tmp_path).seeking(
+        "{over: [spine.amplitude, spine.phase], base: {spine.amplitude: 0}, fresh: 4}"
+    )
+    result = run_sweep(sweep, tmp_path, simulator=Noisy())
+    assert result.table.slice(0, len(first)).equals(first)
+    assert result.rows == len(first) + 8
+    (answer,) = result.summary["optimum"]["answers"]
+    assert answer["at"]["spine.amplitude"] == 0.3
+    assert answer["points"] == 6
+    assert answer["metrics"]["speed"]["pairs"] == 0
+    fresh = result.table.slice(len(first)).to_pandas()
+    best, base = (fresh[fresh["spine.amplitude"] == each].speed for each in (0.3, 0.0))
+    welch = stats.ttest_ind(best, base, equal_var=False)
+    assert answer["metrics"]["speed"]["p"] == pytest.approx(welch.pvalue, rel=0.2)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"over": ["spine.phse"]}, "names 'spine.phse', which is not varied; did you mean 'spine.phase'?"),
+        ({"for": ["spine"]}, "names 'spine', of which the best value is sought"),
+        ({"for": []}, "leaves out gait, which varies, too"),
+        ({"base": {"spine": "balance"}}, "no value of spine; allowed are none, stride_extension"),
+        ({"base": {}}, "expected one column and its value"),
+        ({"maximize": "sped"}, "is 'sped', no metric; did you mean 'speed'?"),
+        ({"maximize": "speed", "minimize": "slip"}, "one metric is best at a time"),
+    ],
+)
+def test_what_cannot_be_sought_is_refused(change, message):
+    with pytest.raises(SpecError, match=r"optimum") as refused:
+        Sweep.from_dict(SPEC | {"optimum": SPEC["optimum"] | change})
+    assert message in str(refused.value)
+
+
+def test_single_runs_and_unlisted_values_tell_no_optimum():
+    with pytest.raises(SpecError, match="needs repeats, because a single run tells no noise"):
+        Sweep.from_dict(SPEC | {"randomize": {}})
+    with pytest.raises(SpecError, match="drawn between bounds"):
+        Sweep.from_dict(SPEC | {"vary": SPEC["vary"] | {"spine.phase": {"uniform": [-1, 1]}}, "sample": {"sobol": 8}})
+    with pytest.raises(SpecError, match="names 'gait', which is no varied parameter"):
+        Sweep.from_dict(SPEC | {"randomize": {"repeats": 2, "paired": ["gait"]}})
+
+
+def test_lost_points_are_not_the_best(tmp_path):
+    """The fastest points fall: the best is among those that lost no run, and how many are out is said."""
+    result = run_sweep(SPEC, tmp_path, simulator=Noisy(falls_above=0.0755))
+    table = result.table.to_pandas()
+    fell = table[table.status == "fell"]
+    assert {*fell["spine.amplitude"]} >= {0.3}
+    for answer in result.summary["optimum"]["answers"]:
+        own = fell[fell.gait == answer["for"]["gait"]]
+        for point in answer["region"]:
+            assert not np.all(own[[*point]] == [*point.values()], axis=1).any()
