@@ -18,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
+from nermo_mjx.dynamics.own_derivative import own_derivative
 from nermo_mjx.dynamics.rows import ConstraintProblem, Layout
 from nermo_mjx.shapes import Array, Dofs, Efc
 
@@ -76,15 +77,8 @@ def exact_residual(problem: ConstraintProblem, qacc: Dofs) -> Efc:
     return (coarse @ front - problem.aref) + rest
 
 
-@jax.custom_jvp
-def _known(value: Array, plain: Array) -> Array:
-    """A more exact value of something, with its derivatives."""
-    return value
-
-
-@_known.defjvp
-def _(primals: tuple[Array, Array], tangents: tuple[Array, Array]) -> tuple[Array, Array]:
-    return _known(*primals), tangents[1]
+#: (a more exact value of something, something) -> the value, with the derivatives of the other.
+_known: Final = own_derivative("more_exact", lambda _, value, plain, changes: changes[0])
 
 
 def forces(layout: Layout, problem: ConstraintProblem, residual: Efc) -> Efc:

@@ -17,7 +17,6 @@ and uses the problem of the state, which reverse mode recomputes.
 
 from __future__ import annotations
 
-import functools
 from typing import Any, NamedTuple
 
 import jax
@@ -31,6 +30,7 @@ from nermo_mjx.dynamics.impedance import make_constraint
 from nermo_mjx.dynamics.integration import INTEGRATORS, integrate
 from nermo_mjx.dynamics.jacobians import with_point_jacobians
 from nermo_mjx.dynamics.mjx_import import Model, Solved, collision_driver, mjx
+from nermo_mjx.dynamics.own_derivative import own_derivative
 from nermo_mjx.dynamics.precision import full_precision
 from nermo_mjx.dynamics.preparing import is_zero, prepared
 from nermo_mjx.dynamics.rows import ConstraintProblem, Layout
@@ -221,7 +221,7 @@ def solve(model: mjx.Model, data: mjx.Data) -> Solved:
     fixed, start = jax.lax.stop_gradient((problem, data.qacc_warmstart if starts_warm else data.qacc_smooth))
     found = solver.minimum(layout, fixed, start)
     last = _newton(layout, checkpoint_name(found.qacc, KEPT), fixed)
-    qacc = _solution(layout, last.qacc, last.residual, problem)
+    qacc = _solution(last.qacc, last.residual, problem, static=layout)
     force = constraint.forces(layout, problem, constraint.residual(problem, qacc, last.residual))
     own = jnp.diag(fixed.inertia)
     size = jnp.maximum(jnp.abs(last.qacc), jnp.abs(fixed.smooth) / own)
@@ -241,20 +241,16 @@ def solve(model: mjx.Model, data: mjx.Data) -> Solved:
     return solved
 
 
-@functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
-def _solution(layout: Layout, qacc: Dofs, known: Efc, problem: ConstraintProblem) -> Dofs:
-    """`qacc` unchanged, with the derivative of the problem's solution; `known` is the residual there."""
-    return qacc
-
-
-@_solution.defjvp
 @full_precision
-def _(layout: Layout, primals: Any, tangents: Any) -> tuple[Array, Array]:
-    qacc, known, problem = primals
-    *_, change = tangents
-    qacc = _solution(layout, qacc, known, problem)  # depends on the problem, for derivatives of this rule
+def _change(layout: Layout, qacc: Dofs, arguments: Any, changes: Any) -> Array:
+    """How the solution follows the problem, by the implicit function theorem; the residual is a value alone."""
+    (known, problem), (_, change) = arguments, changes
     _, slope = jax.jvp(lambda p: constraint.gradient(layout, p, qacc, known), (problem,), (change,))
-    return qacc, -solve_definite(constraint.hessian(layout, problem, qacc, known), slope)
+    return -solve_definite(constraint.hessian(layout, problem, qacc, known), slope)
+
+
+#: (qacc, residual there, problem) -> qacc, with the derivative of the problem's solution.
+_solution = own_derivative("solution", _change)
 
 
 class _Last(NamedTuple):

@@ -17,7 +17,7 @@ def full_precision(function: Callable[P, T]) -> Callable[P, T]:
 
     JAX's default on NVIDIA GPUs from Ampere on is TF32, which keeps 10 bits of float32's 23: residuals of the
     constraint solver would be wrong by 2.5e-3 instead of 6e-7. A product keeps its precision under `vmap` and in
-    derivatives, except in custom rules (`custom_jvp`), which JAX may trace later: those are wrapped themselves.
+    derivatives, except in the rules of `own_derivative`, which JAX may trace later: those are wrapped themselves.
     """
 
     @functools.wraps(function)

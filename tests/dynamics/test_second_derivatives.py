@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -16,6 +17,7 @@ from mujoco.mjx._src.collision_types import GeomInfo
 from nermo_mjx.dynamics import collision, differentiable, jacobians, solver, step
 from nermo_mjx.dynamics.integration import positions
 from nermo_mjx.dynamics.mjx_import import mjx
+from nermo_mjx.dynamics.own_derivative import own_derivative
 from nermo_mjx.dynamics.rows import ConstraintProblem, Layout
 from nermo_mjx.rollout import Run, Setup
 from nermo_mjx.rollout.differentiable import Rollout
@@ -231,6 +233,44 @@ def test_second_derivatives_of_a_step(name: str) -> None:
 
         found = errors(value, np.array([0.02, -0.03, 0.01, 0.03]), ("jacfwd(jacrev)",), 1e-5)
     assert max(found.values()) < 1e-5, found
+
+
+@pytest.mark.slow
+def test_second_derivatives_of_several_steps() -> None:
+    """Of where a sphere comes to that slides and rolls, in a loop, whose body JAX linearizes on its own."""
+    model = mujoco.MjModel.from_xml_string(f"<mujoco>{SLIDING}</mujoco>")
+    with jax.enable_x64(True):
+        device = mjx.put_model(model)
+        data = mjx.make_data(device)
+
+        def place(pushed: Any) -> Any:
+            start = data.replace(qvel=data.qvel.at[: len(pushed)].set(pushed))
+            after = jax.lax.scan(lambda each, _: (step(device, each), None), start, None, length=5)[0]
+            return jnp.sum(jnp.sin(after.qvel)) + jnp.sum(after.qpos)
+
+        found = errors(place, np.array([0.3, -0.2]), ("jacfwd(jacrev)",))
+    assert max(found.values()) < 1e-6, found
+
+
+@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("looped", [False, True])
+def test_a_derivative_of_ones_own_holds_in_loops_and_batches(way: str, looped: bool) -> None:
+    """A square root that is known from elsewhere, against the square root."""
+    root = own_derivative("root", lambda _, value, arguments, changes: changes[0] / (2.0 * value))
+
+    def roots(numbers: Any, given: bool) -> Any:
+        def one(number: Any) -> Any:
+            found = jnp.sqrt(number)
+            return root(jax.lax.stop_gradient(found), number) if given else found
+
+        def after(each: Any, _: Any) -> Any:
+            return 1.0 + jax.vmap(one)(each), None
+
+        return jnp.sum(jnp.sin(jax.lax.scan(after, numbers, None, length=3)[0] if looped else after(numbers, None)[0]))
+
+    at = jnp.array([0.3, 2.0, 5.0])
+    found, expected = (WAYS[way](functools.partial(roots, given=given))(at) for given in (True, False))
+    np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-7)
 
 
 @pytest.mark.long
