@@ -175,7 +175,7 @@ class Robot:
         """Of each joint of `Sensors.joint_velocity` [N m s/rad].
 
         Args:
-            damping: leaves of shape (*batch,).
+            damping: leaves of one shape, that of the batch.
         """
         # Each of n hinges in series has n times the damping of the joint.
         values = {kind: self.config.hinges * getattr(damping, kind) for kind in ("knee", "ankle", "spine")}
