@@ -24,7 +24,7 @@ _CONTROL: Final = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u20
 def printable(text: str) -> str:
     r"""A text as it can be shown: control characters are escaped, as in JSON.
 
-    >>> print(shown("speed\x1b[2J"))
+    >>> print(printable("speed\x1b[2J"))
     speed\u001b[2J
     """
     return _CONTROL.sub(lambda found: f"\\u{ord(found[0]):04x}", text)

@@ -132,7 +132,7 @@ class Explorer {
       return line;
     });
     find("answer").hidden = false;
-    find("answer").append(element("summary", title), element("table", [head, ...shown]), element("p", notes.join(" "), "hint"));
+    find("answer").append(element("h2", title), element("table", [head, ...shown]), element("p", notes.join(" "), "hint"));
     shown[0]?.querySelector("button").click();
   }
 
