@@ -63,7 +63,7 @@ _KINDS: Final = (
     Kind("training", "a training", "learn.plots:training_figures", "learn.directory:training_status"),
     Kind("landscape", "a landscape", "optimize.landscape:landscape_figures", "optimize.landscape:landscape_status"),
     Kind("experiments", "published experiments", "experiments.run:images", "experiments.run:experiments_status", True),
-    Kind("identification", "an identification", f"{_IDENTIFIED}:drawn", f"{_IDENTIFIED}:status", True),
+    Kind("identification", "an identification", f"{_IDENTIFIED}:drawn", f"{_IDENTIFIED}:identification_status", True),
     Kind("comparison", "a comparison", "sweep.comparing:comparison_figures", "sweep.table:report_status", True),
     Kind(
         "sensitivity",

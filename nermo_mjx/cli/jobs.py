@@ -146,7 +146,6 @@ def sweep_command(
       nermo-mjx sweep finer.yaml --out runs/quickstart --extend
       nermo-mjx sweep runs/quickstart/sweep.yaml --rows front.csv --out runs/front
       nermo-mjx sweep sweeps/quickstart.yaml --dry-run
-      nermo-mjx sweep runs/gaits/sweep.yaml --out runs/gaits --optimum '{over: [spine.phase], base: {spine: none}}'
       nermo-mjx sweep --list-parameters
     """
     if list_parameters:

@@ -102,7 +102,7 @@ def test_its_page_has_curves_evaluation_and_the_policy_in_3d(tmp_path, done, mon
         "summary_of": {"flat": {"policy": numbers, "alone": numbers | {"success": 0.5}}},
     }.items():
         monkeypatch.setattr(f"nermo_mjx.view.trained.{name}", lambda *_, found=found: found)
-    monkeypatch.setattr("nermo_mjx.view.trained.figures", lambda _: [])
+    monkeypatch.setattr("nermo_mjx.view.trained.training_figures", lambda _: [])
     page = show(out)
     assert "The policy on flat</h2><iframe" in page.html
     row = "".join(f"<td>{each}</td>" for each in ("flat", "policy", "98", "123.4", "1.10", "5.43", "91.2"))
