@@ -179,7 +179,7 @@ def test_the_check_finds_a_derivative_that_is_cut(monkeypatch: pytest.MonkeyPatc
     data.qvel[:2] = 1.0, 0.3  # it slides
     assert checking.check_gradient(model, data, steps=2, options=options).error < 1e-6
     cut = differentiable._solution
-    monkeypatch.setattr(differentiable, "_solution", lambda *given: jax.lax.stop_gradient(cut(*given)))
+    monkeypatch.setattr(differentiable, "_solution", lambda *given, **how: jax.lax.stop_gradient(cut(*given, **how)))
     found = checking.check_gradient(model, data, steps=2, options=options)
     assert found.is_finite
     assert found.error > 0.1

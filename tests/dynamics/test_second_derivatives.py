@@ -112,7 +112,7 @@ def test_second_derivatives_of_the_rows(kind: str) -> None:
         given = problem(numbers)
         found = solver.minimum(layout, *jax.lax.stop_gradient((given, jnp.zeros(SIZE))))
         last = differentiable._newton(layout, found.qacc, jax.lax.stop_gradient(given))
-        return jnp.sum(jnp.sin(differentiable._solution(layout, last.qacc, last.residual, given)))
+        return jnp.sum(jnp.sin(differentiable._solution(last.qacc, last.residual, given, static=layout)))
 
     found = errors(value, np.linspace(-0.5, 0.7, NUMBERS), tuple(WAYS)[: None if kind == "all" else 1])
     assert max(found.values()) < 1e-6, found
