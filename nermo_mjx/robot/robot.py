@@ -171,7 +171,7 @@ class Robot:
         model = self._compiled.model
         return tuple(model.actuator(i).name.removesuffix("_servo") for i in range(model.nu))
 
-    def joint_damping(self, damping: Damping) -> Float[Array, "*batch n"]:
+    def joint_damping(self, damping: Damping) -> Float[Array, "*batch n"] | np.ndarray:
         """Of each joint of `Sensors.joint_velocity` [N m s/rad].
 
         Args:
@@ -180,7 +180,9 @@ class Robot:
         # Each of n hinges in series has n times the damping of the joint.
         values = {kind: self.config.hinges * getattr(damping, kind) for kind in ("knee", "ankle", "spine")}
         values["tail"] = TAIL_DAMPING + 0.0 * values["knee"]
-        return jnp.stack([jnp.asarray(values[kind]) for kind in self._compiled.compliant], axis=-1)
+        each = [values[kind] for kind in self._compiled.compliant]
+        # An operation of its own would be compiled by itself.
+        return (jnp if any(isinstance(value, jax.Array) for value in each) else np).stack(each, axis=-1)
 
     @property
     def n_servos(self) -> int:

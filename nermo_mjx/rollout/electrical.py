@@ -22,6 +22,7 @@ from collections.abc import Mapping
 from typing import Any, Final, NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Float
 
 from nermo_mjx.robot import LIMBS, Robot
@@ -35,7 +36,7 @@ class Supply(NamedTuple):
     servo: Servo
     battery: Battery
     damping: Damping
-    joint_damping: Float[Array, "*batch n"] | float = 0.0
+    joint_damping: Float[Array, "*batch n"] | np.ndarray | float = 0.0
 
     @classmethod
     def of(cls, body: ModelParameters, robot: Robot | None = None) -> Supply:
