@@ -609,7 +609,15 @@ def test_a_window_shorter_than_a_tick_has_numbers(late):
 
 
 #: Metrics without a number in a run as it should be: without a failure, a path, a bend.
-MAY_BE_NAN = {"failure_time", "turning_radius"} | {f"cross_track_{what}" for what in ("peak", "rms", "walked", "noise")}
+MAY_BE_NAN = {
+    "failure_time",
+    "turning_radius",
+    "stride_length",
+    "stride_length_cv",
+    "stride_time",
+    "stance_time",
+    "duty_factor",
+} | {f"cross_track_{what}" for what in ("peak", "rms", "walked", "noise")}
 
 
 @functools.cache
