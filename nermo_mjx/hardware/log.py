@@ -166,7 +166,7 @@ class Log:
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Columns:
+class LogTable:
     """A file's table as it stands.
 
     Attributes:
@@ -198,7 +198,7 @@ class Columns:
         return found
 
 
-def read_columns(file: str | os.PathLike[str]) -> Columns:
+def read_columns(file: str | os.PathLike[str]) -> LogTable:
     """The table of a CSV or Parquet file.
 
     Raises:
@@ -223,14 +223,14 @@ def read_columns(file: str | os.PathLike[str]) -> Columns:
     return found
 
 
-def _csv(path: Path) -> Columns:
+def _csv(path: Path) -> LogTable:
     import pandas as pd
 
     text = read_bytes(path, MOST_ARRAYS).decode("utf-8-sig")
     # A line is one row: no cell of numbers goes over several.
     lines = [(i, line) for i, line in enumerate(text.splitlines(), 1) if line.strip() and not line.startswith("#")]
     if not lines:
-        return Columns(str(path), pd.DataFrame())
+        return LogTable(str(path), pd.DataFrame())
     mark = max(",;\t", key=lines[0][1].count)
     names = [name.strip() for name in next(csv.reader([lines[0][1]], delimiter=mark))]
     for number, line in lines[1:]:
@@ -246,17 +246,17 @@ def _csv(path: Path) -> Columns:
         frame = pd.DataFrame()
     except pd.errors.ParserError as error:
         raise SpecError(f"{path}: not valid CSV: {str(error).strip()}.") from None
-    return Columns(str(path), frame.set_axis(names[: frame.shape[1]], axis=1), tuple(number for number, _ in lines[1:]))
+    return LogTable(str(path), frame.set_axis(names[: frame.shape[1]], axis=1), tuple(number for number, _ in lines[1:]))
 
 
-def _parquet(path: Path) -> Columns:
+def _parquet(path: Path) -> LogTable:
     import pyarrow as pa
 
     from nermo_mjx.runs.files import parquet_file
 
     try:
         with parquet_file(path, ours=False) as file:
-            return Columns(str(path), file.read().to_pandas(ignore_metadata=True))
+            return LogTable(str(path), file.read().to_pandas(ignore_metadata=True))
     except (pa.ArrowException, ValueError) as error:
         raise SpecError(f"{path}: not a Parquet file, or a damaged one ({str(error).splitlines()[0]}).") from None
 
@@ -332,7 +332,7 @@ class _Reader:
         notes: what was found, and the channels that it was found of.
     """
 
-    def __init__(self, doc: Document, fields: LogFields, table: Columns) -> None:
+    def __init__(self, doc: Document, fields: LogFields, table: LogTable) -> None:
         self.doc, self.fields, self.table = doc, fields, table
         self.notes: dict[str, list[str]] = {}
 
