@@ -246,7 +246,8 @@ def _csv(path: Path) -> LogTable:
         frame = pd.DataFrame()
     except pd.errors.ParserError as error:
         raise SpecError(f"{path}: not valid CSV: {str(error).strip()}.") from None
-    return LogTable(str(path), frame.set_axis(names[: frame.shape[1]], axis=1), tuple(number for number, _ in lines[1:]))
+    frame = frame.set_axis(names[: frame.shape[1]], axis=1)
+    return LogTable(str(path), frame, tuple(number for number, _ in lines[1:]))
 
 
 def _parquet(path: Path) -> LogTable:
