@@ -16,6 +16,7 @@ import click
 
 from nermo_mjx.cli import options
 from nermo_mjx.cli.choices import ENGINES, PILOTS, ROBOTS
+from nermo_mjx.cli.logs import LOGS, log_channels, log_of, plain, print_differences
 from nermo_mjx.cli.options import assigned, number, text
 from nermo_mjx.cli.output import Failure, Output, WrongUse, command, is_given, print_table, say
 from nermo_mjx.cli.progress import ProgressBar
@@ -410,18 +411,37 @@ def _browser(address: str) -> Iterator[None]:
         yield
 
 
+#: Options of `replay` that belong to one of its three forms.
+_OF_ROWS, _OF_DRIVES = ("row", "engine"), ("sweep", "controller")
+_OF_LOGS = ("channels", "robot", "scene", "tail", "physics", "assignments")
+
+
 @command("replay")
-@click.argument("out", metavar="DIR|FILE", type=options.PATH)
+@click.argument("out", metavar="[DIR|FILE]", required=False, type=options.PATH)
+@text("--commands", "LOG", "Drive the twin by the commands of a robot's log.", type=options.FileKind(*LOGS))
+@log_channels
+@options.body
+@options.set_any
 @number("--row", "Row of the table, from 0; not with a FILE.", int, metavar="N")
 @options.choice_option("--engine", ENGINES, "By default the directory's own.", default=None)
 @options.produced
 @options.file("--sweep", ".yaml", "Write a sweep file that walks as was driven, of a FILE.")
 @text("--controller", "FILE", "Your copy of the controller of a drive, FILE.py:NAME or a policy FILE.npz; of a FILE.")
 def replay_command(
-    out: Path, row: int | None, engine: str | None, sweep: Path | None, controller: str | None, **saved: Any
+    out: Path | None,
+    commands: Path | None,
+    row: int | None,
+    engine: str | None,
+    sweep: Path | None,
+    controller: str | None,
+    channels: Path | None,
+    record: Path | None,
+    video: Path | None,
+    camera: str,
+    **body: Any,
 ) -> Output:
-    """Rerun one row of a sweep's or a search's directory on its own, or a
-    recorded drive.
+    """Rerun one row of a sweep's or a search's directory on its own, a recorded
+    drive, or the commands of a robot's log.
 
     It has the parameters, start and duration that the sweep gives it, whether
     or not the sweep has reached it; for a search, those of a row of its table.
@@ -433,21 +453,36 @@ def replay_command(
     controller of your own again. The FILE.jsonl of a drive that was killed is
     driven again, too, up to its end.
 
+    --commands LOG drives the twin, from standing, by what a robot was
+    commanded, at its times. What the robot measured is laid beside what the
+    twin measures; the recording keeps both, for `view` and `plot`.
+
     Examples:
       nermo-mjx replay runs/quickstart --row 57 --video row57.mp4
       nermo-mjx replay runs/quickstart --row 57 --engine mjx --json
       nermo-mjx replay runs/atlas --row 8123 --video gait.mp4
       nermo-mjx replay drive.npz --sweep drive.yaml
       nermo-mjx replay drive.jsonl --record drive.npz
+      nermo-mjx replay --commands robot.csv --record twin.npz
     """
-    if out.suffix in (".npz", ".jsonl"):
-        if row is not None or engine is not None:
-            raise WrongUse("--row and --engine belong to a directory: a recorded drive has neither.")
+    if (out is None) == (commands is None):
+        raise WrongUse("Give a directory, a recorded drive, or --commands LOG.")
+    saved: dict[str, Any] = {"record": record, "video": video, "camera": camera}
+    of_drive = out is not None and out.suffix in (".npz", ".jsonl")
+    allowed = ("engine", *_OF_LOGS) if commands else _OF_DRIVES if of_drive else _OF_ROWS
+    for name, option in options.given().items():
+        if name in {*_OF_ROWS, *_OF_DRIVES, *_OF_LOGS} - {*allowed}:
+            place = (
+                "a directory" if name in _OF_ROWS else "a recorded drive" if name in _OF_DRIVES else "--commands LOG"
+            )
+            raise WrongUse(f"{option} belongs to {place}: leave it out.")
+    if commands is not None:
+        return _replay_log(commands, channels, engine, body, saved)
+    assert out is not None
+    if of_drive:
         return _replay_drive(out, sweep, controller, saved)
     if row is None:
         raise WrongUse("Give --row N, a row of the table.")
-    if sweep is not None or controller is not None:
-        raise WrongUse("--sweep and --controller belong to a recorded drive.")
     from nermo_mjx.optimize.directory import find_evaluation
     from nermo_mjx.runs.files import make_writable, plain_json
     from nermo_mjx.sweep.replay import find_row, replay_row, report_of
@@ -476,6 +511,34 @@ def replay_command(
         click.echo(report["compared"])
 
     return Output(report, show, files)
+
+
+def _replay_log(
+    file: Path, channels: Path | None, engine: str | None, body: dict[str, Any], saved: dict[str, Any]
+) -> Output:
+    """Drive the twin by a log's commands, and lay what was measured beside it."""
+    from nermo_mjx.hardware.signals import findings_of
+    from nermo_mjx.hardware.twin import replay_log, with_log
+    from nermo_mjx.rollout import Setup, all_parameters
+
+    log, named = log_of(file, channels), body.pop("assignments")
+    setup = Setup(**{name: value for name, value in body.items() if value is not None})
+    refuse_video(setup, saved["video"], saved["camera"])
+    with ProgressBar("replay", compiles=True) as progress:
+        result = replay_log(log, setup, assigned(named, all_parameters(setup)), engine or "c", progress.share)
+    recording, found = with_log(result.recording(), log, setup.load())
+    save_run(recording, **saved)
+    for sentence in findings_of(log):
+        say(sentence)
+    missing = [each.name for each in log.channels if each.name not in recording.metadata["log"]["shown"]]
+    content = {**result.about(), "log": file, "channels": plain(found), "not_simulated": missing}
+
+    def show() -> None:
+        print_differences(f"{file}, {log.duration:.4g} s: measured minus simulated, engine {result.engine}", found)
+        if missing:
+            click.echo(f"The twin has no signal of {', '.join(missing)}.")
+
+    return Output(content, show, [each for each in (saved["record"], saved["video"]) if each])
 
 
 def _replay_drive(path: Path, sweep: Path | None, controller: str | None, saved: Mapping[str, Any]) -> Output:

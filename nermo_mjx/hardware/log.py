@@ -64,8 +64,8 @@ _MOVING: Final = ("velocity", "gyro", "acceleration", "position", "yaw")
 _MOVED: Final = 0.05
 #: Rows in a row that may be stamped before an earlier one: more are of a clock that was set back.
 _LATE_ROWS: Final = 10
-#: Longest interval between samples that is no gap, in usual ones.
-_GAP: Final = 2.5
+#: Longest interval between samples that is no gap, in usual ones: a single lost sample makes one of 2.
+_GAP: Final = 1.8
 
 
 class ClockFields(Fields):
@@ -198,7 +198,7 @@ class LogTable:
         return found
 
 
-def read_columns(file: str | os.PathLike[str]) -> LogTable:
+def table_of_log(file: str | os.PathLike[str]) -> LogTable:
     """The table of a CSV or Parquet file.
 
     Raises:
@@ -283,7 +283,7 @@ def read_log(file: str | os.PathLike[str], channels: str | os.PathLike[str] | Ma
     """
     what = "file of a log's channels"
     doc = read_mapping(channels, what) if isinstance(channels, Mapping) else read_file(channels, what)
-    fields, table = read(doc, LogFields), read_columns(file)
+    fields, table = read(doc, LogFields), table_of_log(file)
     if not fields.channels:
         doc.fail(("channels",), "names no channel: at least one is needed.")
     reader, made = _Reader(doc, fields, table), dict[tuple[str, str], Channel]()
