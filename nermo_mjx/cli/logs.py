@@ -100,9 +100,26 @@ _HEADINGS = "channel, quantity, of, rate [Hz]>, samples>, from>, to>, unit, behi
 
 def _shown_row(row: dict[str, Any]) -> list[str]:
     (low, high), unit = in_unit("", row["unit"], row["low"], row["high"])
-    lag = "" if row["lag"] is None else f"{1e3 * row['lag']:.0f}"
+    lag = "" if row["lag"] is None else str(round(1e3 * row["lag"]))
     numbers = [f"{row['rate']:.4g}", f"{row['samples']:,}", f"{low:.3g}", f"{high:.3g}"]
     return [row["channel"], row["quantity"], row["of"], *numbers, unit, lag]
+
+
+def compare_files(a: Path, b: Path, channels: Path | None) -> Output:
+    """Two logs, or a log and a recording of the twin, or two recordings, channel by channel: B minus A."""
+    from nermo_mjx.cli.view import load_recording
+    from nermo_mjx.hardware.signals import differences
+    from nermo_mjx.hardware.twin import beside, signals_of
+    from nermo_mjx.view import robot_of
+
+    loaded = {path: load_recording(path) for path in (a, b) if path.suffix == ".npz"}
+    twins = {path: signals_of(each, robot_of(each)) for path, each in loaded.items()}
+    one, two = (twins.get(path) or log_of(path, channels) for path in (a, b))
+    one, two = (beside(two, one) if a in twins else one, beside(one, two) if b in twins else two)
+    if not (found := differences(two, one)):
+        raise WrongUse(f"{a} and {b} have no channel of the same quantity and thing at the same time.")
+    content = {"a": a, "b": b, "channels": plain(found)}
+    return Output(content, lambda: print_differences(f"{b} minus {a}", found))
 
 
 def print_differences(title: str, found: Sequence[Difference]) -> None:
@@ -110,8 +127,8 @@ def print_differences(title: str, found: Sequence[Difference]) -> None:
     rows = []
     for each in found:
         numbers, unit = in_unit("", each.unit, each.rms, each.bias, each.amplitude)
-        row = [*(f"{number:.3g}" for number in numbers), unit, f"{1e3 * each.lag:.0f}", f"{each.correlation:.3f}"]
-        rows.append([each.name, *row])
+        row = [each.name, *(f"{round(number, 6) + 0.0:.3g}" for number in numbers), unit]
+        rows.append([*row, str(round(1e3 * each.lag)), f"{each.correlation:.3f}"])
     print_table(title, "channel, RMS>, mean>, signal>, unit, lag [ms]>, correlation>", rows)
 
 

@@ -530,7 +530,8 @@ def _replay_log(
     save_run(recording, **saved)
     for sentence in findings_of(log):
         say(sentence)
-    missing = [each.name for each in log.channels if each.name not in recording.metadata["log"]["shown"]]
+    shown = recording.metadata["log"]["shown"]
+    missing = [each.name for each in log.channels if each.name not in shown and each.quantity != "command"]
     content = {**result.about(), "log": file, "channels": plain(found), "not_simulated": missing}
 
     def show() -> None:

@@ -14,14 +14,12 @@ from jaxtyping import Float
 from nermo_mjx.hardware.log import Channel, Log
 from nermo_mjx.hardware.signals import Difference, axes_of, differences, placed, values_at
 from nermo_mjx.kinematics.body import attitude
-from nermo_mjx.recording import Recording
+from nermo_mjx.recording import BESIDE, Recording
 from nermo_mjx.robot import LIMBS, ParameterError, Robot, ServoAngles
 from nermo_mjx.robot.quantity import choice
 from nermo_mjx.rollout import Run, Setup, Simulator
 from nermo_mjx.rollout.simulator import RunResult
 
-#: Beginning of the names under which a recording's sensors hold a log's channels beside its own.
-BESIDE: Final = "log."
 #: Load of a foot from which a switch under it is closed [N].
 _SWITCH: Final = 0.02
 
@@ -141,9 +139,11 @@ def signals_of(recording: Recording, robot: Robot) -> Log:
 
 
 def beside(log: Log, twin: Log) -> Log:
-    """The channels of a twin as a log has them: its switches, and in the frame of its track."""
+    """What a twin measures of a log's channels, as the log has it: its switches, and in the frame of its track."""
     found = []
     for channel in log.channels:
+        if channel.quantity == "command":
+            continue
         other = twin.of_quantity(channel.quantity).get(channel.of)
         if other is not None and channel.unit == "switch":
             other = dataclasses.replace(other, values=(other.values > _SWITCH).astype(float), unit="switch")
