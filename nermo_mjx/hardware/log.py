@@ -113,7 +113,7 @@ class Channel:
         quantity: one of `QUANTITIES`.
         of: the servo, joint, sensor, foot or body that it is of.
         times: of its samples from the log's start, ascending [s].
-        values: (n,), or (n, axes) of several columns, without NaN.
+        values: (n,), or (n, axes) of several columns, without NaN; a yaw without jumps of a whole turn.
         unit: of the values, in SI: rad, rad/s, m/s^2, m, A, N, N m; "switch" for 0 and 1.
     """
 
@@ -415,7 +415,8 @@ class _Reader:
         times, values = times[last], values[last]
         if len(times) < 2:
             raise SpecError(f"{self.table.file}: the time of channel {name!r} is {times[0]:g} s in all rows.")
-        return times, values if entry.columns else values[:, 0], unit
+        values = values if entry.columns else values[:, 0]
+        return times, np.unwrap(values) if entry.quantity == "yaw" else values, unit
 
     def _refuse_backward(self, rows: np.ndarray, times: np.ndarray) -> None:
         """Late samples are few in a row; a clock that was set back stays behind."""
