@@ -254,8 +254,8 @@ DRIVE_NEEDS = {
 @text(
     "--record",
     "FILE.npz|FILE.csv",
-    "A new file: NPZ for what the twin does, and after a reset FILE-2.npz, ...; CSV for a robot's log, what it was sent "
-    "and what it measured, with FILE.yaml of its channels.",
+    "A new file: NPZ of the twin, and after a reset FILE-2.npz, ...; CSV for a robot's log, what it was sent and what "
+    "it measured, with FILE.yaml of its channels.",
     type=options.FileKind(".npz", ".csv", dir_okay=False),
 )
 @number("--port", "Of the page; by default any that is free.", click.IntRange(1, 65535))

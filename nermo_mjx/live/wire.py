@@ -227,11 +227,8 @@ class Driven:
         commands = f"It walked for {self.walked:.1f} s, and {self.sent} commands were sent"
         limited = f", {self.limited} of them within the limits of a channel" if self.limited else ""
         held = f"; for {self.held:.1f} s it stood still, as no message came" if self.held else ""
-        left_out = ", ".join(f"{count} {what}" for what, count in self.messages.items() if count and what != "taken")
-        heard = (
-            f"{self.messages['taken']} messages of the robot were taken{left_out and f', and left out: {left_out}'}."
-        )
-        return [f"{commands}{limited}{held}.", heard]
+        heard = f"{self.messages['taken']} messages of the robot were taken{_left_out(self.messages)}."
+        return [f"{commands}{limited}{held}.", *([heard] if any(self.messages.values()) else [])]
 
     def failures(self, factor: float = 1.0, answers: bool = True) -> list[str]:
         """What was wrong with it: of a robot that `answers`, driven at `factor` seconds per second."""
@@ -685,16 +682,18 @@ class SimulatedRobot:
     def sentences(self) -> list[str]:
         """What happened."""
         about = self.about
-        left_out = ", ".join(
-            f"{count} {what}" for what, count in about["commands"].items() if count and what != "taken"
-        )
         last = "" if about["silence"] is None else f", the last one {about['silence']:.1f} s before the end"
-        stands = f"its torso is tilted by {math.degrees(about['tilt']):.0f} degrees"
+        far = f"got {1e3 * about['distance']:.0f} mm far; its torso is tilted by {math.degrees(about['tilt']):.0f} degrees"
         return [
-            f"The simulated robot was there for {about['seconds']:.1f} s, and got {1e3 * about['distance']:.0f} mm far; "
-            f"{stands}.",
-            f"{about['commands'].get('taken', 0)} commands were taken{last}{left_out and f'; left out: {left_out}'}.",
+            f"The simulated robot was there for {about['seconds']:.1f} s, and {far}.",
+            f"{about['commands'].get('taken', 0)} commands were taken{last}{_left_out(about['commands'])}.",
         ]
+
+
+def _left_out(counts: Mapping[str, int]) -> str:
+    """What became of messages that were not taken, as the end of a sentence."""
+    found = ", ".join(f"{count} {what}" for what, count in counts.items() if count and what != "taken")
+    return found and f"; left out: {found}"
 
 
 def _commanded(message: Any, channels: Channels, robot: Robot, before: np.ndarray) -> np.ndarray:

@@ -420,7 +420,7 @@ def process(*words: str | Path) -> Iterator[subprocess.Popen[str]]:
 
 def walking(url: str, channels: Path) -> tuple[str | Path, ...]:
     """Options of a controller that reads the sensors, at 100 Hz."""
-    return "--robot", url, "--headless", "--pilot", "straight", "--rate", "100", "--channels", channels
+    return "--connect", url, "--headless", "--pilot", "straight", "--rate", "100", "--channels", channels
 
 
 @pytest.fixture(params=["mqtt", "ros"])
@@ -532,7 +532,7 @@ def test_a_page_drives_a_robot_that_holds_when_it_hangs() -> None:
         wires.broker() as port,
         linked(f"mqtt://127.0.0.1:{port}", "listener", ROS_TYPE, TOPIC, lambda angles: commands.append(angles[0])) as _,
         process("--serve", f"mqtt://127.0.0.1:{port}") as robot,
-        process("--robot", f"mqtt://127.0.0.1:{port}", "--rate", "100", "--no-browser", "--seconds", "60") as drive,
+        process("--connect", f"mqtt://127.0.0.1:{port}", "--rate", "100", "--no-browser", "--seconds", "60") as drive,
     ):
         assert drive.stderr is not None
         where = next(line.split()[1] for line in drive.stderr if line.startswith("drive: http"))
