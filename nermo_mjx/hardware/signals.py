@@ -145,8 +145,10 @@ _LATE: Final = 0.01
 _TURNS: Final = 2.0 * np.pi
 _FASTEST: Final = 36.0
 _WEIGHT: Final = (5.0, 15.0)
-#: A signal is saturated where it stays at its largest value for so many samples, and so many times as often as near it.
+#: A signal is saturated where it stays at its largest value for so many samples, and its command moves by more than so
+#: many levels and standard deviations then; or without a command, where it is there so many times as often as near it.
 _STAYS: Final = 5
+_BEYOND: Final = 0.5
 _OFTEN: Final = 10
 
 
@@ -178,12 +180,14 @@ def findings_of(log: Log) -> tuple[str, ...]:
             most = f"{1e3 * max(others):.0f} ms at most"
             found.append(f"{name} lags by {1e3 * lag:.0f} ms behind its command, the other servos by {most}.")
     for channel in log.channels:
-        found += _own_findings(channel, commands.get(channel.of) if channel.quantity == "angle" else None)
+        led = channel.quantity == "angle" and channel.of in lags
+        expected = values_at(commands[channel.of], channel.times - lags[channel.of][0]) if led else None
+        found += _own_findings(channel, expected)
     return tuple(found)
 
 
-def _own_findings(channel: Channel, command: Channel | None) -> Iterator[str]:
-    """What looks wrong in one channel alone."""
+def _own_findings(channel: Channel, expected: np.ndarray | None) -> Iterator[str]:
+    """What looks wrong in one channel alone; `expected` is its command, if it has one, at its lag."""
     most = float(np.abs(channel.values).max())
     if channel.quantity in ("command", "angle") and channel.unit == "rad" and most > _TURNS:
         yield f"{channel.name} reaches {most:.3g} rad: is its unit deg, or its zero another one?"
@@ -195,27 +199,20 @@ def _own_findings(channel: Channel, command: Channel | None) -> Iterator[str]:
             yield f"{channel.name} has a median of {weight:.3g} m/s^2, not of gravity: has it another unit?"
     if channel.quantity in ("angle", "velocity", "gyro", "acceleration", "current"):
         for name, axis in axes_of(channel):
-            moving = np.ones(len(axis.times), bool) if command is None else _changing(command, axis.times)
             for sign, end in ((1.0, "upper"), (-1.0, "lower")):
-                if share := _saturated(sign * axis.values, moving):
+                if _is_saturated(sign * axis.values, expected):
                     at = f"{sign * (sign * axis.values).max():.3g} {axis.unit}"
-                    yield f"{name} stays at its {end} end, {at}, for {share:.0%} of the time: is it saturated?"
+                    yield f"{name} stays at its {end} end, {at}: is it saturated?"
 
 
-def _changing(command: Channel, times: np.ndarray) -> np.ndarray:
-    """Whether a command moves at these times."""
-    rate = np.abs(np.gradient(values_at(command, times), times))
-    return np.nan_to_num(rate) > 0.1 * np.nanmax(rate)
-
-
-def _saturated(values: np.ndarray, moving: np.ndarray) -> float:
-    """Share of the time at the largest value, if the signal would go on there; else 0."""
-    levels, counts = np.unique(values[moving], return_counts=True)
-    if len(levels) < _STAYS:
-        return 0.0
+def _is_saturated(values: np.ndarray, expected: np.ndarray | None) -> bool:
+    """Whether a signal stays at its largest value while what it should follow goes on, or more often than near it."""
+    at, levels = values == values.max(), np.unique(values)
+    lengths = np.diff(np.flatnonzero(np.diff(at, prepend=False, append=False)))[::2]
+    if lengths.max(initial=0) < _STAYS or len(levels) < _STAYS:
+        return False
     width = float(np.median(np.diff(levels)))
-    near = counts[(levels < levels[-1]) & (levels >= levels[-1] - 3.0 * width)].sum() / 3.0
-    runs = np.diff(np.flatnonzero(np.diff(values == values.max(), prepend=False, append=False)))[::2]
-    if counts[-1] < _OFTEN * max(near, 1.0) or runs.max(initial=0) < _STAYS:
-        return 0.0
-    return float(counts[-1] / moving.sum())
+    if expected is not None:
+        return bool(np.ptp(expected[at & np.isfinite(expected)]) > max(_STAYS * width, _BEYOND * np.nanstd(expected)))
+    near = ((values < values.max()) & (values >= values.max() - 3.0 * width)).sum() / 3.0
+    return bool(at.sum() > _OFTEN * max(near, 1.0))

@@ -683,7 +683,7 @@ class SimulatedRobot:
         """What happened."""
         about = self.about
         last = "" if about["silence"] is None else f", the last one {about['silence']:.1f} s before the end"
-        far = f"got {1e3 * about['distance']:.0f} mm far; its torso is tilted by {math.degrees(about['tilt']):.0f} degrees"
+        far = f"got {1e3 * about['distance']:.0f} mm far; its tilt is {math.degrees(about['tilt']):.0f} degrees"
         return [
             f"The simulated robot was there for {about['seconds']:.1f} s, and {far}.",
             f"{about['commands'].get('taken', 0)} commands were taken{last}{_left_out(about['commands'])}.",
