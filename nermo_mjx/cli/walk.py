@@ -519,17 +519,19 @@ def _replay_log(
     setup = Setup(**{name: value for name, value in body.items() if value is not None})
     refuse_video(setup, saved["video"], saved["camera"])
     with ProgressBar("replay", compiles=True) as progress:
-        result = replay_log(log, setup, assigned(named, all_parameters(setup)), engine or "c", progress.share)
-    recording, found = with_log(result.recording(), log, setup.load())
+        made = replay_log(log, setup, assigned(named, all_parameters(setup)), engine or "c", progress.share)
+    recording, found = with_log(made, log, setup.load())
     save_run(recording, **saved)
     for sentence in findings_of(log):
         say(sentence)
     shown = recording.metadata["log"]["shown"]
     missing = [each.name for each in log.channels if each.name not in shown and each.quantity != "command"]
-    content = {**result.about(), "log": file, "channels": plain(found), "not_simulated": missing}
+    content = {**made.metadata, "log": file, "channels": plain(found), "not_simulated": missing}
 
     def show() -> None:
-        print_differences(f"{file}, {log.duration:.4g} s: measured minus simulated, engine {result.engine}", found)
+        print_differences(
+            f"{file}, {log.duration:.4g} s: measured minus simulated, engine {made.metadata['engine']}", found
+        )
         if missing:
             click.echo(f"The twin has no signal of {', '.join(missing)}.")
 

@@ -18,8 +18,9 @@ from nermo_mjx.recording import BESIDE, Recording
 from nermo_mjx.robot import LIMBS, ParameterError, Robot, ServoAngles
 from nermo_mjx.robot.quantity import choice
 from nermo_mjx.rollout import Run, Setup, Simulator
-from nermo_mjx.rollout.simulator import RunResult
 
+#: How long the twin stands at the first commands before the log begins [s].
+SETTLING: Final = 1.0
 #: Load of a foot from which a switch under it is closed [N].
 _SWITCH: Final = 0.02
 
@@ -91,8 +92,10 @@ def replay_log(
     values: Mapping[str, Any] | None = None,
     engine: str = "c",
     progress: Callable[[float], None] | None = None,
-) -> RunResult:
-    """Drive the twin by a log's commands at their times, to the next step of its physics, from standing.
+) -> Recording:
+    """Drive the twin by a log's commands at their times, to the next step of its physics.
+
+    It has stood at the first ones for `SETTLING` when the log begins.
 
     Args:
         log: see `read_log`.
@@ -105,9 +108,13 @@ def replay_log(
     """
     setup = setup or Setup()
     servos, dt = setup.load().servos, setup.timestep
-    commands = LoggedCommands(command_table(log, servos, dt), servos, dt)
+    table, before = command_table(log, servos, dt), round(SETTLING / dt)
+    commands = LoggedCommands(np.concatenate([np.repeat(table[:1], before, axis=0), table]), servos, dt)
+    run = Run(duration=len(commands.table) * dt, warmup=before * dt)
     simulator = Simulator(dataclasses.replace(setup, controller=commands), engine)
-    return simulator.run(values or {}, Run(duration=len(commands.table) * dt), record=True, progress=progress)
+    made = simulator.run(values or {}, run, record=True, progress=progress).recording()
+    made = made.between((before + 1) * dt, made.time[-1])
+    return dataclasses.replace(made, time=made.time - before * dt)
 
 
 def signals_of(recording: Recording, robot: Robot) -> Log:

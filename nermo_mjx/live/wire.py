@@ -226,7 +226,7 @@ class Driven:
         """What happened."""
         commands = f"It walked for {self.walked:.1f} s, and {self.sent} commands were sent"
         limited = f", {self.limited} of them within the limits of a channel" if self.limited else ""
-        held = f"; for {self.held:.1f} s it stood still, as no message came" if self.held else ""
+        held = f"; {self.holds} times it stood still, as no message came" if self.holds else ""
         heard = f"{self.messages['taken']} messages of the robot were taken{_left_out(self.messages)}."
         return [f"{commands}{limited}{held}.", *([heard] if any(self.messages.values()) else [])]
 
