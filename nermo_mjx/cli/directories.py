@@ -273,16 +273,14 @@ def compare_command(
       nermo-mjx compare runs/spine_gain --by spine --where gait=trt --out gain.csv
       nermo-mjx compare robot.csv twin.npz
     """
+    needs = dict.fromkeys(("by", "base", "for", "where", "metric", "all", "out"), "directories of sweeps")
+    options.refuse_without(
+        needs | {"channels": "a robot's log"}, {needs["by"]: not a.is_file(), "a robot's log": a.is_file()}
+    )
     if a.is_file():
-        used = ("a", "b", "channels", "as_json", "quiet")
-        for name, given in options.given().items():
-            if name not in used:
-                raise WrongUse(f"{given} belongs to the directories of sweeps: {a} is a file.")
         if b is None:
             raise WrongUse(f"{a} is a file: give another log or recording to compare it with.")
         return compare_files(a, b, channels)
-    if channels is not None:
-        raise WrongUse(f"--channels belongs to a robot's log: {a} is none.")
     if (b is None) == (by is None):
         raise click.UsageError("Give two directories A and B, or one and --by NAME.")
     if base is not None and by is None:

@@ -70,7 +70,7 @@ def log_command(file: Path, channels: Path | None) -> Output:
     from nermo_mjx.hardware.log import table_of_log
     from nermo_mjx.hardware.signals import findings_of, lag_of
 
-    log, table = log_of(file, channels), table_of_log(file).frame
+    log, table = log_of(file, channels), table_of_log(file)
     commands, findings = log.of_quantity("command"), findings_of(log)
     rows = []
     for each in log.channels:

@@ -331,10 +331,7 @@ def drive_command(
     there["--connect URL or --serve URL"] = bool(connect or serve)
     if connect and serve:
         raise WrongUse("Give --connect URL or --serve URL, not both.")
-    for name, flag in options.given().items():
-        need = ("--connect URL" if logs else "a page") if name == "record" else DRIVE_NEEDS.get(name, "")
-        if not there.get(need, True):
-            raise WrongUse(f"{flag} has no effect without {need}.")
+    options.refuse_without(DRIVE_NEEDS | {"record": "--connect URL" if logs else "a page"}, there)
     from nermo_mjx.hardware.live import TOPIC, SendError, address
     from nermo_mjx.live.driving import Driving
     from nermo_mjx.live.server import LiveDrive, free
@@ -405,9 +402,13 @@ def _browser(address: str) -> Iterator[None]:
         yield
 
 
-#: Options of `replay` that belong to one of its three forms.
-_OF_ROWS, _OF_DRIVES = ("row", "engine"), ("sweep", "controller")
-_OF_LOGS = ("channels", "robot", "scene", "tail", "physics", "assignments")
+#: What options of `replay` need.
+REPLAY_NEEDS = {
+    "row": "a directory",
+    "engine": "a directory or --commands LOG",
+    **dict.fromkeys(("sweep", "controller"), "a recorded drive"),
+    **dict.fromkeys(("channels", "robot", "scene", "tail", "physics", "assignments"), "--commands LOG"),
+}
 
 
 @command("replay")
@@ -463,13 +464,8 @@ def replay_command(
         raise WrongUse("Give a directory, a recorded drive, or --commands LOG.")
     saved: dict[str, Any] = {"record": record, "video": video, "camera": camera}
     of_drive = out is not None and out.suffix in (".npz", ".jsonl")
-    allowed = ("engine", *_OF_LOGS) if commands else _OF_DRIVES if of_drive else _OF_ROWS
-    for name, option in options.given().items():
-        if name in {*_OF_ROWS, *_OF_DRIVES, *_OF_LOGS} - {*allowed}:
-            place = (
-                "a directory" if name in _OF_ROWS else "a recorded drive" if name in _OF_DRIVES else "--commands LOG"
-            )
-            raise WrongUse(f"{option} belongs to {place}: leave it out.")
+    there = {"a directory": out and not of_drive, "a recorded drive": of_drive, "--commands LOG": commands}
+    options.refuse_without(REPLAY_NEEDS, there | {"a directory or --commands LOG": not of_drive})
     if commands is not None:
         return _replay_log(commands, channels, engine, body, saved)
     assert out is not None

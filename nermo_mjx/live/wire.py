@@ -14,14 +14,12 @@ import contextlib
 import dataclasses
 import heapq
 import math
-import os
 import queue
-import threading
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, Final, cast
+from typing import Any, Final
 
 import jax
 import jax.numpy as jnp
@@ -47,7 +45,7 @@ from nermo_mjx.hardware.live import (
 )
 from nermo_mjx.hardware.log import QUANTITIES
 from nermo_mjx.hardware.table import channels_of, sent_angles
-from nermo_mjx.live.driving import Driving
+from nermo_mjx.live.driving import Appended, Driving
 from nermo_mjx.physics.c_engine import CBodies, CEngine
 from nermo_mjx.recording import Recording
 from nermo_mjx.robot import LIMBS, ParameterError, Robot, Sensors
@@ -240,23 +238,16 @@ class Driven:
         return [each for each in (ended, "" if self.messages["taken"] or not answers else never, late, unsent) if each]
 
 
-class LinkLog:
+class LinkLog(Appended):
     """The log of a driven robot: FILE.csv has a row for each command and each message, when it was sent or came.
 
-    FILE.yaml says what its columns are, see `hardware.log`. Both are written while it is driven, by a thread: the drive
-    never waits for the disk.
-
-    Attributes:
-        files: both.
-        error: why they cannot be written now; None if they can be. What is not written yet is kept.
+    FILE.yaml says what its columns are, see `hardware.log`.
     """
 
     def __init__(self, path: Path, channels: Channels, robot: Robot, clock: Callable[[], float]) -> None:
-        """
-        Raises:
-            OSError: the file is there, or cannot be created.
-        """
-        self.files, self.error, self._begun = [path, path.with_suffix(".yaml")], cast("OSError | None", None), clock()
+        """See `Appended`."""
+        super().__init__(path)
+        self.about, self._begun = path.with_suffix(".yaml"), clock()
         self._robot, self._servos = robot, {c.servo: i for i, c in enumerate(channels) if c.servo in robot.servos}
         sizes = {"gyro": "gyro", "accelerometer": "acceleration", "position": "position"}
         axes = {name: [f"{name}_{axis}" for axis in "xyz"] for name in sizes}
@@ -270,9 +261,8 @@ class LinkLog:
             told[name] = {"quantity": quantity, "columns": axes[name], "unit": next(iter(QUANTITIES[quantity]))}
         self._told = told | {"yaw": {"quantity": "yaw", "unit": "rad"}}
         self._names = [name for key in self._told for name in axes.get(key, [key])] + ["stamp"]
-        self._counts, self._left, self._new = Counter[str](), ",".join(["t", *self._names]) + "\n", deque[str]()
-        self._file, self._stop, self._channels = path.open("xb", buffering=0), threading.Event(), b""
-        self._thread = threading.Thread(target=self._work, daemon=True)
+        self._counts, self._new, self._written = Counter[str](), deque[str](), b""
+        self._left = (",".join(["t", *self._names]) + "\n").encode()
         self._thread.start()
 
     def command(self, now: float, degrees: Float[np.ndarray, " channels"]) -> None:
@@ -296,31 +286,15 @@ class LinkLog:
         self._counts.update(row.keys())
         self._new.append(",".join([f"{now - self._begun:.6f}", *cells]) + "\n")
 
-    def _work(self) -> None:
-        ended = False
-        while not ended:
-            ended = self._stop.wait(0.25)
-            left = (self._left + "".join(self._new.popleft() for _ in range(len(self._new)))).encode()
-            # A channel has two samples at least.
-            there = {n: e for n, e in self._told.items() if self._counts[e.get("columns", [n])[0]] > 1}
-            about = dump({"time": {"column": "t", "unit": "s"}, "channels": there}).encode()
-            try:
-                while left:
-                    left = left[self._file.write(left) :]
-                os.fsync(self._file.fileno())
-                if about != self._channels:
-                    replace_file(self.files[1], about)
-                self._channels, self.error = about, None
-            except OSError as error:
-                self.error = error
-            self._left = left.decode()
-
-    def end(self) -> str:
-        """Write the rest, and close it; returns a sentence if it cannot be written."""
-        self._stop.set()
-        self._thread.join()
-        self._file.close()
-        return "" if self.error is None else f"{self.files[0]}: the log cannot be written ({self.error.strerror})."
+    def _more(self) -> bytes:
+        # A channel has two samples at least.
+        there = {name: e for name, e in self._told.items() if self._counts[e.get("columns", [name])[0]] > 1}
+        about = dump({"time": {"column": "t", "unit": "s"}, "channels": there}).encode()
+        if about != self._written:
+            with contextlib.suppress(OSError):  # the log's own error tells of a full disk
+                replace_file(self.about, about)
+                self._written = about
+        return "".join(self._new.popleft() for _ in range(len(self._new))).encode()
 
 
 def meet(measured: Measured, needed: set[str], wait: Callable[[float], None] = time.sleep) -> None:
@@ -421,7 +395,9 @@ class RobotDriving(Driving):
             try:
                 yield
             finally:
-                self.failed = "" if measured.log is None else measured.log.end()
+                if (log := measured.log) is not None:
+                    log.end()
+                    self.failed = f"{log.path}: the log cannot be written ({log.error.strerror})." if log.error else ""
 
     def failures(self, factor: float = 1.0) -> list[str]:
         """What was wrong with the drive, see `Driven`; without a robot none answers."""

@@ -374,17 +374,12 @@ def beside_robot(walk: RecordedGait) -> Figure | None:
     rows = -(-len(channels) // 2)
     page = FigurePage("The robot's log beside the twin", (9.6, 1.3 + 1.35 * rows), rows, 2, sharex=True)
     for ax, each in zip(page.axes.T.ravel(), channels, strict=False):
-        ax.plot(time, each.simulated, color=SERIES[0], lw=1.8, zorder=3)
-        ax.plot(time, each.measured, color=INK, lw=0.7, zorder=4)
-        ax.plot(time, each.measured - each.simulated, color=SERIES[1], lw=0.7, zorder=2)
-        ax.annotate(
-            f"{each.name} [{each.unit}]: {each.about}",
-            (0, 1.0),
-            xycoords="axes fraction",
-            va="bottom",
-            color=INK,
-            fontsize=8.5,
-        )
+        measured, simulated = (line.values for line in each.lines)
+        ax.plot(time, simulated, color=SERIES[0], lw=1.8, zorder=3)
+        ax.plot(time, measured, color=INK, lw=0.7, zorder=4)
+        ax.plot(time, measured - simulated, color=SERIES[1], lw=0.7, zorder=2)
+        title = f"{each.title} [{each.unit}]"
+        ax.annotate(title, (0, 1.0), xycoords="axes fraction", va="bottom", color=INK, fontsize=8.5)
         ax.margins(y=0.1)
         horizontal_grid(ax)
     for ax in page.axes.T.ravel()[len(channels) :]:

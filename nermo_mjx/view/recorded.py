@@ -337,43 +337,24 @@ def plots_of(recording: Recording, motion: Motion) -> list[Plot]:
         plots += [Plot(key, f"Tension, {part} tendons", "N", tuple(curves))] if curves else []
     if "servo_angle" in sensors:
         plots += _servos(np.rad2deg(sensors["servo_angle"]), np.rad2deg(recording.ctrl[samples]))
-    for k, each in enumerate(beside_log(recording)):
-        lines = (
-            Curve("measured", "second", each.measured[samples]),
-            Curve("simulated", "first", each.simulated[samples]),
-        )
-        plots.append(Plot(f"log_{k}", f"{each.name}, {each.about}", each.unit, lines))
+    for plot in beside_log(recording):
+        lines = tuple(dataclasses.replace(line, values=line.values[samples]) for line in plot.lines)
+        plots.append(dataclasses.replace(plot, lines=lines))
     return plots
 
 
-@dataclasses.dataclass(frozen=True)
-class Beside:
-    """A channel of a robot's log beside the twin, see `hardware.twin.with_log`.
-
-    Attributes:
-        name: of the channel, and its axis.
-        about: RMS of measured minus simulated, and lag of measured behind simulated, in words.
-        unit: as people read it.
-        measured, simulated: over time, in this unit; NaN where nothing was measured.
-    """
-
-    name: str
-    about: str
-    unit: str
-    measured: Float[np.ndarray, " T"]
-    simulated: Float[np.ndarray, " T"]
-
-
-def beside_log(recording: Recording) -> list[Beside]:
-    """The channels of a robot's log that a recording holds."""
-    found = []
+def beside_log(recording: Recording) -> list[Plot]:
+    """Each channel of a robot's log that a recording holds: measured (NaN in gaps) and simulated, with the RMS of their
+    difference, and the lag of measured behind simulated."""
+    plots = []
     for name, about in (_part(recording, "log").get("channels") or {}).items():
         if (values := recording.sensors.get(BESIDE + name)) is not None:
             unit = str(about.get("unit", ""))
             both, rms = (in_shown_unit("", unit, each) for each in (np.asarray(values, float), about["rms"]))
-            words = f"RMS {float(rms.values):.3g} {rms.unit}, lag {1e3 * about['lag']:.0f} ms"
-            found.append(Beside(name, words, both.unit, *both.values.T))
-    return found
+            curves = zip(("measured", "simulated"), ("second", "first"), both.values.T, strict=True)
+            title = f"{name}: RMS {float(rms.values):.3g} {rms.unit}, lag {1e3 * about['lag']:.0f} ms"
+            plots.append(Plot(f"log_{name}", title, both.unit, tuple(Curve(*curve) for curve in curves)))
+    return plots
 
 
 def _servos(angle: np.ndarray, command: np.ndarray) -> list[Plot]:

@@ -78,15 +78,16 @@ def test_a_twin_of_the_robots_delay_is_nearer(folder, tmp_path) -> None:
 def test_view_and_plot_lay_measured_over_simulated(folder, tmp_path) -> None:
     from nermo_mjx.view.recorded import beside_log
 
-    shown = {each.name: each for each in beside_log(Recording.load(folder / "twin.npz"))}
-    spine = shown["pos_spine"]
-    assert re.fullmatch(r"RMS 0\.\d+ deg, lag 1[3-7] ms", spine.about)
-    assert np.isnan(spine.measured).any(), "gaps are no samples"
-    assert np.nanstd(spine.measured - spine.simulated) < 0.3 * np.nanstd(spine.simulated)
+    shown = {each.key: each for each in beside_log(Recording.load(folder / "twin.npz"))}
+    spine = shown["log_pos_spine"]
+    measured, simulated = (line.values for line in spine.lines)
+    assert re.fullmatch(r"pos_spine: RMS 0\.\d+ deg, lag 1[3-7] ms", spine.title)
+    assert np.isnan(measured).any(), "gaps are no samples"
+    assert np.nanstd(measured - simulated) < 0.3 * np.nanstd(simulated)
     files = json_of("plot", folder / "twin.npz", "--out", tmp_path, "--format", "png")["files"]
     assert any(file.endswith("beside-robot.png") for file in files)
     page = json_of("view", folder / "twin.npz", "--out", tmp_path / "twin.html", "--no-open")["page"]
-    assert "pos_spine, RMS 0." in Path(page).read_text()
+    assert "pos_spine: RMS 0." in Path(page).read_text()
 
 
 def test_compare_says_how_far_logs_and_recordings_are_apart(folder) -> None:
@@ -124,13 +125,13 @@ def test_a_track_alone_is_enough(folder, tmp_path) -> None:
     ("words", "sentence"),
     [
         (["replay"], "Give a directory, a recorded drive, or --commands LOG."),
-        (["replay", "--commands", "LOG", "--row", "3"], "--row belongs to a directory"),
-        (["replay", "--commands", "LOG", "--sweep", "a.yaml"], "--sweep belongs to a recorded drive"),
-        (["replay", "DIR", "--row", "3", "--scene", "stairs"], "--scene belongs to --commands LOG"),
+        (["replay", "--commands", "LOG", "--row", "3"], "--row has no effect without a directory"),
+        (["replay", "--commands", "LOG", "--sweep", "a.yaml"], "--sweep has no effect without a recorded drive"),
+        (["replay", "DIR", "--row", "3", "--scene", "stairs"], "--scene has no effect without --commands LOG"),
         (["log", "MISSING"], "give the file of its channels, --channels FILE.yaml; by default it is"),
         (["compare", "LOG"], "Give two directories A and B|is a file: give another log"),
-        (["compare", "LOG", "LOG", "--by", "gait"], "--by belongs to the directories of sweeps"),
-        (["compare", "DIR", "DIR", "--channels", "a.yaml"], "--channels belongs to a robot's log"),
+        (["compare", "LOG", "LOG", "--by", "gait"], "--by has no effect without directories of sweeps"),
+        (["compare", "DIR", "DIR", "--channels", "a.yaml"], "--channels has no effect without a robot's log"),
         (["log", "LOG", "--channels", "missing.yaml"], "missing.yaml: there is no such file"),
     ],
 )

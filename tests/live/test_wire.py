@@ -417,8 +417,9 @@ def test_what_it_was_sent_and_what_it_measured_is_a_log(signed, driving, tmp_pat
     log = both.measured.log = LinkLog(tmp_path / "robot.csv", channels, both.body.robot, both.clock)
     both.commands.clear()
     both.walk(4.0)
-    assert log.end() == ""
-    found = read_log(*log.files)
+    log.end()
+    assert log.error is None
+    found = read_log(log.path, log.about)
     assert {each.quantity for each in found.channels} >= {"command", "angle", "gyro", "acceleration", "position", "yaw"}
     commands = np.degrees(both.commands)
     for of, channel in found.of_quantity("command").items():
