@@ -208,6 +208,8 @@ def _csv(path: Path) -> Any:
     how = {"sep": mark, "decimal": "," if mark == ";" else ".", "skipinitialspace": True, "low_memory": False}
     try:
         frame = pd.read_csv(rows, header=None, index_col=False, names=range(len(names)), **how)
+        if len(frame) != len(lines) - 1:
+            raise ValueError("a quoted cell goes over several lines")
         return frame.set_axis(names, axis=1).set_axis([number for number, _ in lines[1:]], axis=0)
     except ValueError as error:  # pandas' ParserError is one
         raise SpecError(f"{path}: not valid CSV: {str(error).strip().rstrip('.')}.") from None

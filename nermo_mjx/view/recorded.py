@@ -303,6 +303,9 @@ def plots_of(recording: Recording, motion: Motion) -> list[Plot]:
     samples, time = np.searchsorted(recording.time, motion.time), motion.time
     sensors = {name: np.asarray(values)[samples] for name, values in recording.sensors.items()}
     plots = []
+    for plot in beside_log(recording):
+        lines = tuple(dataclasses.replace(line, values=line.values[samples]) for line in plot.lines)
+        plots.append(dataclasses.replace(plot, lines=lines))
     if "foot_force" in sensors:
         loads = [
             (limb.replace("_", " "), limb, force) for limb, force in zip(LIMBS, sensors["foot_force"].T, strict=True)
@@ -337,9 +340,6 @@ def plots_of(recording: Recording, motion: Motion) -> list[Plot]:
         plots += [Plot(key, f"Tension, {part} tendons", "N", tuple(curves))] if curves else []
     if "servo_angle" in sensors:
         plots += _servos(np.rad2deg(sensors["servo_angle"]), np.rad2deg(recording.ctrl[samples]))
-    for plot in beside_log(recording):
-        lines = tuple(dataclasses.replace(line, values=line.values[samples]) for line in plot.lines)
-        plots.append(dataclasses.replace(plot, lines=lines))
     return plots
 
 
@@ -417,6 +417,8 @@ def title_of(recording: Recording) -> str:
     """The gait, its frequency and the spine mode, as far as known; or the name of an experiment's case."""
     if "case" in recording.metadata:
         return str(recording.metadata["case"])
+    if file := _part(recording, "log").get("file"):
+        return f"Commands of {str(file).rpartition('/')[2]}"
     setup, parameters = _part(recording, "setup"), _part(recording, "parameters")
     gait, controller = setup.get("gait"), str(setup.get("controller") or "Recording").rpartition(":")[2]
     controller = controller.rpartition("/")[2]  # of a policy's file, its name
