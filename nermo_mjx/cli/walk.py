@@ -100,7 +100,9 @@ def _switch(text: str) -> Switch:
         return Switch(float(at), blend, **words, values={name: float(value) for name, value in pairs.items()})
     except ValueError as error:
         about = f" {error}" if isinstance(error, ParameterError) else ""
-        raise WrongUse(f"--switch {text}: expected AT,NAME=X such as 2.5,gait=lat,frequency=0.8.{about}") from None
+        raise WrongUse(
+            f"--switch {text}: expected AT,NAME=X such as 2.5,gait=lateral_walk,frequency=0.8.{about}"
+        ) from None
 
 
 def _length(cycles: float | None, duration: float | None, warmup: float | None) -> Run:
@@ -141,7 +143,6 @@ def print_walk(report: dict[str, Any]) -> None:
     import numpy as np
 
     from nermo_mjx.experiments import theory
-    from nermo_mjx.robot import GAIT_NAMES
     from nermo_mjx.rollout.metrics import Ending
 
     metrics, setup, parameters = report["metrics"], report["setup"], report["parameters"]
@@ -149,7 +150,7 @@ def print_walk(report: dict[str, Any]) -> None:
     if setup["controller"]:
         how = setup["controller"]
     else:
-        gait = GAIT_NAMES.get(setup["gait"], setup["gait"]).replace("_", " ")
+        gait = setup["gait"].replace("_", " ")
         how = f"{gait} at {parameters['frequency']:g} Hz, spine {setup['spine']}, profile {setup['profile']}"
         # Feet that neither slip nor lag (5.21), strides lengthened by the spine (5.33), whose bend counts only at the
         # moment when the diagonal pairs switch.
@@ -214,7 +215,7 @@ def walk_command(engine: str, record: Path | None, video: Path | None, camera: s
       nermo-mjx walk --frequency 0.8 --spine stride_extension --video w.mp4
       nermo-mjx walk --turn-rate 0.5 --steering mix --record turn.npz
       nermo-mjx walk --set contact.friction=0.6 --json
-      nermo-mjx walk --switch 2,gait=lat --switch 6,spine=stride_extension
+      nermo-mjx walk --switch 2,gait=lateral_walk --switch 6,frequency=0.5
       nermo-mjx walk --controller bound.py:Bound --set reach=0.04
       nermo-mjx walk --controller policy.npz --duration 5 --record walk.npz
       nermo-mjx walk --metrics my_metrics.py
@@ -615,7 +616,7 @@ def servos_command(
 
     Examples:
       nermo-mjx servos --frequency 0.8 --out trot.csv
-      nermo-mjx servos --gait lat --turn-rate 0.5 --rate 100 --out turn.csv
+      nermo-mjx servos --gait trot --turn-rate 0.5 --rate 100 --out turn.csv
       nermo-mjx servos --spine stride_extension --cycles 3 --out walk.csv
       nermo-mjx servos --channels published --send mqtt://127.0.0.1 --seconds 10
       nermo-mjx servos --recording walk.npz --out policy.csv

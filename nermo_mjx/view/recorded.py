@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from nermo_mjx.plotting.shown import shown as in_shown_unit
+from nermo_mjx.plotting.shown import titled
 from nermo_mjx.recording import BESIDE, Recording, RecordingError
 from nermo_mjx.robot import LIMBS, ModelParameters, Robot, RobotConfig, load_robot
 from nermo_mjx.robot.geometry import Geometry
@@ -401,7 +402,6 @@ def _over_cycle(values: np.ndarray, time: np.ndarray, period: float) -> np.ndarr
     return np.where((begin >= time[0] - 1e-9) & (end <= time[-1] + 1e-9), mean, np.nan)
 
 
-GAIT_TITLES: Final = {"trt": "trot", "trt1": "walking trot", "lat": "lateral sequence walk"}
 #: Metrics in the page's head, and their labels.
 _HEADLINE: Final = {
     "speed": "speed",
@@ -422,8 +422,7 @@ def title_of(recording: Recording) -> str:
     setup, parameters = _part(recording, "setup"), _part(recording, "parameters")
     gait, controller = setup.get("gait"), str(setup.get("controller") or "Recording").rpartition(":")[2]
     controller = controller.rpartition("/")[2]  # of a policy's file, its name
-    known = GAIT_TITLES.get(str(gait), "").capitalize()
-    parts = [(known or str(gait)) if gait else controller]
+    parts = [titled(str(gait)) if gait else controller]
     if (frequency := parameters.get("frequency")) is not None:
         parts.append(f"{frequency:.3g} Hz")
     spine = str(setup.get("spine", "none")).replace("_", " ")
