@@ -143,7 +143,6 @@ def print_walk(report: dict[str, Any]) -> None:
     import numpy as np
 
     from nermo_mjx.experiments import theory
-    from nermo_mjx.rollout.metrics import Ending
 
     metrics, setup, parameters = report["metrics"], report["setup"], report["parameters"]
     lines = [("speed", metrics.get("speed"), "mm/s", 1e3)]
@@ -175,6 +174,13 @@ def print_walk(report: dict[str, Any]) -> None:
         for angle in ("roll", "pitch", "yaw")
     ]
     print_table("Orientation [degrees]", ", mean>, std>, min>, max>", angles)
+    print_ending(metrics)
+
+
+def print_ending(metrics: Mapping[str, Any]) -> None:
+    """Print how a run ended, unless it is as it should be."""
+    from nermo_mjx.rollout.metrics import Ending
+
     ending = Ending[metrics["status"]]
     if ending is not Ending.ok:
         click.echo(ending.value)
@@ -531,6 +537,7 @@ def _replay_log(
         )
         if missing:
             click.echo(f"The twin has no signal of {', '.join(missing)}.")
+        print_ending(made.metadata["metrics"])
 
     return Output(content, show, [each for each in (saved["record"], saved["video"]) if each])
 

@@ -70,12 +70,8 @@ def lag_of(channel: Channel, other: Channel) -> tuple[float, float]:
     best = begin + int(np.argmax(found[begin:end]))
     near = slice(max(0, min(begin, best - 1)), max(end, best + 2))
     bend, slope, _ = np.polyfit(lags[near] - lags[best], found[near], 2) if np.ptp(found[near]) else (0.0, 0.0, 0.0)
-    shift = (
-        float(np.clip(-0.5 * slope / bend, lags[near][0] - lags[best], lags[near][-1] - lags[best]))
-        if bend < 0.0
-        else 0.0
-    )
-    return float(lags[best]) + shift, sign * float(found[best])
+    vertex = lags[best] - (0.5 * slope / bend if bend < 0.0 else 0.0)
+    return float(np.clip(vertex, *lags[near][[0, -1]])), sign * float(found[best])
 
 
 def _correlation(a: np.ndarray, b: np.ndarray) -> float:
@@ -167,11 +163,10 @@ def findings_of(log: Log) -> tuple[str, ...]:
             found.append(f"{name} seems mirrored ({correlation:.2f}).")
         there = values_at(command, angle.times - lag)
         both = np.isfinite(there)
-        gain, offset = np.polyfit(there[both], angle.values[both], 1)
+        gain, apart = np.polyfit(there[both], angle.values[both], 1)[0], (angle.values - there)[both].mean()
         if not _GAINS[0] < abs(gain) < _GAINS[1]:
             found.append(f"{name} moves {abs(gain):.3g} times as far as its command: one of the two has another unit.")
-        elif correlation > 0.0 and abs(offset + (gain - 1.0) * there[both].mean()) > _OFF:
-            apart = offset + (gain - 1.0) * there[both].mean()
+        elif correlation > 0.0 and abs(apart) > _OFF:
             found.append(f"{name} stands {apart:.2g} {angle.unit} off its command: one of the two has another zero.")
         others = [each for of, (each, _) in lags.items() if of != angle.of]
         if lag < -max(angle.interval, command.interval):
