@@ -67,7 +67,9 @@ def log_command(file: Path, channels: Path | None) -> Output:
       nermo-mjx log robot.csv --channels robot.yaml
       nermo-mjx log robot.parquet --json
     """
-    from nermo_mjx.hardware.log import table_of_log
+    import numpy as np
+
+    from nermo_mjx.hardware.log import MOVED, table_of_log
     from nermo_mjx.hardware.signals import findings_of, lag_of
 
     log, table = log_of(file, channels), table_of_log(file)
@@ -75,7 +77,7 @@ def log_command(file: Path, channels: Path | None) -> Output:
     rows = []
     for each in log.channels:
         other = commands.get(each.of) if each.quantity == "angle" else None
-        lag = None if other is None else lag_of(each, other)[0]
+        lag = None if other is None or np.ptp(other.values) <= MOVED else lag_of(each, other)[0]
         low, high = float(each.values.min()), float(each.values.max())
         about = {"channel": each.name, "quantity": each.quantity, "of": each.of, "rate": 1.0 / each.interval}
         rows.append(about | {"samples": len(each.times), "low": low, "high": high, "unit": each.unit, "lag": lag})

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float
 
-from nermo_mjx.hardware.log import Channel, Log
+from nermo_mjx.hardware.log import MOVED, Channel, Log
 
 #: Largest lag that is looked for [s].
 LONGEST_LAG: Final = 0.25
@@ -151,7 +151,7 @@ _OFTEN: Final = 10
 def findings_of(log: Log) -> tuple[str, ...]:
     """What looks wrong with a log's channels, in sentences; nothing of a log that is in order."""
     commands, angles = log.of_quantity("command"), log.of_quantity("angle")
-    pairs = [(angles[of], commands[of]) for of in angles if of in commands and np.ptp(commands[of].values) > 0.0]
+    pairs = [(angles[of], commands[of]) for of in angles if of in commands and np.ptp(commands[of].values) > MOVED]
     lags = {angle.of: lag_of(angle, command) for angle, command in pairs}
     found = [*log.findings]
     for angle, command in pairs:
