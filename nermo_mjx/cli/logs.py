@@ -120,7 +120,7 @@ def compare_files(a: Path, b: Path, channels: Path | None) -> Output:
     one, two = (beside(two, one) if a in twins else one, beside(one, two) if b in twins else two)
     if not (found := differences(two, one)):
         raise WrongUse(f"{a} and {b} have no channel of the same quantity and thing at the same time.")
-    content = {"a": a, "b": b, "channels": plain(found)}
+    content = {"a": a, "b": b, "channels": [*map(dataclasses.asdict, found)]}
     return Output(content, lambda: print_differences(f"{b} minus {a}", found))
 
 
@@ -132,8 +132,3 @@ def print_differences(title: str, found: Sequence[Difference]) -> None:
         row = [each.name, *(f"{round(number, 6) + 0.0:.3g}" for number in numbers), unit]
         rows.append([*row, str(round(1e3 * each.lag)), f"{each.correlation:.3f}"])
     print_table(title, "channel, RMS>, mean>, signal>, unit, lag [ms]>, correlation>", rows)
-
-
-def plain(found: Sequence[Difference]) -> list[dict[str, Any]]:
-    """For --json."""
-    return [dataclasses.asdict(each) for each in found]

@@ -16,7 +16,7 @@ import click
 
 from nermo_mjx.cli import options
 from nermo_mjx.cli.choices import ENGINES, PILOTS
-from nermo_mjx.cli.logs import LOGS, log_channels, log_of, plain, print_differences
+from nermo_mjx.cli.logs import LOGS, log_channels, log_of, print_differences
 from nermo_mjx.cli.options import assigned, number, text
 from nermo_mjx.cli.output import Failure, Output, WrongUse, command, is_given, print_table, say
 from nermo_mjx.cli.progress import ProgressBar
@@ -389,10 +389,10 @@ def drive_command(
                             failures = [str(error)]
                     about, files = drive.report(), drive.files
                     failures = [drive.failure] if drive.failure else failures
-            if robots:
-                about |= dataclasses.asdict(robots.driven)
-                sentences, failures = robots.driven.sentences(), failures + robots.failures(about.get("factor", 1.0))
-                files += [log, log.with_suffix(".yaml")] if log else []
+        if robots:
+            about |= dataclasses.asdict(robots.driven)
+            sentences, failures = robots.driven.sentences(), failures + robots.failures(about.get("factor", 1.0))
+            files += [log, log.with_suffix(".yaml")] if log else []
     except SendError as error:
         raise Failure(f"{str(error).rstrip('.')}.") from None
     content = about | ({"verdict": failures} if connect or serve else {})
@@ -529,7 +529,7 @@ def _replay_log(
         say(sentence)
     shown = recording.metadata["log"]["shown"]
     missing = [each.name for each in log.channels if each.name not in shown and each.quantity != "command"]
-    content = {**made.metadata, "log": file, "channels": plain(found), "not_simulated": missing}
+    content = {**made.metadata, "log": file, "channels": [*map(dataclasses.asdict, found)], "not_simulated": missing}
 
     def show() -> None:
         print_differences(
