@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import errno
+import io
 import json
 import re
 import signal
@@ -432,6 +434,23 @@ def test_what_it_was_sent_and_what_it_measured_is_a_log(signed, driving, tmp_pat
     assert findings_of(found) == ()
     with pytest.raises(FileExistsError):
         LinkLog(tmp_path / "robot.csv", channels, both.body.robot, both.clock)
+
+
+def test_a_log_on_a_full_disk_is_told_and_the_drive_goes_on(driving, monkeypatch, tmp_path) -> None:
+    class Full(io.BytesIO):
+        fileno = staticmethod(lambda: 0)
+
+        def write(self, content: Any) -> int:
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(driving, "needed", set())
+    monkeypatch.setattr(driving, "_url", "print:")
+    monkeypatch.setattr(driving, "_log", tmp_path / "robot.csv")
+    with driving.reach():
+        driving.measured.log._file = Full()
+        driving.run(0.3)
+    assert driving.driven.walked == pytest.approx(0.3)
+    assert driving.failures() == [f"{tmp_path / 'robot.csv'}: the log cannot be written (No space left on device)."]
 
 
 def test_stamps_of_a_robot_are_the_times_of_what_it_measured(driving, tmp_path) -> None:
