@@ -110,15 +110,15 @@ def _shown_row(row: dict[str, Any]) -> list[str]:
 def compare_files(a: Path, b: Path, channels: Path | None) -> Output:
     """Two logs, or a log and a recording of the twin, or two recordings, channel by channel: B minus A."""
     from nermo_mjx.cli.view import load_recording
-    from nermo_mjx.hardware.signals import differences
-    from nermo_mjx.hardware.twin import beside, signals_of
+    from nermo_mjx.hardware.signals import channel_differences
+    from nermo_mjx.hardware.twin import beside, twin_signals
     from nermo_mjx.view import robot_of
 
     loaded = {path: load_recording(path) for path in (a, b) if path.suffix == ".npz"}
-    twins = {path: signals_of(each, robot_of(each)) for path, each in loaded.items()}
+    twins = {path: twin_signals(each, robot_of(each)) for path, each in loaded.items()}
     one, two = (twins.get(path) or log_of(path, channels) for path in (a, b))
     one, two = (beside(two, one) if a in twins else one, beside(one, two) if b in twins else two)
-    if not (found := differences(two, one)):
+    if not (found := channel_differences(two, one)):
         raise WrongUse(f"{a} and {b} have no channel of the same quantity and thing at the same time.")
     content = {"a": a, "b": b, "channels": [*map(dataclasses.asdict, found)]}
     return Output(content, lambda: print_differences(f"{b} minus {a}", found))

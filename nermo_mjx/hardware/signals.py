@@ -81,15 +81,15 @@ def _correlation(a: np.ndarray, b: np.ndarray) -> float:
     return float(np.corrcoef(a[both], b[both])[0, 1])
 
 
-def differences(log: Log, other: Log) -> list[Difference]:
+def channel_differences(log: Log, other: Log) -> list[Difference]:
     """The channels of one log minus those of another one, axis by axis, of the quantities and things that both have.
 
-    A position's frame is the camera's, and a yaw's zero is arbitrary: see `placed`.
+    A position's frame is the camera's, and a yaw's zero is arbitrary: see `in_frame_of`.
     """
     found = []
     for channel in log.channels:
         twin = other.of_quantity(channel.quantity).get(channel.of)
-        pairs = zip(axes_of(channel), axes_of(placed(twin, channel)), strict=False) if twin is not None else ()
+        pairs = zip(axes_of(channel), axes_of(in_frame_of(twin, channel)), strict=False) if twin is not None else ()
         for (name, one), (_, two) in pairs:
             residual = one.values - values_at(two, one.times)
             residual = residual[np.isfinite(residual)]
@@ -99,7 +99,7 @@ def differences(log: Log, other: Log) -> list[Difference]:
     return found
 
 
-def placed(twin: Channel, channel: Channel) -> Channel:
+def in_frame_of(twin: Channel, channel: Channel) -> Channel:
     """A track or a yaw in the frame of another one: turned about the vertical and shifted so that the residual is least
     [Umeyama, IEEE PAMI 13, 1991]; other quantities as they are."""
     if channel.quantity not in ("position", "yaw"):
