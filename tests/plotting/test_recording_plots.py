@@ -122,7 +122,7 @@ def test_the_gait_diagram_shows_planned_and_measured_contact(recording: Recordin
                 assert (a - shift - begin + 0.5) % 1.0 - 0.5 == pytest.approx(0.0, abs=0.011)
                 assert b - a == pytest.approx(0.68, abs=0.011)
     text = texts(figure)
-    words = ["lateral sequence walk at 1 Hz", "time [s]", "gait cycles [1]", "0.68 (0.68)"]
+    words = ["lateral walk at 1 Hz", "time [s]", "gait cycles [1]", "0.68 (0.68)"]
     for word in [*words, "the last 4 whole gait cycles"]:
         assert word in text
 
