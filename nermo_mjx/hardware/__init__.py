@@ -1,8 +1,9 @@
-"""The real robot: servo tables of gaits and recorded walks, the servos' channels, and sending angles to the robot."""
+"""The real robot: its logs, servo tables of gaits and recorded walks, channels of servos, and sending angles to it."""
 
-from nermo_mjx.hardware.channels import Channel, Channels, read_channels
+from nermo_mjx.hardware.channels import Channels, ServoChannel, read_channels
 from nermo_mjx.hardware.live import connected, send_table
+from nermo_mjx.hardware.log import Channel, Log, read_log
 from nermo_mjx.hardware.table import ServoTable, recorded_table, servo_table
 
-__all__ = ["Channel", "Channels", "ServoTable", "connected", "read_channels", "recorded_table", "send_table"]
-__all__ += ["servo_table"]
+__all__ = ["Channel", "Channels", "Log", "ServoChannel", "ServoTable", "connected", "read_channels", "read_log"]
+__all__ += ["recorded_table", "send_table", "servo_table"]

@@ -64,7 +64,7 @@ ChannelsFile = create_model("ChannelsFile", __base__=Servos, __doc__=Servos.__do
 
 
 @dataclasses.dataclass(frozen=True)
-class Channel:
+class ServoChannel:
     """One servo on its channel.
 
     Attributes:
@@ -95,11 +95,11 @@ class Channels:
         whole_degrees: `rounded` or `truncated`; None for angles that are not rounded.
     """
 
-    servos: tuple[Channel, ...]
+    servos: tuple[ServoChannel, ...]
     rate: float | None = None
     whole_degrees: str | None = None
 
-    def __iter__(self) -> Iterator[Channel]:
+    def __iter__(self) -> Iterator[ServoChannel]:
         return iter(self.servos)
 
     def given(self, degrees: Float[np.ndarray, ...]) -> Float[np.ndarray, ...]:
@@ -122,10 +122,10 @@ def read_channels(source: str | os.PathLike[str] | Mapping[str, Any]) -> Channel
         shipped = os.fspath(source) == PUBLISHED
         doc = read_file(Path(__file__).with_name(f"{PUBLISHED}.yaml") if shipped else source, "table of channels")
     file = read(doc, ChannelsFile)
-    found: dict[int, Channel] = {}
+    found: dict[int, ServoChannel] = {}
     for servo in (key for key in doc.data if key not in Servos.model_fields):
         given = getattr(file, servo).model_dump(exclude_unset=True)
-        channel = Channel(servo, given.pop("channel"), **given)
+        channel = ServoChannel(servo, given.pop("channel"), **given)
         if channel.direction not in (1, -1):
             doc.fail((servo, "direction"), f"is {channel.direction:g}: allowed is 1 or -1.")
         if channel.number in found:

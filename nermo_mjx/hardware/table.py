@@ -19,7 +19,7 @@ from nermo_mjx.control.controller import Controller
 from nermo_mjx.control.head_and_tail import COUNTER_ROLL, COUNTER_YAW, GAZE
 from nermo_mjx.control.parameters import ControlParameters
 from nermo_mjx.control.spine_modes import mode_names
-from nermo_mjx.hardware.channels import Channel, Channels, read_channels
+from nermo_mjx.hardware.channels import Channels, ServoChannel, read_channels
 from nermo_mjx.recording import Recording
 from nermo_mjx.robot import ModelParameters, ParameterError, Robot, Sensors
 from nermo_mjx.robot.equipment import VISUAL_GROUP
@@ -342,7 +342,9 @@ def channels_of(channels: Channels | Mapping[str, Any] | str | os.PathLike[str] 
     """
     if channels is None:
         limits = [np.degrees(servo_range(servo, robot.config.routing)).tolist() for servo in robot.servos]
-        return Channels(tuple(Channel(robot.servos[i], i, low=low, high=high) for i, (low, high) in enumerate(limits)))
+        return Channels(
+            tuple(ServoChannel(robot.servos[i], i, low=low, high=high) for i, (low, high) in enumerate(limits))
+        )
     connected = channels if isinstance(channels, Channels) else read_channels(channels)
     for channel in connected:
         if channel.servo not in robot.servos and channel.missing is None:
