@@ -213,7 +213,7 @@ class Estimation:
         )
         return np.asarray(found).ravel()
 
-    def spread(self, x: np.ndarray) -> np.ndarray:
+    def spread(self) -> np.ndarray:
         """Of each channel, a start for the weights: a tenth of its standard deviation (channels,)."""
         values = self.measured.values
         wide = self.measured.by_channel(lambda each, i: 0.1 * float(np.std(each)) if len(each) else 1.0, values)
@@ -224,8 +224,27 @@ class Estimation:
         away = self.residual(x[:, None], sigma)[:, 0] * sigma[self.measured.channel]
         coarse = self.measured.quantum / math.sqrt(12)
         return np.maximum(
-            self.measured.by_channel(lambda each, i: rms(each), away), np.maximum(coarse, 1e-3 * self.spread(x))
+            self.measured.by_channel(lambda each, i: rms(each), away), np.maximum(coarse, 1e-3 * self.spread())
         )
+
+    def search(
+        self, start: np.ndarray, sigma: np.ndarray | None = None, iterations: int = 15, rounds: int = 3
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Coordinates (p,) and weights (channels,) from a start, with each channel weighted by its own residuals.
+
+        Args:
+            start: coordinates (p,).
+            sigma: first weights (channels,).
+            iterations: of Gauss-Newton, at most, in each of the rounds; weights are renewed after each.
+        """
+        x, sigma = start, self.spread() if sigma is None else sigma
+        for _ in range(rounds):
+            self.problem.renew(self.space.values(x))
+            before, x = sigma, self.minimum(x, sigma, iterations)
+            sigma = self.weights(x, sigma)
+            if np.all(np.abs(np.log(sigma / before)) < 0.02):
+                break
+        return x, sigma
 
     def fit(
         self,
@@ -236,23 +255,8 @@ class Estimation:
         same: tuple[int, int] = (1, 1),
         seed: int = 0,
     ) -> Fit:
-        """The estimate from a start, with the weights of the channels from their own residuals.
-
-        Args:
-            start: coordinates (p,); by default those of the defaults.
-            sigma: first weights (channels,).
-            iterations: of Gauss-Newton, at most, in each of the rounds; weights are renewed after each.
-            same: see `Fit`.
-            seed: of the draws.
-        """
-        x = np.zeros(len(self.space)) if start is None else start
-        sigma = self.spread(x) if sigma is None else sigma
-        for _ in range(rounds):
-            self.problem.renew(self.space.values(x))
-            before, x = sigma, self.minimum(x, sigma, iterations)
-            sigma = self.weights(x, sigma)
-            if np.all(np.abs(np.log(sigma / before)) < 0.02):
-                break
+        """The estimate from a start, by default the defaults; see `search` and `Fit`."""
+        x, sigma = self.search(np.zeros(len(self.space)) if start is None else start, sigma, iterations, rounds)
         return self.described(x, sigma, same, seed)
 
     def jacobian(self, x: np.ndarray, sigma: np.ndarray) -> np.ndarray:

@@ -61,6 +61,8 @@ class Body:
         self.model.opt.tolerance = min(model.opt.tolerance, 1e-10)
         self.parameters: dict[str, Parameter] = {}
         self.notes: list[str] = []
+        #: Values of parameters that are not estimated.
+        self.fixed: dict[str, float] = {}
         self._places: dict[str, tuple[str, int]] = {}
 
     def joint(self, name: str) -> int:
@@ -136,6 +138,12 @@ class Body:
         force = np.where(model.actuator_forcelimited, model.actuator_forcerange[:, 1], 1e6)
         play = [column.get(each, none)[:, None] for each in ("dead_band", "backlash")]
         return Play(*play, np.stack(gains, axis=1), -model.actuator_biasprm[:, 2], force, np.full(model.nu, 15.0))
+
+    def at(self, values: Mapping[str, float]) -> Body:
+        """The body with other values of named parameters."""
+        other = copy.copy(self)
+        other.fixed = self.fixed | dict(values)
+        return other
 
     def start(self) -> np.ndarray:
         """Positions of the model at rest (nq,)."""
@@ -497,6 +505,8 @@ class _Driven:
             starts: positions and velocities (k, windows, ...), by default those of the log.
         """
         model, body, k, w = self.body.model, self.body, len(values), self.windows
+        names = (*names, *body.fixed)
+        values = np.concatenate([values, np.tile(list(body.fixed.values()), (k, 1))], axis=1)
         batch = Batch(model, k * w, nthread=threads)
         fields = body.fields(names, values)
         for name, field in fields.items():
