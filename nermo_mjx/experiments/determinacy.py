@@ -2,7 +2,7 @@
 
 Coordinates are logarithms of positive parameters and values of others, over the standard deviation of a uniform
 distribution over the range; 0 is the default. The prior is normal with that deviation, so directions that the data do
-not determine stay at the default. With the whitened residuals r and their Jacobian J, a direction's share of the prior's
+not determine stay at the default. With the Jacobian J of the whitened residuals, a direction's share of the prior's
 width is 1 / sqrt(1 + s^2), with the singular values s of J.
 """
 
@@ -182,8 +182,8 @@ class Estimation:
 
     Args:
         space: of the parameters.
-        problem: with `measured`; `predict(values)` (k, p) -> (k, n), NaN where the model fails; and `renew` and `project`,
-            which remove from whitened residuals what unknown starts explain, see `without`.
+        problem: with `measured`; `predict(values)` (k, p) -> (k, n), NaN where the model fails; and `renew` and
+            `project`, which remove from whitened residuals what unknown starts explain, see `without`.
     """
 
     def __init__(self, space: Space, problem: Any) -> None:
@@ -437,7 +437,7 @@ def judge(measured: Measured, residual: np.ndarray) -> Judgement:
 def dispensable(fit: Fit) -> list[str]:
     """Kinds of parameters that the data do not ask for, those that matter least first.
 
-    A kind is left out if the mean square rises by less than chance would let it (Wald, with the posterior's covariance).
+    A kind is left out if the mean square rises by less than chance lets it (Wald, with the posterior's covariance).
     """
     space, left = fit.space, list[str]()
     kinds = list(dict.fromkeys(each.kind for each in space.parameters))

@@ -1,9 +1,8 @@
 """Identification of a robot from its own logs: `nermo-mjx identify --log`, its directory and its report.
 
 The first three quarters of each log are fitted, from several starts of which the best on a short piece goes on; the
-rest, or another log, is the judge. Model classes are those without kinds of parameters that the data do not ask for, and
-the next ones, with a kind that was left out. A directory of it holds identification.json, report.html, plots, the file
-of the model, ensemble.csv for `--body` and `randomize: {from: DIR}`, and the experiment that would tell most.
+rest, or another log, is the judge. Other classes are one without the kinds of parameters that the data do not ask for,
+and those with one more kind.
 """
 
 from __future__ import annotations
@@ -35,12 +34,8 @@ WITHIN: Final = 0.02
 MISSING: Final = 0.1
 #: Coordinate that a kind which was left out is tried at [standard deviations of its prior].
 _TRIED: Final = 0.05
-#: Bodies in ensemble.csv, and draws in the posterior predictive check.
-BODIES: Final = 64
-SHOWN: Final = 24
 #: What is estimated by default: every kind but the play of servos, which makes simulations slow.
 FREE: Final = tuple(kind for kind in KINDS if kind not in ("dead_band", "backlash"))
-RESULT: Final = "identification.json"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -140,13 +135,14 @@ class Identification:
             said.append("The model explains the log to its noise: what is left is white.")
         else:
             said.append(
-                f"This class of models is wrong: residuals of {label} are {of.rms[worst] / of.noise[worst]:.2g} times their "
-                f"noise and smooth (von Neumann's ratio {of.white[worst]:.2f}, of white noise 1)."
+                f"This class of models is wrong: residuals of {label} are "
+                f"{of.rms[worst] / of.noise[worst]:.2g} times their noise and smooth "
+                f"(von Neumann's ratio {of.white[worst]:.2f}, of white noise 1)."
             )
             if self.missing and max(self.missing.values()) > MISSING:
                 kind = max(self.missing, key=lambda each: self.missing[each])
                 said.append(
-                    f"Leaving out {kind} is the cause, or near it: it would remove {percent(self.missing[kind])} of them."
+                    f"Leaving out {kind} is the cause, or near it: it would remove {percent(self.missing[kind])}."
                 )
             else:
                 said.append("No kind of parameters that is known here removes them.")
@@ -200,7 +196,7 @@ def identify_log(
     tried = []
     for i in range(wanted.starts):
         spread = random.uniform(0.5 * space.low, 0.5 * space.high) if i else np.zeros(len(space))
-        x, sigma = rough.search(spread, iterations=STEPS, rounds=2)
+        x, sigma = rough.search(spread, iterations=STEPS, rounds=1)
         tried.append((float(np.sum(np.log(sigma))), x, sigma))
         report((i + 1) / (wanted.starts + 3))
     cost, x, sigma = min(tried, key=lambda each: each[0])

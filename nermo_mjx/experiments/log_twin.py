@@ -25,7 +25,8 @@ from nermo_mjx.experiments.determinacy import Measured, Parameter, without
 from nermo_mjx.hardware.log import Channel, Log
 from nermo_mjx.physics.servo_play import Play, played
 from nermo_mjx.physics.variation import Variation, moves_constants
-from nermo_mjx.robot import ModelParameters, ParameterError, Robot
+from nermo_mjx.robot import ModelParameters, ParameterError, Robot, load_robot
+from nermo_mjx.robot.masses import mass_values
 from nermo_mjx.robot.quantity import did_you_mean, replace_quantities
 from nermo_mjx.runtime import thread_count
 
@@ -107,6 +108,8 @@ class Body:
             return fields[name]
 
         for name, column in zip(names, values.T, strict=True):
+            if name in COMMANDS or name.startswith("bias."):
+                continue
             kind, i = self._places[name]
             if kind in ("armature", "damping", "frictionloss"):
                 field(f"dof_{kind}")[:, i] = column
@@ -174,6 +177,7 @@ class MjcfBody(Body):
                 for joint in free_joints:
                     spec.delete(joint)
             super().__init__(spec.compile())
+            self._spec = spec
         except (ValueError, OSError) as error:
             raise ParameterError(f"{path}: MuJoCo cannot compile it ({str(error).splitlines()[0]}).") from None
         if held:
@@ -232,6 +236,15 @@ class MjcfBody(Body):
             if kind in free and (kind == "delay" or self.servos[driven].all()):
                 add(kind, "", 0, "s" if kind == "delay" else "rad")
 
+    def written(self, names: Sequence[str], values: np.ndarray) -> str:
+        """The MJCF with values (p,) of named parameters."""
+        model, spec = copy.copy(self.model), self._spec.copy()
+        spec.compile()
+        for name, field in self.fields((*names, *self.fixed), np.array([[*values, *self.fixed.values()]])).items():
+            getattr(model, name)[...] = field[0]
+        spec.copy_back(model)
+        return str(spec.to_xml())
+
 
 def mujoco_mass(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
     """The mass matrix (nv, nv)."""
@@ -251,9 +264,9 @@ class NermoBody(Body):
             fixed: model parameter -> value, of the body that it starts from.
         """
         super().__init__(robot.physical)
-        self.robot, self._variation, self._fixed = robot, Variation(robot), dict(fixed)
+        self.robot, self._variation, self.standing = robot, Variation(robot), dict(fixed)
         self.model.opt.jacobian = mujoco.mjtJacobian.mjJAC_SPARSE
-        known = replace_quantities(ModelParameters(), self._fixed)
+        known = replace_quantities(ModelParameters(), self.standing)
         for name, about in texts("log")["nermo"].items():
             if about["kind"] not in free:
                 continue
@@ -270,7 +283,7 @@ class NermoBody(Body):
                 self.parameters[name] = Parameter(name, "bias", "rad", value, low, high, KINDS["bias"]["why"], 0.0)
 
     def _named(self, names: Sequence[str], values: np.ndarray) -> dict[str, Any]:
-        return self._fixed | {
+        return self.standing | {
             n: c
             for n, c in zip(names, values.T, strict=True)
             if n in self.parameters and "." in n and not n.startswith("bias.")
@@ -306,6 +319,11 @@ class NermoBody(Body):
         return np.asarray(pose.qpos(params.control, params.start, None, params.model), float)
 
 
+def nermo_body(robot: str, free: Iterable[str]) -> NermoBody:
+    """Nermo-Lite or Nermo 4.1, by name, as it comes with the package."""
+    return NermoBody(load_robot(robot), free, mass_values(robot))
+
+
 class LoggedTwin:
     """The predictions of a body for logs: the problem that an `Estimation` solves."""
 
@@ -331,7 +349,7 @@ class LoggedTwin:
         Raises:
             ParameterError: a channel of a part that the model does not have, or nothing to compare.
         """
-        self.body, self.names, self.threads = body, tuple(names), thread_count(threads)
+        self.body, self.names, self.threads, self.logs = body, tuple(names), thread_count(threads), tuple(logs)
         pushed = not body.servos.all() and body.model.nu > 0
         self._legs = [_Driven(body, log, AGAIN if pushed and window is None else window) for log in logs]
         if not all(leg.channels for leg in self._legs):
@@ -350,6 +368,8 @@ class LoggedTwin:
         self.keep = np.concatenate(keep)
         values, channel, times = (np.concatenate(column)[self.keep] for column in zip(*parts, strict=True))
         self.labels = tuple(labels)
+        of = {each.name: each.values[:1].size for leg in self._legs for each in leg.channels}
+        self.components = tuple(of[label] for label in labels)
         quantum = np.array([_quantum(values[channel == i]) for i in range(len(labels))])
         self.measured = Measured(values, channel, times, quantum)
         self._around: list[tuple[np.ndarray, np.ndarray]] = []
