@@ -33,7 +33,7 @@ WITHIN: Final = 0.02
 #: A class that leaves out a kind which would remove this share of the residuals is wrong.
 MISSING: Final = 0.1
 #: Coordinate that a kind which was left out is tried at [standard deviations of its prior].
-_TRIED: Final = 0.05
+_TRIED: Final = 0.3
 #: What is estimated by default: every kind but the play of servos, which makes simulations slow.
 FREE: Final = tuple(kind for kind in KINDS if kind not in ("dead_band", "backlash"))
 
@@ -139,11 +139,11 @@ class Identification:
                 f"{of.rms[worst] / of.noise[worst]:.2g} times their noise and smooth "
                 f"(von Neumann's ratio {of.white[worst]:.2f}, of white noise 1)."
             )
-            if self.missing and max(self.missing.values()) > MISSING:
-                kind = max(self.missing, key=lambda each: self.missing[each])
-                said.append(
-                    f"Leaving out {kind} is the cause, or near it: it would remove {percent(self.missing[kind])}."
-                )
+            most = max(self.missing.values(), default=0.0)
+            likely = sorted((k for k, v in self.missing.items() if v > 0.8 * most), key=lambda k: -self.missing[k])
+            if most > MISSING:
+                shares = ", ".join(f"{kind} {percent(self.missing[kind])}" for kind in likely)
+                said.append(f"What was left out and would remove most of them, each by itself: {shares}.")
             else:
                 said.append("No kind of parameters that is known here removes them.")
         said += determinacy.sentences(self.fit)

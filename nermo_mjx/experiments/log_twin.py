@@ -35,6 +35,8 @@ STANDS: Final = 1.0
 AGAIN: Final = 0.5
 #: Time after which servos have forgotten where a log begins [s].
 FORGOTTEN: Final = 2.0
+#: Of a servo without load [rad/s].
+MOTOR_SPEED: Final = 15.0
 #: Worlds simulated together, which bounds memory.
 LANES: Final = 32
 #: Perturbations of unknown starts: position and velocity.
@@ -139,8 +141,10 @@ class Body:
             column.get(f"kp.{model.actuator(i).name}", model.actuator_gainprm[i, 0] + none) for i in range(model.nu)
         ]
         force = np.where(model.actuator_forcelimited, model.actuator_forcerange[:, 1], 1e6)
+        # Where no torque limit tells it, the motor crosses its play at its full speed with an error of 0.1 rad.
+        speed = MOTOR_SPEED * np.where(model.actuator_forcelimited, 1.0, 1e6 / (0.1 * model.actuator_gainprm[:, 0]))
         play = [column.get(each, none)[:, None] for each in ("dead_band", "backlash")]
-        return Play(*play, np.stack(gains, axis=1), -model.actuator_biasprm[:, 2], force, np.full(model.nu, 15.0))
+        return Play(*play, np.stack(gains, axis=1), -model.actuator_biasprm[:, 2], force, speed)
 
     def at(self, values: Mapping[str, float]) -> Body:
         """The body with other values of named parameters."""
@@ -307,16 +311,9 @@ class NermoBody(Body):
         leaves = [np.broadcast_to(np.asarray(leaf, float), (len(values),))[:, None] for leaf in Play.of(servo)]
         return Play(*leaves)
 
-    def start(self) -> np.ndarray:
-        """See `Body.start`."""
-        from nermo_mjx.rollout import Setup
-        from nermo_mjx.rollout.run import StartPose
-        from nermo_mjx.rollout.simulator import Simulator
-
-        simulator = Simulator(Setup(robot=self.robot.config.robot, physics=self.robot.config.physics), engine="c")
-        params = simulator.setup.world({})
-        pose: StartPose = simulator.start
-        return np.asarray(pose.qpos(params.control, params.start, None, params.model), float)
+    def joint(self, name: str) -> int:
+        """See `Body.joint`: knees and the spine are named after their servos, whose pulleys a log sees."""
+        return int(self.model.actuator_trnid[self.actuator(name), 0])
 
 
 def nermo_body(robot: str, free: Iterable[str]) -> NermoBody:
