@@ -33,7 +33,7 @@ WITHIN: Final = 0.02
 #: A class that leaves out a kind which would remove this share of the residuals is wrong.
 MISSING: Final = 0.1
 #: Coordinate that a kind which was left out is tried at [standard deviations of its prior].
-_TRIED: Final = 0.3
+_TRIED: Final = 0.5
 #: What is estimated by default: every kind but the play of servos, which makes simulations slow.
 FREE: Final = tuple(kind for kind in KINDS if kind not in ("dead_band", "backlash"))
 
