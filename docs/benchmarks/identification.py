@@ -211,7 +211,7 @@ def driven(model: mujoco.MjModel, values: dict[str, float], seed: int, duration:
 
 
 def classes(robots: int, first: int, folder: Path) -> None:
-    """Arms of which a wrong class is fitted: biases where a gain is off, or no backlash; and the right class of gains."""
+    """Arms of which a wrong class is fitted: biases where a gain is off, or no backlash; and the right one of gains."""
     path = folder / "arm.xml"
     path.write_text(ARM)
     rows = []
