@@ -21,6 +21,8 @@ from nermo_mjx.files import MOST_FILE, FileError, arrays_of, check_arrays, json_
 #: Version of the file's layout; a reader refuses any other.
 LAYOUT: Final = 1
 _MARK: Final = "nermo_mjx recording"
+#: Beginning of the names of sensors that hold a channel of a robot's log, measured and simulated (T, 2).
+BESIDE: Final = "log."
 _REMEDY: Final = "nermo-mjx walk --record FILE.npz writes one"
 
 #: The arrays of a file, T samples each; with them a text `header`, and `sensor.NAME`.

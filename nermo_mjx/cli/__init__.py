@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from nermo_mjx.cli import directories, jobs, tools, view, walk  # noqa: F401 (each makes its commands)
+from nermo_mjx.cli import directories, jobs, logs, tools, view, walk  # noqa: F401 (each makes its commands)
 from nermo_mjx.cli.output import COMMANDS, CommandGroup
 from nermo_mjx.version import __version__
 

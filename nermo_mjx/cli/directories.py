@@ -16,6 +16,7 @@ import click
 
 from nermo_mjx.cli import options
 from nermo_mjx.cli.choices import FORMATS, METRICS
+from nermo_mjx.cli.logs import compare_files, log_channels
 from nermo_mjx.cli.options import FileKind, column, flag
 from nermo_mjx.cli.output import Failure, Output, WrongUse, command, in_unit, print_pairs, print_table, room, say
 from nermo_mjx.cli.progress import ProgressBar
@@ -242,10 +243,19 @@ _report_out = options.text(
 @column("--metric", "Metric to show for the groups; by default the speed.", among=METRICS, multiple=True)
 @flag("--all", "Every row and column, also those that are equal, empty or too wide.")
 @_report_out
+@log_channels
 def compare_command(
-    a: Path, b: Path | None, by: str | None, base: str | None, where: tuple[str, ...], out: Path | None, **chosen: Any
+    a: Path,
+    b: Path | None,
+    by: str | None,
+    base: str | None,
+    where: tuple[str, ...],
+    out: Path | None,
+    channels: Path | None,
+    **chosen: Any,
 ) -> Output:
-    """Compare two sweeps, A and B, or with --by the values of a column of A.
+    """Compare two sweeps, A and B, or with --by the values of a column of A; or
+    a robot's log with another one, or with a recording of the twin.
 
     Runs are paired by variant and seed; the partner of a lost run is left
     out. Each metric's difference, B minus A or value minus base, has a 95 %
@@ -253,11 +263,24 @@ def compare_command(
     beyond noise are marked with a star: at most 5 % of them are expected to
     be false. A terminal shows what differs, and the columns that fit.
 
+    Of logs and recordings, the channels that both have are compared over
+    time, B minus A: RMS, mean and lag of B behind A. Two logs of one command
+    show how well the robot repeats itself.
+
     Examples:
       nermo-mjx compare runs/stiff runs/bending --for frequency --out runs/gain
       nermo-mjx compare runs/spine_gain --by spine --for gait --for frequency
       nermo-mjx compare runs/spine_gain --by spine --where gait=trt --out gain.csv
+      nermo-mjx compare robot.csv twin.npz
     """
+    needs = dict.fromkeys(("by", "base", "for", "where", "metric", "all", "out"), "directories of sweeps")
+    options.refuse_without(
+        needs | {"channels": "a robot's log"}, {needs["by"]: not a.is_file(), "a robot's log": a.is_file()}
+    )
+    if a.is_file():
+        if b is None:
+            raise WrongUse(f"{a} is a file: give another log or recording to compare it with.")
+        return compare_files(a, b, channels)
     if (b is None) == (by is None):
         raise click.UsageError("Give two directories A and B, or one and --by NAME.")
     if base is not None and by is None:

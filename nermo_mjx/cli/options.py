@@ -107,6 +107,21 @@ def given() -> dict[str, str]:
     }
 
 
+def refuse_without(needs: Mapping[str, str], there: Mapping[str, Any]) -> None:
+    """Refuse options that are given and have no effect.
+
+    Args:
+        needs: by an option's name what it needs; others are passed over.
+        there: which of these are there.
+
+    Raises:
+        WrongUse: one is not.
+    """
+    for name, flag in given().items():
+        if not there.get(need := needs.get(name, ""), True):
+            raise WrongUse(f"{flag} has no effect without {need}.")
+
+
 # ---
 # How options are declared.
 

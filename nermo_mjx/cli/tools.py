@@ -87,6 +87,7 @@ FILES: Final = {
     "landscape": "optimize.spec:TuningFile",
     "train": "learn.spec:TrainingFile",
     "servos": "hardware.channels:ChannelsFile",
+    "log": "hardware.log:LogFields",
 }
 
 
@@ -98,7 +99,7 @@ def schema_command(kind: str, out: Path | None) -> Output:
 
     An editor that supports it completes fields, names and parameters, with
     units, defaults and ranges, and marks errors. KIND is the command; servos
-    reads a file of channels.
+    and log read a file of channels.
 
     Examples:
       nermo-mjx schema sweep

@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import click
 
 from nermo_mjx.cli import options
-from nermo_mjx.cli.choices import ENGINES, PILOTS, ROBOTS
+from nermo_mjx.cli.choices import ENGINES, PILOTS
+from nermo_mjx.cli.logs import LOGS, log_channels, log_of, plain, print_differences
 from nermo_mjx.cli.options import assigned, number, text
 from nermo_mjx.cli.output import Failure, Output, WrongUse, command, is_given, print_table, say
 from nermo_mjx.cli.progress import ProgressBar
@@ -231,28 +232,16 @@ def walk_command(engine: str, record: Path | None, video: Path | None, camera: s
     return Output(report, lambda: print_walk(report), [file for file in (record, video) if file])
 
 
-def _address(context: click.Context, parameter: click.Parameter, given: tuple[str, ...]) -> tuple[str, str | None]:
-    """The model's name, and the address of a robot."""
-    urls = [each for each in given if "://" in each]
-    names = [each for each in given if "://" not in each]
-    for name in names:
-        click.Choice(ROBOTS).convert(name, parameter, context)
-    if len(urls) > 1 or len(names) > 1:
-        raise click.BadParameter("give one name and one address at most.", context, parameter)
-    return names[0] if names else ROBOTS[0], urls[0] if urls else None
-
-
 #: Options of `drive` that need another one: which, and what is missing without it.
 DRIVE_NEEDS = {
-    "headless": "--robot URL",
-    "rate": "--robot URL",
-    "watchdog": "--robot URL",
+    "headless": "--connect URL",
+    "rate": "--connect URL",
+    "watchdog": "--connect URL",
     "delay": "--serve URL",
     "loss": "--serve URL",
-    "channels": "--robot URL or --serve URL",
+    "channels": "--connect URL or --serve URL",
     "port": "a page",
     "browser": "a page",
-    "record": "a page",
 }
 
 
@@ -260,22 +249,23 @@ DRIVE_NEEDS = {
 @options.gait
 @options.controller
 @options.choice_option("--pilot", PILOTS, "Default: open_loop, which turns as you steer.", default=None)
-@options.scene
-@options.tail
-@options.physics
+@options.body
 @options.set_any
-@options.file("--record", ".npz", "A new file for what is driven; after a reset what follows goes to FILE-2.npz, ...")
+@text(
+    "--record",
+    "FILE.npz|FILE.csv",
+    "A new file: NPZ of the twin, and after a reset FILE-2.npz, ...; CSV for a robot's log, what it was sent and what "
+    "it measured, with FILE.yaml of its channels.",
+    type=options.FileKind(".npz", ".csv", dir_okay=False),
+)
 @number("--port", "Of the page; by default any that is free.", click.IntRange(1, 65535))
 @number("--seconds", "Duration; by default until Ctrl-C.", options.POSITIVE)
 @click.option("--browser/--no-browser", default=True, help="Open the page, or only print its address.")
 @text(
-    "--robot",
-    "NAME|URL",
-    f"{' or '.join(ROBOTS)}, and the address of a real one: mqtt://HOST[:PORT] of a broker, or ros://HOST[:PORT] of a "
-    "rosbridge.",
-    multiple=True,
-    callback=_address,
-    shell_complete=options.names(*ROBOTS),
+    "--connect",
+    "URL",
+    "The robot: mqtt://HOST[:PORT] of a broker, ros://HOST[:PORT] of a rosbridge, or print: for none, whose commands "
+    "are printed.",
 )
 @text("--serve", "URL", "Be a simulated robot that is driven from there.")
 @text(
@@ -303,7 +293,7 @@ DRIVE_NEEDS = {
 )
 @number("--loss", "With --serve: share of messages that get lost, each way.", click.FloatRange(0, 1), default=0.0)
 def drive_command(
-    robot: tuple[str, str | None],
+    connect: str | None,
     serve: str | None,
     headless: bool,
     record: Path | None,
@@ -320,29 +310,29 @@ def drive_command(
     again. While you drive, FILE.jsonl keeps every command: if the drive is
     killed, `replay` makes the recording from it.
 
-    --robot URL drives a real robot over its topics: q_values (servo angles,
+    --connect URL drives a real robot over its topics: q_values (servo angles,
     out) and sensors_mouse (what it measures, in). Its servos go to the start
     of the gait slowly. Without messages, or with the page away, it holds
-    still; after 5 s the drive ends. --serve is the other side: a simulated
-    robot behind the same topics.
+    still; after 5 s the drive ends. The exit code is 1 if the robot never
+    answered, the link was lost, or a tenth of the commands was late. --serve
+    is the other side: a simulated robot behind the same topics.
 
     Examples:
       nermo-mjx drive
       nermo-mjx drive --scene stairs --frequency 0.8 --record drive.npz
       nermo-mjx drive --controller policy.npz
       nermo-mjx drive --no-browser --port 8000
-      nermo-mjx drive --robot mqtt://192.168.0.10 --frequency 0.8
+      nermo-mjx drive --connect mqtt://192.168.0.10 --record robot.csv
+      nermo-mjx drive --connect print: --headless --seconds 2
       nermo-mjx drive --serve mqtt://localhost --delay 20 --loss 0.01
     """
-    model, url = robot
-    there = {"--robot URL": bool(url), "--serve URL": bool(serve), "a page": not (headless or serve)}
-    there["--robot URL or --serve URL"] = bool(url or serve)
-    if url and serve:
-        raise WrongUse("Give --robot URL or --serve URL, not both.")
-    for name, flag in options.given().items():
-        if not there.get(need := DRIVE_NEEDS.get(name, ""), True):
-            raise WrongUse(f"{flag} has no effect without {need}.")
-    from nermo_mjx.hardware.live import SendError, address
+    logs = record is not None and record.suffix == ".csv"
+    there = {"--connect URL": bool(connect), "--serve URL": bool(serve), "a page": not (headless or serve)}
+    there["--connect URL or --serve URL"] = bool(connect or serve)
+    if connect and serve:
+        raise WrongUse("Give --connect URL or --serve URL, not both.")
+    options.refuse_without(DRIVE_NEEDS | {"record": "--connect URL" if logs else "a page"}, there)
+    from nermo_mjx.hardware.live import TOPIC, SendError, address
     from nermo_mjx.live.driving import Driving
     from nermo_mjx.live.server import LiveDrive, free
     from nermo_mjx.live.wire import RobotDriving, SimulatedRobot
@@ -353,28 +343,33 @@ def drive_command(
         chosen.pop(name) for name in ("port", "browser", "channels", "rate", "watchdog", "delay", "loss")
     )
     chosen["pilot"] = chosen["pilot"] or ("open_loop" if chosen["controller"] is None else None)
-    setup, _, values = planned_walk(robot=model, **chosen)
+    setup, _, values = planned_walk(**chosen)
     about, files, robots = dict[str, Any](), list[Path](), None
+    sentences, failures = list[str](), list[str]()
     if not there["a page"]:
         say("Ctrl-C ends it")
+    page_record, log = (None, record) if logs else (record, None)
     if record is not None:
         make_writable(record.parent)
-        free(record)
-    failure = ""
+        for each in (record, *([record.with_suffix(".yaml")] if logs else [])):
+            free(each)
     try:
         if serve is not None:
             address(serve, "serve")
-            about = SimulatedRobot(setup, values, channels, delay / 1e3, loss).run(serve, seconds)
+            simulated = SimulatedRobot(setup, values, channels, delay / 1e3, loss)
+            about, sentences = simulated.run(serve, seconds), simulated.sentences()
+            failures = [] if about["commands"].get("taken") else [f"No command came on {TOPIC}."]
         else:
             with ProgressBar("drive", quiet=headless or is_given("quiet"), compiles=True):
-                if url is not None:
-                    robots = RobotDriving(setup, values, url, channels, rate, watchdog, record=record is not None)
-                driving = robots or Driving(setup, values, record=record is not None)
+                recorded = page_record is not None
+                if connect is not None:
+                    robots = RobotDriving(setup, values, connect, channels, rate, watchdog, record=recorded, log=log)
+                driving = robots or Driving(setup, values, record=recorded)
             with robots.reach() if robots else contextlib.nullcontext():
                 if robots and headless:
                     robots.run(seconds)
                 else:
-                    drive = LiveDrive(driving, record, port or 0)
+                    drive = LiveDrive(driving, page_record, port or 0)
                     if robots:
                         robots.operator = lambda: drive.away
                     click.echo(f"drive: {drive.address}", err=True)
@@ -384,20 +379,17 @@ def drive_command(
                         except (KeyboardInterrupt, SendError):
                             pass
                         except RecordingError as error:
-                            failure = str(error)
+                            failures = [str(error)]
                     about, files = drive.report(), drive.files
-                    failure = drive.failure or failure
-            about |= dataclasses.asdict(robots.driven) if robots else {}
+                    failures = [drive.failure] if drive.failure else failures
+            if robots:
+                about |= dataclasses.asdict(robots.driven)
+                sentences, failures = robots.driven.sentences(), failures + robots.failures(about.get("factor", 1.0))
+                files += [log, log.with_suffix(".yaml")] if log else []
     except SendError as error:
         raise Failure(f"{str(error).rstrip('.')}.") from None
-
-    def show() -> None:
-        for name, value in about.items() if url or serve else ():
-            words = ", ".join(f"{each} {what}" for what, each in value.items()) if isinstance(value, dict) else value
-            click.echo(f"{name}: {f'{words:.4g}' if isinstance(words, float) else words}")
-
-    ended = f"{about['ended'].rstrip('.')}." if about.get("ended") else ""
-    return Output(about, show, files, " ".join(filter(None, (failure, ended))))
+    content = about | ({"verdict": failures} if connect or serve else {})
+    return Output(content, lambda: click.echo("\n".join(sentences), nl=bool(sentences)), files, " ".join(failures))
 
 
 @contextlib.contextmanager
@@ -410,18 +402,41 @@ def _browser(address: str) -> Iterator[None]:
         yield
 
 
+#: What options of `replay` need.
+REPLAY_NEEDS = {
+    "row": "a directory",
+    "engine": "a directory or --commands LOG",
+    **dict.fromkeys(("sweep", "controller"), "a recorded drive"),
+    **dict.fromkeys(("channels", "robot", "scene", "tail", "physics", "assignments"), "--commands LOG"),
+}
+
+
 @command("replay")
-@click.argument("out", metavar="DIR|FILE", type=options.PATH)
+@click.argument("out", metavar="[DIR|FILE]", required=False, type=options.PATH)
+@text("--commands", "LOG", "Drive the twin by the commands of a robot's log.", type=options.FileKind(*LOGS))
+@log_channels
+@options.body
+@options.set_any
 @number("--row", "Row of the table, from 0; not with a FILE.", int, metavar="N")
 @options.choice_option("--engine", ENGINES, "By default the directory's own.", default=None)
 @options.produced
 @options.file("--sweep", ".yaml", "Write a sweep file that walks as was driven, of a FILE.")
 @text("--controller", "FILE", "Your copy of the controller of a drive, FILE.py:NAME or a policy FILE.npz; of a FILE.")
 def replay_command(
-    out: Path, row: int | None, engine: str | None, sweep: Path | None, controller: str | None, **saved: Any
+    out: Path | None,
+    commands: Path | None,
+    row: int | None,
+    engine: str | None,
+    sweep: Path | None,
+    controller: str | None,
+    channels: Path | None,
+    record: Path | None,
+    video: Path | None,
+    camera: str,
+    **body: Any,
 ) -> Output:
-    """Rerun one row of a sweep's or a search's directory on its own, or a
-    recorded drive.
+    """Rerun one row of a sweep's or a search's directory on its own, a recorded
+    drive, or the commands of a robot's log.
 
     It has the parameters, start and duration that the sweep gives it, whether
     or not the sweep has reached it; for a search, those of a row of its table.
@@ -433,21 +448,31 @@ def replay_command(
     controller of your own again. The FILE.jsonl of a drive that was killed is
     driven again, too, up to its end.
 
+    --commands LOG drives the twin, from standing, by what a robot was
+    commanded, at its times. What the robot measured is laid beside what the
+    twin measures; the recording keeps both, for `view` and `plot`.
+
     Examples:
       nermo-mjx replay runs/quickstart --row 57 --video row57.mp4
       nermo-mjx replay runs/quickstart --row 57 --engine mjx --json
       nermo-mjx replay runs/atlas --row 8123 --video gait.mp4
       nermo-mjx replay drive.npz --sweep drive.yaml
       nermo-mjx replay drive.jsonl --record drive.npz
+      nermo-mjx replay --commands robot.csv --record twin.npz
     """
-    if out.suffix in (".npz", ".jsonl"):
-        if row is not None or engine is not None:
-            raise WrongUse("--row and --engine belong to a directory: a recorded drive has neither.")
+    if (out is None) == (commands is None):
+        raise WrongUse("Give a directory, a recorded drive, or --commands LOG.")
+    saved: dict[str, Any] = {"record": record, "video": video, "camera": camera}
+    of_drive = out is not None and out.suffix in (".npz", ".jsonl")
+    there = {"a directory": out and not of_drive, "a recorded drive": of_drive, "--commands LOG": commands}
+    options.refuse_without(REPLAY_NEEDS, there | {"a directory or --commands LOG": not of_drive})
+    if commands is not None:
+        return _replay_log(commands, channels, engine, body, saved)
+    assert out is not None
+    if of_drive:
         return _replay_drive(out, sweep, controller, saved)
     if row is None:
         raise WrongUse("Give --row N, a row of the table.")
-    if sweep is not None or controller is not None:
-        raise WrongUse("--sweep and --controller belong to a recorded drive.")
     from nermo_mjx.optimize.directory import find_evaluation
     from nermo_mjx.runs.files import make_writable, plain_json
     from nermo_mjx.sweep.replay import find_row, replay_row, report_of
@@ -476,6 +501,37 @@ def replay_command(
         click.echo(report["compared"])
 
     return Output(report, show, files)
+
+
+def _replay_log(
+    file: Path, channels: Path | None, engine: str | None, body: dict[str, Any], saved: dict[str, Any]
+) -> Output:
+    """Drive the twin by a log's commands, and lay what was measured beside it."""
+    from nermo_mjx.hardware.signals import findings_of
+    from nermo_mjx.hardware.twin import replay_log, with_log
+    from nermo_mjx.rollout import Setup, all_parameters
+
+    log, named = log_of(file, channels), body.pop("assignments")
+    setup = Setup(**{name: value for name, value in body.items() if value is not None})
+    refuse_video(setup, saved["video"], saved["camera"])
+    with ProgressBar("replay", compiles=True) as progress:
+        made = replay_log(log, setup, assigned(named, all_parameters(setup)), engine or "c", progress.share)
+    recording, found = with_log(made, log, setup.load())
+    save_run(recording, **saved)
+    for sentence in findings_of(log):
+        say(sentence)
+    shown = recording.metadata["log"]["shown"]
+    missing = [each.name for each in log.channels if each.name not in shown and each.quantity != "command"]
+    content = {**made.metadata, "log": file, "channels": plain(found), "not_simulated": missing}
+
+    def show() -> None:
+        print_differences(
+            f"{file}, {log.duration:.4g} s: measured minus simulated, engine {made.metadata['engine']}", found
+        )
+        if missing:
+            click.echo(f"The twin has no signal of {', '.join(missing)}.")
+
+    return Output(content, show, [each for each in (saved["record"], saved["video"]) if each])
 
 
 def _replay_drive(path: Path, sweep: Path | None, controller: str | None, saved: Mapping[str, Any]) -> Output:
@@ -531,7 +587,7 @@ def _replay_drive(path: Path, sweep: Path | None, controller: str | None, saved:
 @text(
     "--send",
     "URL",
-    "Send the angles to the robot in real time: mqtt://HOST[:PORT], or ws://HOST[:PORT] of a rosbridge.",
+    "Send the angles to the robot in real time: mqtt://HOST[:PORT], ws://HOST[:PORT] of a rosbridge, or print:.",
 )
 @text("--topic", "NAME", "MQTT or ROS topic.", default="q_values", show_default=True)
 @number("--seconds", "Duration of sending; by default until Ctrl-C.", options.POSITIVE)
@@ -569,7 +625,7 @@ def servos_command(
     if send is None and seconds is not None:
         raise WrongUse("--seconds limits the duration of --send: give --send URL, too.")
     from nermo_mjx.hardware import recorded_table, servo_table
-    from nermo_mjx.hardware.live import SendError, connected, send_table
+    from nermo_mjx.hardware.live import SendError, connected, lateness, send_table
     from nermo_mjx.runs.files import replace_file
 
     topic, how = chosen.pop("topic"), {name: chosen.pop(name) for name in ("rate", "channels")}
@@ -620,7 +676,8 @@ def servos_command(
         if out is not None:
             click.echo(f"wrote {out}")
         if sent is not None:
-            late = f"the latest was {1e3 * sent.latest:.1f} ms late"
-            click.echo(f"sent {sent.messages} messages in {sent.seconds:.1f} s, {sent.skipped} skipped; {late}")
+            latest = f"the latest was {1e3 * sent.latest:.1f} ms late"
+            click.echo(f"sent {sent.messages} messages in {sent.seconds:.1f} s, {sent.skipped} skipped; {latest}")
 
-    return Output(content, show)
+    late = "" if sent is None else lateness(sent.skipped, sent.messages + sent.skipped)
+    return Output(content, show, failure=late)

@@ -32,6 +32,10 @@ TOPIC: Final = "q_values"
 #: How long a broker or bridge may not answer, or be away [s].
 PATIENCE: Final = 5.0
 ROS_TYPE: Final = "std_msgs/msg/Float32MultiArray"
+#: The address of no robot: messages are printed.
+PRINT: Final = "print:"
+#: Share of commands that come too late or not at all, above which a robot was not driven as it should have been.
+TOO_LATE: Final = 0.1
 #: Is called with a message as its JSON reads.
 Receiver: TypeAlias = Callable[[Any], None]
 _PORTS: Final = {"mqtt": 1883, "ws": 9090, "wss": 443}
@@ -64,6 +68,13 @@ class Sent:
     skipped: int
     seconds: float
     latest: float
+
+
+def lateness(late: float, of: float) -> str:
+    """A sentence on commands that this machine was too slow for, if they are more than a share of `TOO_LATE`."""
+    if late <= TOO_LATE * of:
+        return ""
+    return f"{late / of:.0%} of the commands were late and left out: this machine is too slow, or too busy."
 
 
 def send_table(
@@ -132,7 +143,7 @@ def connected(url: str, topic: str = TOPIC) -> Iterator[Sender]:
 
 def servo_message(url: str, angles: Float[np.ndarray, " channels"], given: Float[np.ndarray, " channels"]) -> Any:
     """The message with the angles of a row [deg], as the robot behind this URL takes it."""
-    if url.startswith("mqtt"):
+    if url.startswith(("mqtt", PRINT)):
         return [int(angle) if angle == int(angle) else round(float(angle), 3) for angle in given.tolist()]
     return {"layout": {"dim": [], "data_offset": 0}, "data": [round(a, 6) for a in np.radians(angles).tolist()]}
 
@@ -145,7 +156,7 @@ def linked(
     Args:
         url: `mqtt://[USER:PASSWORD@]HOST[:1883]` of a broker, or `ws://[USER:PASSWORD@]HOST[:9090][/PATH]` of a
             rosbridge server (`ros` is another name of `ws`, and `wss` has TLS); special characters of user and
-            password as %XX.
+            password as %XX. `print:` is no robot: messages are printed, and none comes.
         topic, kind: to which messages are published, and their type in ROS.
         heard, receive: topic that is subscribed to, and what is called with its messages, in the connection's thread:
             with None for what is not JSON.
@@ -156,6 +167,8 @@ def linked(
         SendError: no answer, or the connection is refused.
     """
     parts = address(url, field)
+    if parts.scheme == "print":
+        return contextlib.nullcontext(lambda message: print(f"{topic}: {json.dumps(message)}", flush=True))
     for name in (topic, heard or topic):
         if not name or (parts.scheme == "mqtt" and any(mark in name for mark in "+#\0")):
             raise ParameterError(f"topic is {name!r}: expected a name, without + and #.")
@@ -167,7 +180,7 @@ def address(url: str, field: str) -> SplitResult:
     try:
         parts = urlsplit(re.sub("^ros://", "ws://", url))
         # A port out of range raises; MQTT has no path (the topic is none), and takes a user without a password.
-        right = all(
+        right = url == PRINT or all(
             (
                 parts.scheme in _PORTS and parts.hostname,
                 parts.port != 0,
@@ -183,8 +196,8 @@ def address(url: str, field: str) -> SplitResult:
         # Up to the last @, as a # or / that was not quoted may stand in the password.
         masked = re.sub("^([^/]*//)?.*@", r"\1...@", url, flags=re.DOTALL)
         raise ParameterError(
-            f"{field} is {masked!r}: allowed is mqtt://HOST[:PORT] or ws://HOST[:PORT], with a port from 1 to 65535, "
-            "and USER:PASSWORD@ before HOST, special characters as %XX."
+            f"{field} is {masked!r}: allowed is mqtt://HOST[:PORT], ws://HOST[:PORT] or {PRINT}, with a port from 1 to "
+            "65535, and USER:PASSWORD@ before HOST, special characters as %XX."
         )
     return parts
 

@@ -64,8 +64,8 @@ _MOVING: Final = ("velocity", "gyro", "acceleration", "position", "yaw")
 _MOVED: Final = 0.05
 #: Rows in a row that may be stamped before an earlier one: more are of a clock that was set back.
 _LATE_ROWS: Final = 10
-#: Longest interval between samples that is no gap, in usual ones.
-_GAP: Final = 2.5
+#: Longest interval between samples that is no gap, in usual ones: a single lost sample makes one of 2.
+_GAP: Final = 1.8
 
 
 class ClockFields(Fields):
@@ -113,7 +113,7 @@ class Channel:
         quantity: one of `QUANTITIES`.
         of: the servo, joint, sensor, foot or body that it is of.
         times: of its samples from the log's start, ascending [s].
-        values: (n,), or (n, axes) of several columns, without NaN.
+        values: (n,), or (n, axes) of several columns, without NaN; a yaw without jumps of a whole turn.
         unit: of the values, in SI: rad, rad/s, m/s^2, m, A, N, N m; "switch" for 0 and 1.
     """
 
@@ -165,99 +165,62 @@ class Log:
         return next(iter(found.values()), None) if of is None else found.get(of)
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class LogTable:
-    """A file's table as it stands.
-
-    Attributes:
-        file: that was read.
-        frame: a `pandas.DataFrame` with the columns by name.
-        lines: of the rows in the file; empty for Parquet.
-    """
-
-    file: str
-    frame: Any
-    lines: tuple[int, ...] = ()
-
-    def where(self, row: int) -> str:
-        """The place of a row, for messages."""
-        return f"{self.file}:{self.lines[row]}" if self.lines else f"{self.file}: row {row}"
-
-    def numbers(self, name: str) -> Float[np.ndarray, " n"]:
-        """A column; NaN where a cell is empty. Raises `SpecError`."""
-        import pandas as pd  # imported where it is used: it takes half a second
-
-        given = self.frame[name]
-        kind = given.dtype.kind
-        found = np.full(len(given), np.inf) if kind in "mM" else pd.to_numeric(given, errors="coerce").to_numpy(float)
-        wrong = np.isinf(found) | (np.isnan(found) & ~given.isna().to_numpy())
-        if wrong.any():
-            row = int(np.argmax(wrong))
-            shown = describe(given.iloc[row].item() if kind in "biuf" else str(given.iloc[row]))
-            raise SpecError(f"{self.where(row)}: column {name!r} is {shown}: expected a finite number, or nothing.")
-        return found
-
-
-def read_columns(file: str | os.PathLike[str]) -> LogTable:
-    """The table of a CSV or Parquet file.
+def table_of_log(file: str | os.PathLike[str]) -> Any:
+    """The `pandas.DataFrame` of a CSV or Parquet file as it stands; its index has the line, or the row, of each.
 
     Raises:
         SpecError: it is absent, damaged, too large or empty, or a row has too many cells or too few.
     """
     path = Path(file)
-    if path.suffix.lower() not in (".csv", ".parquet"):
-        raise SpecError(f"{path}: allowed is a log as FILE.csv or FILE.parquet.")
     try:
-        found = _parquet(path) if path.suffix.lower() == ".parquet" else _csv(path)
+        read = {".csv": _csv, ".parquet": _parquet}[path.suffix.lower()]
+        table = read(path)
+    except KeyError:
+        raise SpecError(f"{path}: allowed is a log as FILE.csv or FILE.parquet.") from None
     except FileNotFoundError:
         raise SpecError(f"{path}: there is no such file.") from None
-    except UnicodeDecodeError as error:
-        raise SpecError(f"{path}: not a text file in UTF-8 ({error.reason} at byte {error.start}).") from None
     except OSError as error:
         raise SpecError(f"{path}: cannot be read ({error.strerror or error}).") from None
-    if found.frame.empty:
+    if table.empty:
         raise SpecError(f"{path}: it is empty: expected the names of columns, and rows of numbers.")
-    twice = found.frame.columns[found.frame.columns.duplicated()]
-    if len(twice):
-        raise SpecError(f"{path}: column {twice[0]!r} is there twice.")
-    return found
+    for name in table.columns[table.columns.duplicated()]:
+        raise SpecError(f"{path}: column {name!r} is there twice.")
+    return table
 
 
-def _csv(path: Path) -> LogTable:
-    import pandas as pd
+def _csv(path: Path) -> Any:
+    import pandas as pd  # imported where it is used: it takes half a second
 
-    text = read_bytes(path, MOST_ARRAYS).decode("utf-8-sig")
+    try:
+        text = read_bytes(path, MOST_ARRAYS).decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise SpecError(f"{path}: not a text file in UTF-8 ({error.reason} at byte {error.start}).") from None
     # A line is one row: no cell of numbers goes over several.
     lines = [(i, line) for i, line in enumerate(text.splitlines(), 1) if line.strip() and not line.startswith("#")]
-    if not lines:
-        return LogTable(str(path), pd.DataFrame())
+    if len(lines) < 2:
+        return pd.DataFrame()
     mark = max(",;\t", key=lines[0][1].count)
     names = [name.strip() for name in next(csv.reader([lines[0][1]], delimiter=mark))]
     for number, line in lines[1:]:
-        if '"' not in line and line.count(mark) + 1 != len(names):
-            raise SpecError(
-                f"{path}:{number}: it has {line.count(mark) + 1} cells, but there are {len(names)} columns."
-            )
+        if '"' not in line and (cells := line.count(mark) + 1) != len(names):
+            raise SpecError(f"{path}:{number}: it has {cells} cells, but there are {len(names)} columns.")
+    rows = io.StringIO("\n".join(line for _, line in lines[1:]))
     how = {"sep": mark, "decimal": "," if mark == ";" else ".", "skipinitialspace": True, "low_memory": False}
     try:
-        rows = io.StringIO("\n".join(line for _, line in lines[1:]))
-        frame = pd.read_csv(rows, header=None, names=range(len(names)), index_col=False, **how)
-    except pd.errors.EmptyDataError:
-        frame = pd.DataFrame()
-    except pd.errors.ParserError as error:
-        raise SpecError(f"{path}: not valid CSV: {str(error).strip()}.") from None
-    frame = frame.set_axis(names[: frame.shape[1]], axis=1)
-    return LogTable(str(path), frame, tuple(number for number, _ in lines[1:]))
+        frame = pd.read_csv(rows, header=None, index_col=False, names=range(len(names)), **how)
+        return frame.set_axis(names, axis=1).set_axis([number for number, _ in lines[1:]], axis=0)
+    except ValueError as error:  # pandas' ParserError is one
+        raise SpecError(f"{path}: not valid CSV: {str(error).strip().rstrip('.')}.") from None
 
 
-def _parquet(path: Path) -> LogTable:
+def _parquet(path: Path) -> Any:
     import pyarrow as pa
 
     from nermo_mjx.runs.files import parquet_file
 
     try:
         with parquet_file(path, ours=False) as file:
-            return LogTable(str(path), file.read().to_pandas(ignore_metadata=True))
+            return file.read().to_pandas(ignore_metadata=True)
     except (pa.ArrowException, ValueError) as error:
         raise SpecError(f"{path}: not a Parquet file, or a damaged one ({str(error).splitlines()[0]}).") from None
 
@@ -283,10 +246,10 @@ def read_log(file: str | os.PathLike[str], channels: str | os.PathLike[str] | Ma
     """
     what = "file of a log's channels"
     doc = read_mapping(channels, what) if isinstance(channels, Mapping) else read_file(channels, what)
-    fields, table = read(doc, LogFields), read_columns(file)
+    fields, table = read(doc, LogFields), table_of_log(file)
     if not fields.channels:
         doc.fail(("channels",), "names no channel: at least one is needed.")
-    reader, made = _Reader(doc, fields, table), dict[tuple[str, str], Channel]()
+    reader, made = _Reader(doc, fields, str(file), table), dict[tuple[str, str], Channel]()
     for name, entry in fields.channels.items():
         quantity = entry.quantity
         key = (quantity, entry.of or _OF.get(quantity, ""))
@@ -333,9 +296,14 @@ class _Reader:
         notes: what was found, and the channels that it was found of.
     """
 
-    def __init__(self, doc: Document, fields: LogFields, table: LogTable) -> None:
-        self.doc, self.fields, self.table = doc, fields, table
+    def __init__(self, doc: Document, fields: LogFields, file: str, table: Any) -> None:
+        self.doc, self.fields, self.file, self.table = doc, fields, file, table
         self.notes: dict[str, list[str]] = {}
+
+    def where(self, row: int) -> str:
+        """The place of a row, for messages."""
+        mark = ":" if self.file.lower().endswith(".csv") else ": row "
+        return f"{self.file}{mark}{self.table.index[row]}"
 
     def note(self, name: str, what: str) -> None:
         """Remember what was found of a channel; "" for nothing."""
@@ -348,12 +316,22 @@ class _Reader:
         return tuple(f"{several(names)}: {what}." for what, names in self.notes.items())
 
     def column(self, name: str, *path: str | int) -> Float[np.ndarray, " n"]:
-        """A column that the field at `path` names."""
-        names = list(self.table.frame.columns)
+        """A column that the field at `path` names; NaN where a cell is empty."""
+        import pandas as pd
+
+        names = [str(each) for each in self.table.columns]
         if name not in names:
-            allowed = f"{self.table.file} has {', '.join(map(str, names))}{did_you_mean(name, names)}"
+            allowed = f"{self.file} has {', '.join(names)}{did_you_mean(name, names)}"
             self.doc.fail(path, f"asks for the column {name!r}, but {allowed}")
-        return self.table.numbers(name)
+        given = self.table.iloc[:, names.index(name)]
+        dated = given.dtype.kind in "mM"
+        found = np.full(len(given), np.inf) if dated else pd.to_numeric(given, errors="coerce").to_numpy(float)
+        wrong = np.isinf(found) | (np.isnan(found) & ~given.isna().to_numpy())
+        if wrong.any():
+            row = int(np.argmax(wrong))
+            text = describe(str(given.iloc[row]))
+            raise SpecError(f"{self.where(row)}: column {name!r} is {text}: expected a finite number, or nothing.")
+        return found
 
     def factor(self, unit: Any, units: Mapping[str, float], *path: str) -> float:
         """SI units per number of a column."""
@@ -400,7 +378,7 @@ class _Reader:
         given = np.stack([self.column(each, *path) for each in names], axis=-1)
         rows = np.flatnonzero(np.isfinite(given).all(axis=-1) & np.isfinite(time))
         if len(rows) < 2:
-            self.doc.fail(path, f"has {len(rows)} samples in {self.table.file}: expected two at least.")
+            self.doc.fail(path, f"has {len(rows)} samples in {self.file}: expected two at least.")
         times, values = time[rows], sign * factor * (given[rows] - (entry.zero or 0.0))
         self._refuse_backward(rows, times)
         late = times < np.maximum.accumulate(times)
@@ -414,8 +392,9 @@ class _Reader:
             self.note(name, f"{(~last).sum()} stamps are doubled; the last sample of each counts")
         times, values = times[last], values[last]
         if len(times) < 2:
-            raise SpecError(f"{self.table.file}: the time of channel {name!r} is {times[0]:g} s in all rows.")
-        return times, values if entry.columns else values[:, 0], unit
+            raise SpecError(f"{self.file}: the time of channel {name!r} is {times[0]:g} s in all rows.")
+        values = values if entry.columns else values[:, 0]
+        return times, np.unwrap(values) if entry.quantity == "yaw" else values, unit
 
     def _refuse_backward(self, rows: np.ndarray, times: np.ndarray) -> None:
         """Late samples are few in a row; a clock that was set back stays behind."""
@@ -426,7 +405,7 @@ class _Reader:
             length = int(ends[np.searchsorted(ends, begin)] - begin)
             if length > _LATE_ROWS:
                 raise SpecError(
-                    f"{self.table.where(int(rows[begin]))}: the time runs backward, from {times[begin - 1]:.6g} to "
+                    f"{self.where(int(rows[begin]))}: the time runs backward, from {times[begin - 1]:.6g} to "
                     f"{times[begin]:.6g} s, for {length} rows: split the file there, or mend its clock."
                 )
 

@@ -399,39 +399,32 @@ class _Driven(BaseModel, extra="forbid"):
 _EVERY: Final = 0.25
 
 
-class Journal:
+class Appended:
     """A file to which a drive is appended while it lasts, by a thread: the drive never waits for the disk.
-
-    The first line is what a recording says of the drive, as JSON. Each other one says how far it has come, with the
-    commands and pushes since the line before; or with the samples, if no commands make them again, as a robot measures.
 
     Attributes:
         path: of the file.
         error: why it cannot be written now; None if it can be. What is not written yet is kept.
     """
 
-    def __init__(self, path: Path, driving: Driving) -> None:
+    def __init__(self, path: Path) -> None:
         """
         Raises:
             OSError: it cannot be created, or is there.
         """
-        self.path, self._driving, self.error = path, driving, cast("OSError | None", None)
-        self._file, self._stop, self._told = path.open("xb", buffering=0), threading.Event(), (0, 0, 0)
-        self._left = json.dumps(plain_json(driving.about | {"driven": {"values": driving.values}})).encode() + b"\n"
+        self.path, self.error = path, cast("OSError | None", None)
+        self._file, self._stop, self._left = path.open("xb", buffering=0), threading.Event(), b""
         self._thread = threading.Thread(target=self._work, daemon=True)
-        self._thread.start()
+
+    def _more(self) -> bytes:
+        """What has come since the last call."""
+        raise NotImplementedError
 
     def _work(self) -> None:
-        driving, before, ended = self._driving, None, False
+        ended = False
         while not ended:
             ended = self._stop.wait(_EVERY)
-            ticks, (commands, pushes, samples) = driving.ticks, self._told  # commands before this tick are there
-            piece = driving.piece(commands, pushes) | {"ticks": ticks}
-            piece["samples"] = [] if driving.repeatable else driving.rows[samples:]
-            commands, pushes = commands + len(piece["commands"]), pushes + len(piece["pushes"])
-            self._told = commands, pushes, samples + len(piece["samples"])
-            if before != (before := (ticks, self._told)):
-                self._left += json.dumps(plain_json(piece)).encode() + b"\n"
+            self._left += self._more()
             try:
                 while self._left:
                     self._left = self._left[self._file.write(self._left) :]
@@ -440,13 +433,40 @@ class Journal:
             except OSError as error:
                 self.error = error
 
-    def end(self, keep: bool) -> None:
+    def end(self, keep: bool = True) -> None:
         """Write the rest, and close it; with `keep` it stays."""
         self._stop.set()
         self._thread.join()
         self._file.close()
         if not keep:
             self.path.unlink(missing_ok=True)
+
+
+class Journal(Appended):
+    """The journal of a drive.
+
+    The first line is what a recording says of the drive, as JSON. Each other one says how far it has come, with the
+    commands and pushes since the line before; or with the samples, if no commands make them again, as a robot measures.
+    """
+
+    def __init__(self, path: Path, driving: Driving) -> None:
+        """See `Appended`."""
+        super().__init__(path)
+        self._driving, self._told, self._before = driving, (0, 0, 0), cast(Any, None)
+        self._left = json.dumps(plain_json(driving.about | {"driven": {"values": driving.values}})).encode() + b"\n"
+        self._thread.start()
+
+    def _more(self) -> bytes:
+        driving = self._driving
+        ticks, (commands, pushes, samples) = driving.ticks, self._told  # commands before this tick are there
+        piece = driving.piece(commands, pushes) | {"ticks": ticks}
+        piece["samples"] = [] if driving.repeatable else driving.rows[samples:]
+        commands, pushes = commands + len(piece["commands"]), pushes + len(piece["pushes"])
+        self._told = commands, pushes, samples + len(piece["samples"])
+        if self._before == (now := (ticks, self._told)):
+            return b""
+        self._before = now
+        return json.dumps(plain_json(piece)).encode() + b"\n"
 
 
 def _told(source: Recording | Path) -> tuple[Mapping[str, Any], _Driven]:

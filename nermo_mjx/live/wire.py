@@ -16,8 +16,9 @@ import heapq
 import math
 import queue
 import time
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
 from typing import Any, Final
 
 import jax
@@ -27,16 +28,33 @@ from jax.interpreters.partial_eval import dce_jaxpr
 from jaxtyping import Float
 
 from nermo_mjx.control.controller import canonical
+from nermo_mjx.files import replace_file
 from nermo_mjx.hardware.channels import Channels
-from nermo_mjx.hardware.live import PATIENCE, ROS_TYPE, TOPIC, NotSentError, SendError, address, linked, servo_message
+from nermo_mjx.hardware.live import (
+    PATIENCE,
+    PRINT,
+    ROS_TYPE,
+    TOO_LATE,
+    TOPIC,
+    NotSentError,
+    SendError,
+    address,
+    lateness,
+    linked,
+    servo_message,
+)
+from nermo_mjx.hardware.log import QUANTITIES
 from nermo_mjx.hardware.table import channels_of, sent_angles
-from nermo_mjx.live.driving import Driving
+from nermo_mjx.live.driving import Appended, Driving
 from nermo_mjx.physics.c_engine import CBodies, CEngine
 from nermo_mjx.recording import Recording
-from nermo_mjx.robot import ParameterError, Robot, Sensors
+from nermo_mjx.robot import LIMBS, ParameterError, Robot, Sensors
 from nermo_mjx.rollout import Run, Setup, Simulator
 from nermo_mjx.rollout.metrics import DIVERGED_SPEED
 from nermo_mjx.runs.job import interruptible
+from nermo_mjx.specs.reading import dump
+from nermo_mjx.trust import TELL
+from nermo_mjx.view.recorded import attitude_of
 
 #: The author's topic and message of the sensors.
 SENSORS_TOPIC: Final = "sensors_mouse"
@@ -45,6 +63,8 @@ SENSORS_TYPE: Final = "mouse_controller/mouse_sensors"
 _LEG_SERVOS: Final = 8
 #: Parts of `imu_sensor`, in its order, and their lengths.
 _IMU: Final = {"position": 3, "orientation": 4, "linear_velocity": 3, "accelerometer": 3, "gyro": 3}
+#: How long a robot may say nothing before it is driven in an open loop [s].
+QUIET: Final = 2.0
 #: Speed at which servos go to the pose in which the gait begins [rad/s].
 APPROACH: Final = 1.0
 #: A command is this near to that pose when the gait begins [rad].
@@ -105,6 +125,7 @@ class Measured:
         self.sensordata, self.told = np.array(at_rest, float), frozenset[str]()
         self.counts, self.arrived, self.since, self._stamp = {"taken": 0}, -math.inf, -math.inf, -math.inf
         self._places, self.needed = robot.sensors(np.arange(len(self.sensordata))), set[str]()
+        self.log: LinkLog | None = None
 
     def receive(self, message: Any) -> None:
         """Take a message, or leave it out; called in the connection's thread."""
@@ -124,6 +145,8 @@ class Measured:
         self.counts["taken"] += 1
         self._stamp = -math.inf if stamp is None else stamp
         self.sensordata, self.told, self.arrived = data, frozenset(found), now
+        if self.log is not None:
+            self.log.measured(now, stamp, found)
 
     def _read(self, message: Any) -> tuple[dict[str, np.ndarray], float | None]:
         """Readings by field of `Sensors`, and the message's time [s]."""
@@ -197,6 +220,82 @@ class Driven:
     skipped: int = 0
     ended: str = ""
 
+    def sentences(self) -> list[str]:
+        """What happened."""
+        commands = f"It walked for {self.walked:.1f} s, and {self.sent} commands were sent"
+        limited = f", {self.limited} of them within the limits of a channel" if self.limited else ""
+        held = f"; {self.holds} times it stood still, as no message came" if self.holds else ""
+        heard = f"{self.messages['taken']} messages of the robot were taken{_left_out(self.messages)}."
+        return [f"{commands}{limited}{held}.", *([heard] if any(self.messages.values()) else [])]
+
+    def failures(self, factor: float = 1.0, answers: bool = True) -> list[str]:
+        """What was wrong with it: of a robot that `answers`, driven at `factor` seconds per second."""
+        everything = self.sent + self.unsent + self.skipped
+        unsent = f"{self.unsent} commands were not taken." if self.unsent > TOO_LATE * everything else ""
+        late = lateness(self.skipped + max(0.0, 1.0 - factor) * everything, everything)
+        ended = f"{self.ended[:1].upper()}{self.ended[1:].rstrip('.')}." if self.ended else ""
+        never = f"The robot never answered on {SENSORS_TOPIC}: it was driven in an open loop."
+        return [each for each in (ended, "" if self.messages["taken"] or not answers else never, late, unsent) if each]
+
+
+class LinkLog(Appended):
+    """The log of a driven robot: FILE.csv has a row for each command and each message, when it was sent or came.
+
+    FILE.yaml says what its columns are, see `hardware.log`.
+    """
+
+    def __init__(self, path: Path, channels: Channels, robot: Robot, clock: Callable[[], float]) -> None:
+        """See `Appended`."""
+        super().__init__(path)
+        self.about, self._begun = path.with_suffix(".yaml"), clock()
+        self._robot, self._servos = robot, {c.servo: i for i, c in enumerate(channels) if c.servo in robot.servos}
+        sizes = {"gyro": "gyro", "accelerometer": "acceleration", "position": "position"}
+        axes = {name: [f"{name}_{axis}" for axis in "xyz"] for name in sizes}
+        told: dict[str, dict[str, Any]] = {}
+        for each in (channel for channel in channels if channel.servo in robot.servos):
+            sent = {"unit": "deg", "sign": each.direction, "zero": each.zero}
+            told[f"command_{each.servo}"] = {"quantity": "command", "of": each.servo, **sent}
+            told[f"angle_{each.servo}"] = {"quantity": "angle", "of": each.servo, "unit": "rad"}
+        told |= {f"foot_force_{limb}": {"quantity": "contact", "of": limb, "unit": "N"} for limb in LIMBS}
+        for name, quantity in sizes.items():
+            told[name] = {"quantity": quantity, "columns": axes[name], "unit": next(iter(QUANTITIES[quantity]))}
+        self._told = told | {"yaw": {"quantity": "yaw", "unit": "rad"}}
+        self._names = [name for key in self._told for name in axes.get(key, [key])] + ["stamp"]
+        self._counts, self._new, self._written = Counter[str](), deque[str](), b""
+        self._left = (",".join(["t", *self._names]) + "\n").encode()
+        self._thread.start()
+
+    def command(self, now: float, degrees: Float[np.ndarray, " channels"]) -> None:
+        """What was sent at a time [s], of all channels [deg]."""
+        self._add(now, {f"command_{servo}": degrees[i] for servo, i in self._servos.items()})
+
+    def measured(self, now: float, stamp: float | None, found: Mapping[str, np.ndarray]) -> None:
+        """A message that came at a time [s], by field of `Sensors`, and its own time."""
+        row = {} if stamp is None else {"stamp": stamp}
+        for name, ends in (("foot_force", LIMBS), *((name, "xyz") for name in ("gyro", "accelerometer", "position"))):
+            row |= {f"{name}_{end}": value for end, value in zip(ends, found.get(name, ()), strict=False)}
+        if "servo_angle" in found:
+            angles = dict(zip(self._robot.servos, found["servo_angle"], strict=True))
+            row |= {f"angle_{servo}": angles[servo] for servo in self._servos}
+        if "orientation" in found:
+            row["yaw"] = math.radians(attitude_of(found["orientation"][None])[0, 2])
+        self._add(now, row)
+
+    def _add(self, now: float, row: Mapping[str, float]) -> None:
+        cells = (f"{row[name]:.12g}" if name in row else "" for name in self._names)
+        self._counts.update(row.keys())
+        self._new.append(",".join([f"{now - self._begun:.6f}", *cells]) + "\n")
+
+    def _more(self) -> bytes:
+        # A channel has two samples at least.
+        there = {name: e for name, e in self._told.items() if self._counts[e.get("columns", [name])[0]] > 1}
+        about = dump({"time": {"column": "t", "unit": "s"}, "channels": there}).encode()
+        if about != self._written:
+            with contextlib.suppress(OSError):  # the log's own error tells of a full disk
+                replace_file(self.about, about)
+                self._written = about
+        return "".join(self._new.popleft() for _ in range(len(self._new))).encode()
+
 
 def meet(measured: Measured, needed: set[str], wait: Callable[[float], None] = time.sleep) -> None:
     """Wait for the robot's first message.
@@ -209,7 +308,7 @@ def meet(measured: Measured, needed: set[str], wait: Callable[[float], None] = t
         SendError: there is none.
         ParameterError: it does not tell all that is needed.
     """
-    end = measured.clock() + (PATIENCE if needed else 2 * measured.watchdog)
+    end = measured.clock() + (PATIENCE if needed else QUIET)
     while not measured.told and measured.clock() < end:
         wait(0.01)
     what = f"the controller reads {', '.join(sorted(needed - measured.told))}"
@@ -243,7 +342,7 @@ class RobotDriving(Driving):
         operator: how long the page has been away [s].
     """
 
-    repeatable = False
+    repeatable, failed = False, ""
 
     def __init__(
         self,
@@ -255,10 +354,12 @@ class RobotDriving(Driving):
         watchdog: float = WATCHDOG,
         *,
         record: bool = True,
+        log: Path | None = None,
     ) -> None:
         """
         Args:
             setup, values, record: see `Driving`.
+            log: file of commands and measurements, see `LinkLog`.
             url: of the robot, see `linked`.
             channels: of its servos, see `servo_table`.
             rate: of commands [Hz], at most one per tick; by default that of the channels, or one each.
@@ -267,25 +368,41 @@ class RobotDriving(Driving):
         Raises:
             ParameterError: the URL, a channel or the rate is invalid; before anything is compiled.
         """
-        address(url, "robot")
+        address(url, "connect")
         connected, most = channels_of(channels, setup.load()), 1.0 / setup.make_controller().dt
         rate = rate or connected.rate
         if rate is not None and rate > most + 1e-6:
             raise ParameterError(f"rate is {rate:g} Hz: allowed is (0, {most:g}], the controller's.")
         self.needed, self.operator = needed_sensors(setup), lambda: 0.0
-        self._url, self._channels, self._watchdog = url, connected, watchdog
+        self._url, self._channels, self._watchdog, self._log = url, connected, watchdog, log
         self._period = 0.0 if rate is None else 1.0 / rate
         self.measured: Measured | None = None
         super().__init__(setup, values, record=record)
 
     @contextlib.contextmanager
     def reach(self) -> Iterator[None]:
-        """The robot, which is there; for errors see `linked` and `meet`."""
-        measured = Measured(self.simulator.robot, self._channels, self._watchdog)
-        with linked(self._url, TOPIC, ROS_TYPE, SENSORS_TOPIC, measured.receive, "robot") as publish:
-            meet(measured, self.needed)
+        """The robot, which is there; for errors see `linked` and `meet`. A sentence tells what is waited for."""
+        measured, tell = Measured(self.simulator.robot, self._channels, self._watchdog), TELL.get()
+        with linked(self._url, TOPIC, ROS_TYPE, SENSORS_TOPIC, measured.receive, "connect") as publish:
+            if self._url != PRINT:
+                tell(f"connected: waiting for the robot's messages on {SENSORS_TOPIC}.")
+                meet(measured, self.needed)
+                heard = f"the robot tells {', '.join(sorted(measured.told))}."
+                tell(heard if measured.told else f"no message on {SENSORS_TOPIC} in {QUIET:g} s: open loop.")
             self.connect(measured, publish)
-            yield
+            if self._log is not None:
+                measured.log = LinkLog(self._log, self._channels, self.simulator.robot, measured.clock)
+            try:
+                yield
+            finally:
+                if (log := measured.log) is not None:
+                    log.end()
+                    self.failed = f"{log.path}: the log cannot be written ({log.error.strerror})." if log.error else ""
+
+    def failures(self, factor: float = 1.0) -> list[str]:
+        """What was wrong with the drive, see `Driven`; without a robot none answers."""
+        found = self.driven.failures(factor, answers=self._url != PRINT)
+        return [*found, self.failed] if self.failed else found
 
     def connect(self, measured: Measured, publish: Callable[[Any], None]) -> None:
         """Drive the robot that has been measured from now on; `publish` sends it a message."""
@@ -377,6 +494,8 @@ class RobotDriving(Driving):
         try:
             self._publish(servo_message(self._url, degrees, channels.given(degrees)))
             driven.sent, self._reached = driven.sent + 1, measured.clock()
+            if measured.log is not None:
+                measured.log.command(self._reached, channels.given(degrees))
         except SendError as error:
             driven.unsent += 1
             if not isinstance(error, NotSentError) or measured.clock() - self._reached > PATIENCE:
@@ -535,6 +654,22 @@ class SimulatedRobot:
             "silence": None if math.isnan(self._heard) else self._clock() - self._heard,
             "tilt": float(np.arccos(np.clip(1.0 - 2.0 * (x * x + y * y), -1.0, 1.0))),
         }
+
+    def sentences(self) -> list[str]:
+        """What happened."""
+        about = self.about
+        last = "" if about["silence"] is None else f", the last one {about['silence']:.1f} s before the end"
+        far = f"got {1e3 * about['distance']:.0f} mm far; its tilt is {math.degrees(about['tilt']):.0f} degrees"
+        return [
+            f"The simulated robot was there for {about['seconds']:.1f} s, and {far}.",
+            f"{about['commands'].get('taken', 0)} commands were taken{last}{_left_out(about['commands'])}.",
+        ]
+
+
+def _left_out(counts: Mapping[str, int]) -> str:
+    """What became of messages that were not taken, as the end of a sentence."""
+    found = ", ".join(f"{count} {what}" for what, count in counts.items() if count and what != "taken")
+    return found and f"; left out: {found}"
 
 
 def _commanded(message: Any, channels: Channels, robot: Robot, before: np.ndarray) -> np.ndarray:

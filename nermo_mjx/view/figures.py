@@ -29,6 +29,7 @@ from nermo_mjx.view.recorded import (
     GAIT_TITLES,
     STANDING,
     attitude_of,
+    beside_log,
     own_geometry,
     recorded_model,
     robot_of,
@@ -365,11 +366,37 @@ def servo_angles_figure(walk: RecordedGait) -> Figure | None:
     return page.finish(handles, f"{what}; hip 0: leg straight down, positive: backward; spine positive: to the left")
 
 
+def beside_robot(walk: RecordedGait) -> Figure | None:
+    """Each channel of a robot's log beside the twin that was driven by its commands, and their difference."""
+    channels, time = beside_log(walk.recording), walk.recording.time
+    if not channels:
+        return None
+    rows = -(-len(channels) // 2)
+    page = FigurePage("The robot's log beside the twin", (9.6, 1.3 + 1.35 * rows), rows, 2, sharex=True)
+    for ax, each in zip(page.axes.T.ravel(), channels, strict=False):
+        measured, simulated = (line.values for line in each.lines)
+        ax.plot(time, simulated, color=SERIES[0], lw=1.8, zorder=3)
+        ax.plot(time, measured, color=INK, lw=0.7, zorder=4)
+        ax.plot(time, measured - simulated, color=SERIES[1], lw=0.7, zorder=2)
+        title = f"{each.title} [{each.unit}]"
+        ax.annotate(title, (0, 1.0), xycoords="axes fraction", va="bottom", color=INK, fontsize=8.5)
+        ax.margins(y=0.1)
+        horizontal_grid(ax)
+    for ax in page.axes.T.ravel()[len(channels) :]:
+        ax.remove()
+    for ax in page.axes.T.ravel()[[rows - 1, len(channels) - 1]]:
+        ax.tick_params(labelbottom=True)
+        ax.set(xlabel="time [s]", xlim=(time[0], time[-1]))
+    lines = ((INK, 0.7, "measured"), (SERIES[0], 1.8, "simulated"), (SERIES[1], 0.7, "measured minus simulated"))
+    handles: list[Artist] = [Line2D([], [], color=colour, lw=width, label=label) for colour, width, label in lines]
+    return page.finish(handles, "lag: of what was measured behind what was simulated")
+
+
 def figures_of_recording(
     recording: Recording, notify: Callable[[str], None], robot: Robot | None = None
 ) -> Iterator[tuple[str, Figure]]:
     """The figures of a recording: `gait-diagram`, `orientation`, `foot-paths`, `foot-paths-over-ground`,
-    `servo-angles` and `ground-path`.
+    `servo-angles` and `ground-path`; of one with a robot's log, `beside-robot`.
 
     Args:
         recording: figures of missing data are left out.
@@ -384,6 +411,7 @@ def figures_of_recording(
         ("foot-paths-over-ground", over_ground),
         ("servo-angles", servo_angles_figure),
         ("ground-path", ground_path),
+        *([("beside-robot", beside_robot)] if "log" in recording.metadata else []),
     ):
         try:
             figure, reason = draw(walk), "the recording lacks its sensors."

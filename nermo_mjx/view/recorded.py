@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from nermo_mjx.plotting.shown import shown as in_shown_unit
-from nermo_mjx.recording import Recording, RecordingError
+from nermo_mjx.recording import BESIDE, Recording, RecordingError
 from nermo_mjx.robot import LIMBS, ModelParameters, Robot, RobotConfig, load_robot
 from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.model_parameters import Build
@@ -337,6 +337,23 @@ def plots_of(recording: Recording, motion: Motion) -> list[Plot]:
         plots += [Plot(key, f"Tension, {part} tendons", "N", tuple(curves))] if curves else []
     if "servo_angle" in sensors:
         plots += _servos(np.rad2deg(sensors["servo_angle"]), np.rad2deg(recording.ctrl[samples]))
+    for plot in beside_log(recording):
+        lines = tuple(dataclasses.replace(line, values=line.values[samples]) for line in plot.lines)
+        plots.append(dataclasses.replace(plot, lines=lines))
+    return plots
+
+
+def beside_log(recording: Recording) -> list[Plot]:
+    """Each channel of a robot's log that a recording holds: measured (NaN in gaps) and simulated, with the RMS of their
+    difference, and the lag of measured behind simulated."""
+    plots = []
+    for name, about in (_part(recording, "log").get("channels") or {}).items():
+        if (values := recording.sensors.get(BESIDE + name)) is not None:
+            unit = str(about.get("unit", ""))
+            both, rms = (in_shown_unit("", unit, each) for each in (np.asarray(values, float), about["rms"]))
+            curves = zip(("measured", "simulated"), ("second", "first"), both.values.T, strict=True)
+            title = f"{name}: RMS {float(rms.values):.3g} {rms.unit}, lag {1e3 * about['lag']:.0f} ms"
+            plots.append(Plot(f"log_{name}", title, both.unit, tuple(Curve(*curve) for curve in curves)))
     return plots
 
 

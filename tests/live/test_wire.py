@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import json
+import re
 import signal
 import subprocess
 import sys
@@ -20,13 +21,16 @@ import wires
 from conftest import shared_simulator
 
 from nermo_mjx import Run, Setup
-from nermo_mjx.hardware import Channels, read_channels
+from nermo_mjx.hardware import Channels, read_channels, read_log
 from nermo_mjx.hardware.live import PATIENCE, ROS_TYPE, TOPIC, NotSentError, SendError, linked
+from nermo_mjx.hardware.signals import findings_of
 from nermo_mjx.live.driving import Journal, replayed
 from nermo_mjx.live.server import LiveDrive
 from nermo_mjx.live.wire import (
     APPROACH,
     SENSORS_TOPIC,
+    Driven,
+    LinkLog,
     Measured,
     RobotDriving,
     SimulatedRobot,
@@ -36,6 +40,7 @@ from nermo_mjx.live.wire import (
 )
 from nermo_mjx.recording import RecordingError
 from nermo_mjx.robot import ParameterError, load_robot
+from nermo_mjx.trust import TELL
 
 pytestmark = [pytest.mark.compiles, pytest.mark.usefixtures("shared_simulators")]
 
@@ -403,6 +408,101 @@ def test_under_a_page_the_twin_gets_the_robots_commands(driving, monkeypatch) ->
         driving.tick()
 
 
+@pytest.mark.parametrize("signed", [False, True])
+def test_what_it_was_sent_and_what_it_measured_is_a_log(signed, driving, tmp_path) -> None:
+    """Read back, commands and angles are those of the wire, by signs and zeros of the channels; nothing is amiss."""
+    turned = {"direction": -1.0, "zero": 90.0} if signed else {}
+    channels = dataclasses.replace(CHANNELS, servos=tuple(dataclasses.replace(c, **turned) for c in CHANNELS))
+    both = Together(driving, channels)
+    log = both.measured.log = LinkLog(tmp_path / "robot.csv", channels, both.body.robot, both.clock)
+    both.commands.clear()
+    both.walk(4.0)
+    log.end()
+    assert log.error is None
+    found = read_log(log.path, log.about)
+    assert {each.quantity for each in found.channels} >= {"command", "angle", "gyro", "acceleration", "position", "yaw"}
+    commands = np.degrees(both.commands)
+    for of, channel in found.of_quantity("command").items():
+        at = [each.servo for each in channels].index(of)
+        sent = -(commands[:, at] - 90.0) if signed else commands[:, at]
+        np.testing.assert_allclose(np.degrees(channel.values), sent, atol=1e-3)
+    angles = found.of_quantity("angle")["spine"]
+    assert len(angles.times) > 390
+    np.testing.assert_allclose(angles.values[-1], both.measured.pose[both.body.robot.servos.index("spine")], atol=1e-6)
+    assert [each for each in findings_of(found) if "mirrored" in each or "unit" in each or "clock" in each] == []
+    with pytest.raises(FileExistsError):
+        LinkLog(tmp_path / "robot.csv", channels, both.body.robot, both.clock)
+
+
+@pytest.mark.parametrize(
+    ("driven", "factor", "sentences"),
+    [
+        (Driven({"taken": 99}, walked=5.0, sent=100), 1.0, []),
+        (Driven({"taken": 0}, walked=5.0, sent=100), 1.0, ["The robot never answered on sensors_mouse: it was"]),
+        (
+            Driven({"taken": 9}, sent=151, skipped=284),
+            1.0,
+            ["65% of the commands were late and left out: this machine"],
+        ),
+        (Driven({"taken": 9}, sent=100), 0.25, ["75% of the commands were late and left out"]),
+        (Driven({"taken": 9}, sent=100, skipped=9), 0.99, []),
+        (Driven({"taken": 9}, sent=50, unsent=30), 1.0, ["30 commands were not taken."]),
+        (
+            Driven({"taken": 9}, sent=9, ended="no message of the robot for 5 s"),
+            1.0,
+            ["No message of the robot for 5 s."],
+        ),
+    ],
+)
+def test_a_drive_is_judged_in_sentences(driven, factor, sentences) -> None:
+    found = driven.failures(factor)
+    assert len(found) == len(sentences)
+    assert all(each.startswith(sentence) for each, sentence in zip(found, sentences, strict=True))
+    assert not any("{" in each or "None" in each for each in driven.sentences())
+
+
+def test_sentences_of_both_sides(driving) -> None:
+    both = Together(driving)
+    both.measured.receive("garbage")
+    both.walk(1.0)
+    walked, heard = driving.driven.sentences()
+    assert walked == f"It walked for {driving.driven.walked:.1f} s, and {len(both.commands)} commands were sent."
+    assert heard == f"{both.measured.counts['taken']} messages of the robot were taken; left out: 1 garbage."
+    there, taken = both.body.sentences()
+    assert there.startswith("The simulated robot was there for ")
+    assert re.fullmatch(r"\d+ commands were taken, the last one \d\.\d s before the end\.", taken)
+
+
+@pytest.mark.parametrize("heard", [False, True])
+def test_a_robot_that_says_nothing_is_told_at_the_start(heard, driving, monkeypatch, tmp_path) -> None:
+    """And in the end, by the exit code; the log is there all the same."""
+    told = []
+
+    @contextlib.contextmanager
+    def linked(url, topic, kind, where, receive, field):
+        if heard:
+            receive(AUTHORS)
+        yield lambda message: None
+
+    monkeypatch.setattr("nermo_mjx.live.wire.linked", linked)
+    monkeypatch.setattr("nermo_mjx.live.wire.QUIET", 0.05)
+    monkeypatch.setattr(driving, "needed", set())
+    monkeypatch.setattr(driving, "_log", tmp_path / "robot.csv")
+    token = TELL.set(told.append)
+    try:
+        with driving.reach():
+            driving.run(0.3)
+    finally:
+        TELL.reset(token)
+    assert told[0] == "connected: waiting for the robot's messages on sensors_mouse."
+    assert told[1].startswith(
+        "the robot tells accelerometer, " if heard else "no message on sensors_mouse in 0.05 s: open"
+    )
+    never = [each for each in driving.failures() if "never answered" in each]
+    assert bool(never) is not heard
+    assert (len((tmp_path / "robot.csv").read_text().splitlines()) > 10) is not heard, "nothing is sent into silence"
+
+
 #: Other jobs on the machine delay its messages; simulated time is tested always.
 in_real_time = pytest.mark.long
 
@@ -420,7 +520,7 @@ def process(*words: str | Path) -> Iterator[subprocess.Popen[str]]:
 
 def walking(url: str, channels: Path) -> tuple[str | Path, ...]:
     """Options of a controller that reads the sensors, at 100 Hz."""
-    return "--robot", url, "--headless", "--pilot", "straight", "--rate", "100", "--channels", channels
+    return "--connect", url, "--headless", "--pilot", "straight", "--rate", "100", "--channels", channels
 
 
 @pytest.fixture(params=["mqtt", "ros"])
@@ -532,7 +632,7 @@ def test_a_page_drives_a_robot_that_holds_when_it_hangs() -> None:
         wires.broker() as port,
         linked(f"mqtt://127.0.0.1:{port}", "listener", ROS_TYPE, TOPIC, lambda angles: commands.append(angles[0])) as _,
         process("--serve", f"mqtt://127.0.0.1:{port}") as robot,
-        process("--robot", f"mqtt://127.0.0.1:{port}", "--rate", "100", "--no-browser", "--seconds", "60") as drive,
+        process("--connect", f"mqtt://127.0.0.1:{port}", "--rate", "100", "--no-browser", "--seconds", "60") as drive,
     ):
         assert drive.stderr is not None
         where = next(line.split()[1] for line in drive.stderr if line.startswith("drive: http"))

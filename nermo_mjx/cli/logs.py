@@ -1,0 +1,137 @@
+"""The command about a robot's own log, and what other commands show of logs."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from nermo_mjx.cli import options
+from nermo_mjx.cli.options import FileKind
+from nermo_mjx.cli.output import Output, WrongUse, command, in_unit, print_table
+
+if TYPE_CHECKING:
+    from nermo_mjx.hardware.log import Log
+    from nermo_mjx.hardware.signals import Difference
+
+#: Suffixes of logs.
+LOGS = (".csv", ".parquet")
+#: How many first rows of a log are shown back, and how many columns.
+_ROWS, _WIDE = 3, 6
+
+log_channels = options.text(
+    "--channels", "FILE.yaml", "The log's columns; by default the YAML file beside it.", type=options.SPEC
+)
+
+
+def log_of(file: Path, channels: Path | None) -> Log:
+    """A log with its channels, by default those of the YAML file of its name beside it.
+
+    Raises:
+        WrongUse: there is none.
+        SpecError: see `read_log`.
+    """
+    from nermo_mjx.hardware.log import read_log
+
+    beside = file.with_suffix(".yaml")
+    if channels is None and not beside.exists():
+        raise WrongUse(f"{file}: give the file of its channels, --channels FILE.yaml; by default it is {beside}.")
+    return read_log(file, channels or beside)
+
+
+@command("log", reads=True)
+@click.argument("file", metavar="FILE", type=FileKind(*LOGS))
+@log_channels
+def log_command(file: Path, channels: Path | None) -> Output:
+    """Check a robot's own log, and say what looks wrong in it.
+
+    FILE is CSV or Parquet, with a row for each time. The file of its channels
+    says which column is what, in which unit, sign and zero:
+
+    \b
+    time: {column: t, unit: ms}
+    channels:
+      cmd1: {quantity: command, of: spine, unit: deg, sign: -1, zero: 90}
+      pos1: {quantity: angle, of: spine, unit: deg}
+      gyro: {quantity: gyro, columns: [gx, gy, gz], unit: deg/s}
+      mark: {quantity: position, columns: [x, y], unit: mm}
+
+    It shows the header and the first rows back, then rates, ranges, and how
+    far each angle is behind its command. Gaps, late and doubled stamps,
+    saturation, mirrored servos, wrong units and lags are told in a sentence.
+
+    Examples:
+      nermo-mjx log robot.csv --channels robot.yaml
+      nermo-mjx log robot.parquet --json
+    """
+    from nermo_mjx.hardware.log import table_of_log
+    from nermo_mjx.hardware.signals import findings_of, lag_of
+
+    log, table = log_of(file, channels), table_of_log(file)
+    commands, findings = log.of_quantity("command"), findings_of(log)
+    rows = []
+    for each in log.channels:
+        other = commands.get(each.of) if each.quantity == "angle" else None
+        lag = None if other is None else lag_of(each, other)[0]
+        low, high = float(each.values.min()), float(each.values.max())
+        about = {"channel": each.name, "quantity": each.quantity, "of": each.of, "rate": 1.0 / each.interval}
+        rows.append(about | {"samples": len(each.times), "low": low, "high": high, "unit": each.unit, "lag": lag})
+    content = {"file": file, "seconds": log.duration, "channels": rows, "findings": findings}
+
+    def show() -> None:
+        names = [str(name) for name in table.columns]
+        more = f" and {len(names) - _WIDE} more" if len(names) > _WIDE else ""
+        shown = table.iloc[:_ROWS, :_WIDE].astype(str).values.tolist()
+        print_table(
+            f"{file}: {len(table):,} rows of {len(names)} columns{more and ', the first ones'}", names[:_WIDE], shown
+        )
+        print_table(f"{log.duration:.4g} s", _HEADINGS, [_shown_row(row) for row in rows])
+        for sentence in findings or ["Nothing looks wrong."]:
+            click.echo(sentence)
+
+    return Output(content, show)
+
+
+_HEADINGS = "channel, quantity, of, rate [Hz]>, samples>, from>, to>, unit, behind its command [ms]>"
+
+
+def _shown_row(row: dict[str, Any]) -> list[str]:
+    (low, high), unit = in_unit("", row["unit"], row["low"], row["high"])
+    lag = "" if row["lag"] is None else str(round(1e3 * row["lag"]))
+    numbers = [f"{row['rate']:.4g}", f"{row['samples']:,}", f"{low:.3g}", f"{high:.3g}"]
+    return [row["channel"], row["quantity"], row["of"], *numbers, unit, lag]
+
+
+def compare_files(a: Path, b: Path, channels: Path | None) -> Output:
+    """Two logs, or a log and a recording of the twin, or two recordings, channel by channel: B minus A."""
+    from nermo_mjx.cli.view import load_recording
+    from nermo_mjx.hardware.signals import differences
+    from nermo_mjx.hardware.twin import beside, signals_of
+    from nermo_mjx.view import robot_of
+
+    loaded = {path: load_recording(path) for path in (a, b) if path.suffix == ".npz"}
+    twins = {path: signals_of(each, robot_of(each)) for path, each in loaded.items()}
+    one, two = (twins.get(path) or log_of(path, channels) for path in (a, b))
+    one, two = (beside(two, one) if a in twins else one, beside(one, two) if b in twins else two)
+    if not (found := differences(two, one)):
+        raise WrongUse(f"{a} and {b} have no channel of the same quantity and thing at the same time.")
+    content = {"a": a, "b": b, "channels": plain(found)}
+    return Output(content, lambda: print_differences(f"{b} minus {a}", found))
+
+
+def print_differences(title: str, found: Sequence[Difference]) -> None:
+    """Channels beside other ones, in units that people read."""
+    rows = []
+    for each in found:
+        numbers, unit = in_unit("", each.unit, each.rms, each.bias, each.amplitude)
+        row = [each.name, *(f"{round(number, 6) + 0.0:.3g}" for number in numbers), unit]
+        rows.append([*row, str(round(1e3 * each.lag)), f"{each.correlation:.3f}"])
+    print_table(title, "channel, RMS>, mean>, signal>, unit, lag [ms]>, correlation>", rows)
+
+
+def plain(found: Sequence[Difference]) -> list[dict[str, Any]]:
+    """For --json."""
+    return [dataclasses.asdict(each) for each in found]

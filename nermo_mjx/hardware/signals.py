@@ -1,0 +1,218 @@
+"""Signals beside each other: lag, residual and gain of two channels, and what looks wrong in a robot's log."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+from typing import Final
+
+import numpy as np
+from jaxtyping import Float
+
+from nermo_mjx.hardware.log import Channel, Log
+
+#: Largest lag that is looked for [s].
+LONGEST_LAG: Final = 0.25
+#: Shares of the largest correlation that are its hill, and that are as high: then the smallest lag is meant.
+_HILL: Final = 0.95
+_ALIKE: Final = 0.99
+
+
+@dataclasses.dataclass(frozen=True)
+class Difference:
+    """A channel beside another one of the same thing, whose values are taken at its times.
+
+    Attributes:
+        name: of the channel; with its axis, if it has several.
+        unit: of `rms` and `bias`.
+        rms, bias: root mean square and mean of the channel minus the other one.
+        amplitude: root mean square of the channel about its mean.
+        lag: of the channel behind the other one [s], 0 where one of them stands still.
+        correlation: at that lag; 0 where one of them stands still.
+    """
+
+    name: str
+    unit: str
+    rms: float
+    bias: float
+    amplitude: float
+    lag: float
+    correlation: float
+
+
+def values_at(channel: Channel, times: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n ..."]:
+    """A channel's values at other times, linear between its samples; NaN before, after, and in its gaps."""
+    flat = channel.values.reshape(len(channel.times), -1)
+    found = np.stack([np.interp(times, channel.times, each, np.nan, np.nan) for each in flat.T], axis=-1)
+    for begin, end in channel.gaps:
+        found[(times > begin) & (times < end)] = np.nan
+    return found.reshape(len(times), *channel.values.shape[1:])
+
+
+def lag_of(channel: Channel, other: Channel) -> tuple[float, float]:
+    """How long one channel is behind another one of one column [s], and their correlation then.
+
+    The sign is that of their correlation without a lag; the lag has the largest one of this sign, at the vertex of a
+    parabola through its hill, so between samples, too.
+    """
+    step = max(channel.interval, other.interval)
+    count = max(2, int(LONGEST_LAG / step))
+    lags = step * np.arange(-count, count + 1)
+    found = np.array([_correlation(channel.values, values_at(other, channel.times - lag)) for lag in lags])
+    sign = 1.0 if found[count] >= 0.0 else -1.0
+    found = sign * found
+    if found.max() <= 0.0:
+        return 0.0, sign * float(found[count])
+    # Each hill around a maximum, of those that are as high as the highest the nearest: signals may be periodic.
+    edges = np.flatnonzero(np.diff(found >= _HILL * found.max(), prepend=False, append=False)).reshape(-1, 2)
+    hills = [hill for hill in edges if found[slice(*hill)].max() >= _ALIKE * found.max()]
+    begin, end = min(hills, key=lambda hill: abs(lags[slice(*hill)].mean()))
+    best = begin + int(np.argmax(found[begin:end]))
+    near = slice(max(0, min(begin, best - 1)), max(end, best + 2))
+    bend, slope, _ = np.polyfit(lags[near] - lags[best], found[near], 2) if np.ptp(found[near]) else (0.0, 0.0, 0.0)
+    shift = (
+        float(np.clip(-0.5 * slope / bend, lags[near][0] - lags[best], lags[near][-1] - lags[best]))
+        if bend < 0.0
+        else 0.0
+    )
+    return float(lags[best]) + shift, sign * float(found[best])
+
+
+def _correlation(a: np.ndarray, b: np.ndarray) -> float:
+    both = np.isfinite(b)
+    if both.sum() < 3 or np.ptp(a[both]) == 0.0 or np.ptp(b[both]) == 0.0:
+        return 0.0
+    return float(np.corrcoef(a[both], b[both])[0, 1])
+
+
+def differences(log: Log, other: Log) -> list[Difference]:
+    """The channels of one log minus those of another one, axis by axis, of the quantities and things that both have.
+
+    A position's frame is the camera's, and a yaw's zero is arbitrary: see `placed`.
+    """
+    found = []
+    for channel in log.channels:
+        twin = other.of_quantity(channel.quantity).get(channel.of)
+        pairs = zip(axes_of(channel), axes_of(placed(twin, channel)), strict=False) if twin is not None else ()
+        for (name, one), (_, two) in pairs:
+            residual = one.values - values_at(two, one.times)
+            residual = residual[np.isfinite(residual)]
+            if len(residual):
+                rms, bias = float(np.sqrt(np.mean(residual**2))), float(residual.mean())
+                found.append(Difference(name, one.unit, rms, bias, float(one.values.std()), *lag_of(one, two)))
+    return found
+
+
+def placed(twin: Channel, channel: Channel) -> Channel:
+    """A track or a yaw in the frame of another one: turned about the vertical and shifted so that the residual is least
+    [Umeyama, IEEE PAMI 13, 1991]; other quantities as they are."""
+    if channel.quantity not in ("position", "yaw"):
+        return twin
+    there = values_at(twin, channel.times)
+    both = np.isfinite(there).reshape(len(there), -1).all(axis=1)
+    if not both.any():
+        return twin
+    here, there, moved = (each.reshape(len(each), -1) for each in (channel.values[both], there[both], twin.values))
+    axes = here.shape[1]
+    seen, shown, moved = here - here.mean(axis=0), there - there.mean(axis=0), moved - there.mean(axis=0)
+    if channel.quantity == "position":
+        turn = np.vdot(shown[:, 0] + 1j * shown[:, 1], seen[:, 0] + 1j * seen[:, 1])
+        ground = (moved[:, 0] + 1j * moved[:, 1]) * turn / max(abs(turn), 1e-300)
+        moved = np.stack([ground.real, ground.imag, *moved.T[2:]], axis=-1)
+    values = moved[:, :axes] + here.mean(axis=0)
+    return dataclasses.replace(twin, values=values if channel.values.ndim > 1 else values[:, 0])
+
+
+def axes_of(channel: Channel) -> list[tuple[str, Channel]]:
+    """A channel of each axis, with its name."""
+    flat = channel.values.reshape(len(channel.times), -1).T
+    names = [f"{channel.name} {axis}" for axis in "xyz"[: len(flat)]] if channel.values.ndim > 1 else [channel.name]
+    return [(name, dataclasses.replace(channel, values=each)) for name, each in zip(names, flat, strict=True)]
+
+
+# ---
+# What looks wrong in a log: each sentence names what it was found of.
+
+#: Correlation of an angle with its command below which it does not follow it.
+_FOLLOWS: Final = 0.5
+#: Gains of an angle, and its distance from its command [rad, m], that no servo in order has.
+_GAINS: Final = (0.5, 2.0)
+_OFF: Final = 0.2
+#: A servo is late where its lag is beyond all others' by more than this [s], and by more than these are apart.
+_LATE: Final = 0.01
+#: Turns of servos [rad], angular velocities [rad/s], and weights [m/s^2] beyond which a unit is wrong: 2,000 deg/s is
+#: what gyros measure.
+_TURNS: Final = 2.0 * np.pi
+_FASTEST: Final = 36.0
+_WEIGHT: Final = (5.0, 15.0)
+#: A signal is saturated where it stays at its largest value for so many samples, and its command moves by more than so
+#: many levels and standard deviations then; or without a command, where it is there so many times as often as near it.
+_STAYS: Final = 5
+_BEYOND: Final = 0.5
+_OFTEN: Final = 10
+
+
+def findings_of(log: Log) -> tuple[str, ...]:
+    """What looks wrong with a log's channels, in sentences; nothing of a log that is in order."""
+    commands, angles = log.of_quantity("command"), log.of_quantity("angle")
+    pairs = [(angles[of], commands[of]) for of in angles if of in commands and np.ptp(commands[of].values) > 0.0]
+    lags = {angle.of: lag_of(angle, command) for angle, command in pairs}
+    found = [*log.findings]
+    for angle, command in pairs:
+        (lag, correlation), name = lags[angle.of], angle.of.replace("_", " ")
+        if abs(correlation) < _FOLLOWS:
+            found.append(f"{name} does not follow its command ({correlation:.2f}).")
+            continue
+        if correlation < 0.0:
+            found.append(f"{name} seems mirrored ({correlation:.2f}).")
+        there = values_at(command, angle.times - lag)
+        both = np.isfinite(there)
+        gain, offset = np.polyfit(there[both], angle.values[both], 1)
+        if not _GAINS[0] < abs(gain) < _GAINS[1]:
+            found.append(f"{name} moves {abs(gain):.3g} times as far as its command: one of the two has another unit.")
+        elif correlation > 0.0 and abs(offset + (gain - 1.0) * there[both].mean()) > _OFF:
+            apart = offset + (gain - 1.0) * there[both].mean()
+            found.append(f"{name} stands {apart:.2g} {angle.unit} off its command: one of the two has another zero.")
+        others = [each for of, (each, _) in lags.items() if of != angle.of]
+        if lag < -max(angle.interval, command.interval):
+            found.append(f"{name} is {-1e3 * lag:.0f} ms ahead of its command: one of the two has another clock.")
+        elif len(others) > 1 and lag - max(others) > max(_LATE, np.ptp(others)):
+            most = f"{1e3 * max(others):.0f} ms at most"
+            found.append(f"{name} lags by {1e3 * lag:.0f} ms behind its command, the other servos by {most}.")
+    for channel in log.channels:
+        led = channel.quantity == "angle" and channel.of in lags
+        expected = values_at(commands[channel.of], channel.times - lags[channel.of][0]) if led else None
+        found += _own_findings(channel, expected)
+    return tuple(found)
+
+
+def _own_findings(channel: Channel, expected: np.ndarray | None) -> Iterator[str]:
+    """What looks wrong in one channel alone; `expected` is its command, if it has one, at its lag."""
+    most = float(np.abs(channel.values).max())
+    if channel.quantity in ("command", "angle") and channel.unit == "rad" and most > _TURNS:
+        yield f"{channel.name} reaches {most:.3g} rad: is its unit deg, or its zero another one?"
+    if channel.quantity == "gyro" and most > _FASTEST:
+        yield f"{channel.name} reaches {most:.3g} rad/s: is its unit deg/s?"
+    if channel.quantity == "acceleration":
+        weight = float(np.median(np.linalg.norm(channel.values, axis=-1)))
+        if not _WEIGHT[0] < weight < _WEIGHT[1]:
+            yield f"{channel.name} has a median of {weight:.3g} m/s^2, not of gravity: has it another unit?"
+    if channel.quantity in ("angle", "velocity", "gyro", "acceleration", "current"):
+        for name, axis in axes_of(channel):
+            for sign, end in ((1.0, "upper"), (-1.0, "lower")):
+                if _is_saturated(sign * axis.values, expected):
+                    at = f"{sign * (sign * axis.values).max():.3g} {axis.unit}"
+                    yield f"{name} stays at its {end} end, {at}: is it saturated?"
+
+
+def _is_saturated(values: np.ndarray, expected: np.ndarray | None) -> bool:
+    """Whether a signal stays at its largest value while what it should follow goes on, or more often than near it."""
+    at, levels = values == values.max(), np.unique(values)
+    lengths = np.diff(np.flatnonzero(np.diff(at, prepend=False, append=False)))[::2]
+    if lengths.max(initial=0) < _STAYS or len(levels) < _STAYS:
+        return False
+    width = float(np.median(np.diff(levels)))
+    if expected is not None:
+        return bool(np.ptp(expected[at & np.isfinite(expected)]) > max(_STAYS * width, _BEYOND * np.nanstd(expected)))
+    near = ((values < values.max()) & (values >= values.max() - 3.0 * width)).sum() / 3.0
+    return bool(at.sum() > _OFTEN * max(near, 1.0))

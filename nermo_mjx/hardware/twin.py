@@ -1,0 +1,175 @@
+"""The twin beside a robot's log: driven by the commands of the log at their times, and its signals as a log's."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Mapping
+from typing import Any, Final
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from nermo_mjx.hardware.log import Channel, Log
+from nermo_mjx.hardware.signals import Difference, axes_of, differences, placed, values_at
+from nermo_mjx.kinematics.body import attitude
+from nermo_mjx.recording import BESIDE, Recording
+from nermo_mjx.robot import LIMBS, ParameterError, Robot, ServoAngles
+from nermo_mjx.robot.quantity import choice
+from nermo_mjx.rollout import Run, Setup, Simulator
+
+#: How long the twin stands at the first commands before the log begins [s].
+SETTLING: Final = 1.0
+#: Load of a foot from which a switch under it is closed [N].
+_SWITCH: Final = 0.02
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class LoggedCommands:
+    """A controller that plays a table of servo angles, one row a tick, and stays at its last row.
+
+    Attributes:
+        table: (ticks, n_servos), in the order of the robot's servos [rad].
+        servos: of the robot.
+        dt: between rows [s].
+    """
+
+    table: Float[np.ndarray, "ticks servos"]
+    servos: tuple[str, ...]
+    dt: float
+
+    @property
+    def parameters(self) -> dict[str, Any]:
+        """None."""
+        return {}
+
+    def _angles(self, tick: Any) -> ServoAngles:
+        row, legs = jnp.asarray(self.table)[jnp.minimum(tick, len(self.table) - 1)], len(LIMBS)
+        single = dict.fromkeys(("spine", "neck", "tail"), jnp.zeros(()))
+        single |= dict(zip(self.servos[2 * legs :], row[2 * legs :], strict=True))
+        return ServoAngles(hip=row[:legs], knee=row[legs : 2 * legs], **single)
+
+    def init(self, params: Any, sensors: Any, phase: Any) -> Any:
+        """The first row."""
+        return jnp.zeros((), int)
+
+    def initial_servo(self, params: Any, phase: Any) -> ServoAngles:
+        """See `ControllerLike`."""
+        return self._angles(0)
+
+    def update(self, params: Any, state: Any, sensors: Any) -> tuple[Any, ServoAngles]:
+        """See `ControllerLike`."""
+        return state + 1, self._angles(state)
+
+    def cycle_rate(self, params: Any) -> Any:
+        """A second is a cycle."""
+        return 1.0
+
+
+def command_table(log: Log, servos: tuple[str, ...], dt: float) -> Float[np.ndarray, "ticks servos"]:
+    """A log's commands for each tick: of each servo the last one that was given by then, and before it the first one.
+
+    Servos without a channel are at 0.
+
+    Raises:
+        ParameterError: there is no command, or one of no such servo.
+    """
+    commands = log.of_quantity("command")
+    if not commands:
+        raise ParameterError(f"{log.file}: no channel is a command, by which the twin could be driven.")
+    table = np.zeros((math.ceil(log.duration / dt) + 1, len(servos)))
+    ticks = dt * np.arange(len(table)) + 1e-9
+    for of, channel in commands.items():
+        place = servos.index(choice(f"{log.file}: the servo of channel {channel.name!r}", of, servos))
+        table[:, place] = channel.values[np.maximum(np.searchsorted(channel.times, ticks, "right") - 1, 0)]
+    return table
+
+
+def replay_log(
+    log: Log,
+    setup: Setup | None = None,
+    values: Mapping[str, Any] | None = None,
+    engine: str = "c",
+    progress: Callable[[float], None] | None = None,
+) -> Recording:
+    """Drive the twin by a log's commands at their times, to the next step of its physics.
+
+    It has stood at the first ones for `SETTLING` when the log begins.
+
+    Args:
+        log: see `read_log`.
+        setup: of the body and its scene, without choices of a controller.
+        values: of the body's parameters, by name.
+        engine, progress: see `Simulator`.
+
+    Raises:
+        ParameterError: see `command_table` and `Simulator.run`.
+    """
+    setup = setup or Setup()
+    servos, dt = setup.load().servos, setup.timestep
+    table, before = command_table(log, servos, dt), round(SETTLING / dt)
+    commands = LoggedCommands(np.concatenate([np.repeat(table[:1], before, axis=0), table]), servos, dt)
+    run = Run(duration=len(commands.table) * dt, warmup=before * dt)
+    simulator = Simulator(dataclasses.replace(setup, controller=commands), engine)
+    made = simulator.run(values or {}, run, record=True, progress=progress).recording()
+    made = made.between((before + 1) * dt, made.time[-1])
+    return dataclasses.replace(made, time=made.time - before * dt)
+
+
+def signals_of(recording: Recording, robot: Robot) -> Log:
+    """The signals of a recorded twin, named as in a log; yaw and position are those of the torso's IMU.
+
+    A sample stands for the tick before it: its commands act since the tick's begin, and its sensors were read before
+    the last step.
+    """
+    sensors, made = {name: np.asarray(values) for name, values in recording.sensors.items()}, list[Channel]()
+    times = recording.time - robot.model.opt.timestep
+    begin = recording.time - (np.median(np.diff(recording.time)) if len(times) > 1 else 0.0)
+
+    def add(quantity: str, unit: str, columns: Mapping[str, np.ndarray], at: np.ndarray = times) -> None:
+        made.extend(Channel(f"{quantity} {of}", quantity, of, at, values, unit) for of, values in columns.items())
+
+    def each(names: tuple[str, ...], values: np.ndarray) -> dict[str, np.ndarray]:
+        return dict(zip(names, values.T, strict=True))
+
+    add("command", "rad", each(robot.servos, recording.ctrl), begin)
+    add("angle", "rad", each(robot.servos, sensors["servo_angle"]))
+    add("velocity", "rad/s", each(robot.servos, sensors["servo_velocity"]))
+    add("torque", "N m", each(robot.servos, sensors["servo_torque"]))
+    add("gyro", "rad/s", {"imu": sensors["gyro"]})
+    add("acceleration", "m/s^2", {"imu": sensors["accelerometer"]})
+    add("position", "m", {"torso": sensors["position"]})
+    add("yaw", "rad", {"torso": np.unwrap(np.asarray(attitude(jnp.asarray(sensors["orientation"])))[:, 2])})
+    add("contact", "N", each(LIMBS, sensors["foot_force"]))
+    return Log(tuple(made), "the twin")
+
+
+def beside(log: Log, twin: Log) -> Log:
+    """What a twin measures of a log's channels, as the log has it: its switches, and in the frame of its track."""
+    found = []
+    for channel in log.channels:
+        if channel.quantity == "command":
+            continue
+        other = twin.of_quantity(channel.quantity).get(channel.of)
+        if other is not None and channel.unit == "switch":
+            other = dataclasses.replace(other, values=(other.values > _SWITCH).astype(float), unit="switch")
+        if other is not None:
+            found.append(dataclasses.replace(placed(other, channel), name=channel.name))
+    return Log(tuple(found), twin.file)
+
+
+def with_log(recording: Recording, log: Log, robot: Robot) -> tuple[Recording, list[Difference]]:
+    """A recording of the twin that shows a log's channels beside its own, and how far these are apart.
+
+    Each axis of a channel is the sensor `log.NAME`, (T, 2): measured at the recording's times (NaN in gaps), simulated.
+    """
+    twin = beside(log, signals_of(recording, robot))
+    found, sensors = differences(log, twin), dict(recording.sensors)
+    for channel in log.channels:
+        if (other := twin.of_quantity(channel.quantity).get(channel.of)) is not None:
+            for (name, one), (_, two) in zip(axes_of(channel), axes_of(other), strict=False):
+                sensors[BESIDE + name] = np.stack([values_at(each, recording.time) for each in (one, two)], axis=-1)
+    about, shown = {each.name: dataclasses.asdict(each) for each in found}, [each.name for each in twin.channels]
+    metadata = {**recording.metadata, "log": {"file": log.file, "shown": shown, "channels": about}}
+    return dataclasses.replace(recording, sensors=sensors, metadata=metadata), found

@@ -1,0 +1,134 @@
+"""What looks wrong in a log: known faults are found, at their size, and a log in order has none."""
+
+import dataclasses
+import re
+
+import measured
+import numpy as np
+import pytest
+
+from nermo_mjx.hardware import read_log
+from nermo_mjx.hardware.log import Channel, Log
+from nermo_mjx.hardware.signals import differences, findings_of, lag_of
+
+SERVOS = ("hip_1", "hip_2", "hip_3", "front_knee", "spine")
+
+
+def sines(times, k=0):
+    """A signal of three sines whose periods have no common multiple within the log."""
+    return sum(0.2 / (i + 1) * np.sin(2 * np.pi * (0.6 + 0.83 * i + 0.11 * k) * times + i * k) for i in range(3))
+
+
+def log_with(lag=0.012, seed=0, noise=0.003, quantum=0.0175, rate=100.0, **faults):
+    """Commands and angles of five servos, gyro and accelerometer; a fault is a function of a servo's angles."""
+    random, times, made = np.random.default_rng(seed), np.arange(0.0, 12.0, 1.0 / rate), []
+    for k, of in enumerate(SERVOS):
+        late = faults.get(f"late_{of}", 0.0)
+        angles = sines(times - lag - late, k) + noise * random.standard_normal(len(times))
+        angles = faults.get(of, lambda values: values)(np.round(angles / quantum) * quantum)
+        made.append(Channel(f"cmd_{of}", "command", of, times, sines(times, k), "rad"))
+        made.append(Channel(f"pos_{of}", "angle", of, times, angles, "rad"))
+    turning = np.stack([sines(times, k + 7) for k in range(3)], axis=-1) + 0.01 * random.standard_normal(
+        (len(times), 3)
+    )
+    weight = np.array([0.0, 0.0, 9.81]) + 0.3 * random.standard_normal((len(times), 3))
+    made.append(Channel("gyro", "gyro", "imu", times, faults.get("gyro", lambda v: v)(turning), "rad/s"))
+    made.append(Channel("acc", "acceleration", "imu", times, faults.get("acc", lambda v: v)(weight), "m/s^2"))
+    return Log(tuple(made), "log")
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_log_in_order_has_no_findings(seed):
+    for quantum, rate in ((0.0175, 100.0), (1e-6, 50.0), (0.005, 333.0)):
+        assert findings_of(log_with(seed=seed, quantum=quantum, rate=rate)) == ()
+
+
+@pytest.mark.parametrize(
+    "faults",
+    [{}, {"lost": 0.0, "quantum": np.radians(1.0)}, {"rate": 50.0, "noise": 0.01}, {"gain": 0.7}, {"delay": 0.04}],
+)
+def test_a_simulated_robot_in_order_has_no_findings(faults, tmp_path):
+    """On its feet, so that loads make its servos late by 1 to 30 ms."""
+    assert findings_of(read_log(*measured.write_log(tmp_path, seconds=5.0, **faults))) == ()
+
+
+CASES = {
+    "mirrored": ({"hip_3": np.negative}, r"hip 3 seems mirrored \(-(0\.99|1\.00)\)\."),
+    "late": ({"late_front_knee": 0.034}, r"front knee lags by 4\d ms behind its command, the other servos by 1\d ms"),
+    "ahead": ({"lag": -0.03}, r"hip 1 is 30 ms ahead of its command"),
+    "unit": ({"spine": np.degrees}, r"spine moves 57\.\d times as far as its command"),
+    "zero": ({"spine": lambda values: values + 0.5}, r"spine stands 0\.5 rad off its command"),
+    "another's": (
+        {"hip_1": lambda values: np.random.default_rng(9).permutation(values)},
+        r"hip 1 does not follow its command",
+    ),
+    "saturated": ({"hip_2": lambda values: np.minimum(values, 0.175)}, r"pos_hip_2 stays at its upper end, 0\.175 rad"),
+    "saturated below": (
+        {"gyro": lambda values: np.maximum(values, -0.1)},
+        r"gyro [xyz] stays at its lower end, -0\.1 r",
+    ),
+    "gyro in degrees": ({"gyro": lambda values: 300 * values}, r"gyro reaches \d+ rad/s: is its unit deg/s\?"),
+    "weight in g": (
+        {"acc": lambda values: values / 9.81},
+        r"acc has a median of (1|0\.99\d|1\.0\d) m",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("seed", range(3))
+def test_a_fault_is_named(case, seed):
+    """And, but for those of all channels, no other channel is."""
+    faults, sentence = CASES[case]
+    lag = faults.get("lag", 0.012)
+    found = findings_of(log_with(**{**faults, "lag": lag, "seed": seed}))
+    assert any(re.match(sentence, each) for each in found), found
+    about = {word for each in found for word in (each.split(":")[0].split(" ")[0],)}
+    assert case in ("ahead", "saturated below", "unit") or len(about) == 1, found
+
+
+@pytest.mark.parametrize("lag", [-0.05, 0.0, 0.0137, 0.034, 0.12])
+@pytest.mark.parametrize("quantum", [1e-9, 0.0175])
+def test_a_lag_is_found_between_samples(lag, quantum):
+    """Samples are 10 ms apart, and noise and quantization are those of a servo; another rate is found, too."""
+    log = log_with(lag=lag, quantum=quantum)
+    found = [lag_of(log.of_quantity("angle")[of], log.of_quantity("command")[of])[0] for of in SERVOS]
+    np.testing.assert_allclose(found, lag, atol=1.5e-3)
+    fast = np.arange(0.0, 12.0, 1 / 150)
+    command = Channel("cmd", "command", "spine", fast, sines(fast, 4), "rad")
+    assert lag_of(log.of_quantity("angle")["spine"], command)[0] == pytest.approx(lag, abs=1.5e-3)
+
+
+def test_a_track_is_compared_in_its_own_frame():
+    """The camera looks from elsewhere: what is left is what was added to the track."""
+    times = np.arange(0.0, 5.0, 0.02)
+    track = np.stack([0.1 * times, 0.02 * np.sin(times), 0.05 + 0.001 * np.sin(9 * times)], axis=-1)
+    turn = np.array([[np.cos(2.0), -np.sin(2.0)], [np.sin(2.0), np.cos(2.0)]])
+    noise = 1e-3 * np.random.default_rng(0).standard_normal((len(times), 2))
+    seen = track[:, :2] @ turn.T + [0.4, -0.7] + noise
+    twin = Log(
+        (Channel("p", "position", "torso", times, track, "m"), Channel("y", "yaw", "torso", times, track[:, 0], "rad")),
+        "t",
+    )
+    log = Log(
+        (
+            Channel("mark", "position", "torso", times, seen, "m"),
+            Channel("yaw", "yaw", "torso", times, track[:, 0] + 2.0, "rad"),
+        ),
+        "l",
+    )
+    x, y, yaw = differences(log, twin)
+    assert (x.name, y.name, x.unit) == ("mark x", "mark y", "m")
+    assert [x.rms, y.rms] == pytest.approx([1e-3, 1e-3], rel=0.1)
+    assert yaw.rms < 1e-12
+    other = dataclasses.replace(twin.channels[0], values=track * [1.0, -1.0, 1.0])
+    assert differences(log, Log((other,), "mirrored"))[1].rms > 0.005, "a mirrored track is no turned one"
+
+
+def test_gaps_are_not_compared():
+    times = np.concatenate([np.arange(0, 2, 0.01), np.arange(3, 5, 0.01)])
+    one = Channel("a", "angle", "x", times, sines(times), "rad")
+    whole = np.arange(0, 5, 0.01)
+    other = Channel("a", "angle", "x", whole, np.where((whole > 2) & (whole < 3), 9.0, sines(whole)), "rad")
+    assert differences(Log((one,), ""), Log((other,), ""))[0].rms < 1e-9
+    assert differences(Log((other,), ""), Log((one,), ""))[0].rms < 1e-9
