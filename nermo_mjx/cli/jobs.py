@@ -7,10 +7,9 @@ import dataclasses
 import functools
 import importlib.util
 import math
-import re
 import shlex
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -776,20 +775,23 @@ def _identify_log(
 
     if channels is None:
         raise WrongUse("--log needs --channels FILE.yaml, which says what the columns are.")
-    ranges = {}
+    ranges = dict[str, tuple[float, float]]()
     for each in range:
-        match = re.fullmatch(r"([^=]+)=([^:]+):([^:]+)", each)
+        name, _, ends = each.partition("=")
         try:
-            ranges[match[1]] = (float(match[2]), float(match[3])) if match else ()
-        except (ValueError, TypeError):
+            low, high = map(float, ends.split(":"))
+        except ValueError:
             raise WrongUse(f"--range {each}: expected NAME=LOW:HIGH, such as kp=1:3.") from None
+        ranges[name] = (low, high)
     logs, judges = ([read_log(file, channels) for file in files] for files in (log, check))
     kinds = tuple(free.split(",")) if free else log_identification.FREE
     wanted = log_identification.Wanted(kinds, ranges, seed=seed)
-    if model is not None:
-        make = functools.partial(log_twin.MjcfBody, model, [*logs, *judges])
-    else:
-        make = functools.partial(log_twin.nermo_body, robot)
+
+    def make(kinds: Sequence[str]) -> log_twin.Body:
+        if model is None:
+            return log_twin.nermo_body(robot, kinds)
+        return log_twin.MjcfBody(model, [*logs, *judges], kinds)
+
     found = log_identification.identify_log(make, logs, wanted, judges)
     content = log_report.write_identification(found, out, shlex.join(["nermo-mjx", *sys.argv[1:]]))
 

@@ -64,8 +64,9 @@ class Body:
         self.model.opt.tolerance = min(model.opt.tolerance, 1e-10)
         self.parameters: dict[str, Parameter] = {}
         self.notes: list[str] = []
-        #: Values of parameters that are not estimated.
+        #: Values of parameters that are not estimated, and what Nermo's own parameters are where they are not named.
         self.fixed: dict[str, float] = {}
+        self.standing: dict[str, float] = {}
         self._places: dict[str, tuple[str, int]] = {}
 
     def joint(self, name: str) -> int:
@@ -143,8 +144,8 @@ class Body:
         force = np.where(model.actuator_forcelimited, model.actuator_forcerange[:, 1], 1e6)
         # Where no torque limit tells it, the motor crosses its play at its full speed with an error of 0.1 rad.
         speed = MOTOR_SPEED * np.where(model.actuator_forcelimited, 1.0, 1e6 / (0.1 * model.actuator_gainprm[:, 0]))
-        play = [column.get(each, none)[:, None] for each in ("dead_band", "backlash")]
-        return Play(*play, np.stack(gains, axis=1), -model.actuator_biasprm[:, 2], force, speed)
+        dead_band, backlash = (column.get(each, none)[:, None] for each in ("dead_band", "backlash"))
+        return Play(dead_band, backlash, np.stack(gains, axis=1), -model.actuator_biasprm[:, 2], force, speed)
 
     def at(self, values: Mapping[str, float]) -> Body:
         """The body with other values of named parameters."""
@@ -268,7 +269,8 @@ class NermoBody(Body):
             fixed: model parameter -> value, of the body that it starts from.
         """
         super().__init__(robot.physical)
-        self.robot, self._variation, self.standing = robot, Variation(robot), dict(fixed)
+        self.robot, self._variation = robot, Variation(robot)
+        self.standing = dict(fixed)
         self.model.opt.jacobian = mujoco.mjtJacobian.mjJAC_SPARSE
         known = replace_quantities(ModelParameters(), self.standing)
         for name, about in texts("log")["nermo"].items():
@@ -365,8 +367,8 @@ class LoggedTwin:
         self.keep = np.concatenate(keep)
         values, channel, times = (np.concatenate(column)[self.keep] for column in zip(*parts, strict=True))
         self.labels = tuple(labels)
-        of = {each.name: each.values[:1].size for leg in self._legs for each in leg.channels}
-        self.components = tuple(of[label] for label in labels)
+        sizes = {each.name: each.values[:1].size for leg in self._legs for each in leg.channels}
+        self.components = tuple(sizes[label] for label in labels)
         quantum = np.array([_quantum(values[channel == i]) for i in range(len(labels))])
         self.measured = Measured(values, channel, times, quantum)
         self._around: list[tuple[np.ndarray, np.ndarray]] = []

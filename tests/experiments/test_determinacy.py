@@ -70,10 +70,13 @@ def test_a_ratio_that_is_known_is_named_though_its_parameters_are_not() -> None:
     )
     assert not found.determined.any()
     ((formula, deviation, names),) = determinacy.combinations(found)
-    assert formula == "kp / mass" and deviation < 0.01 and names == ("kp", "mass")
+    assert formula == "kp / mass"
+    assert deviation < 0.01
+    assert names == ("kp", "mass")
     assert found.values[0] / found.values[1] == pytest.approx(2 / 3, rel=3 * deviation)
     said = " ".join(determinacy.sentences(found))
-    assert "Determined only together: kp / mass" in said and "Not determined by these data: kp, mass" in said
+    assert "Determined only together: kp / mass" in said
+    assert "Not determined by these data: kp, mass" in said
 
 
 def test_a_product_with_a_power_is_named() -> None:
@@ -101,7 +104,7 @@ def test_a_parameter_at_its_bound_is_said_to_be() -> None:
     assert "a is at its upper bound." in determinacy.sentences(found)
 
 
-@pytest.mark.parametrize("error, right", [(0.0, True), (0.05, False)])
+@pytest.mark.parametrize(("error", "right"), [(0.0, True), (0.05, False)])
 def test_smooth_residuals_are_no_noise(error: float, right: bool) -> None:
     time = np.linspace(0.0, 10.0, 400)
     measured = Measured(np.zeros(400), np.zeros(400, int), time, np.zeros(1))
