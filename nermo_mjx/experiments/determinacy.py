@@ -15,6 +15,7 @@ from typing import Any, Final
 
 import numpy as np
 from mujoco import minimize
+from scipy.stats import qmc
 
 #: A parameter is determined if its 90 % interval is narrower than this share of its range.
 DETERMINED: Final = 0.1
@@ -218,6 +219,15 @@ class Estimation:
         values = self.measured.values
         wide = self.measured.by_channel(lambda each, i: 0.1 * float(np.std(each)) if len(each) else 1.0, values)
         return np.maximum(wide, 1e-9)
+
+    def scanned(self, number: int, seed: int) -> np.ndarray:
+        """Coordinates (number, p) of a Sobol sequence in the ranges, the best first."""
+        space, of = self.space, self.measured
+        shares = qmc.Sobol(len(space), rng=seed).random_base2((number - 1).bit_length())[:number]
+        points = space.low + shares * (space.high - space.low)
+        away = np.nan_to_num(self.problem.predict(space.values(points)) - of.values, nan=1e6)
+        cost = [np.sum(np.log(self.spread() * 1e-6 + of.by_channel(lambda each, i: rms(each), each))) for each in away]
+        return points[np.argsort(cost)]
 
     def weights(self, x: np.ndarray, sigma: np.ndarray) -> np.ndarray:
         """Each channel's residuals, but no less than what its values can tell (channels,)."""

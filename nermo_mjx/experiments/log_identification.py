@@ -27,6 +27,8 @@ FITTED: Final = 0.75
 PIECE: Final = (0.25, 4.0)
 #: Starts, and Gauss-Newton steps of each on its piece.
 STARTS: Final = 3
+#: Points of a Sobol sequence, of which the best are starts beside the default: a delay has local minima.
+SCANNED: Final = 96
 STEPS: Final = 8
 #: A class is within noise of a larger one if its error on seconds that were not fitted is larger by less.
 WITHIN: Final = 0.02
@@ -192,11 +194,9 @@ def identify_log(
 
     # Starts are compared on a piece, where wrong ones are told from right ones as well.
     pieces = [until(log, min(log.duration, max(PIECE[0] * log.duration, PIECE[1]))) for log in heads]
-    rough, random = Estimation(space, twin(pieces, names)), np.random.default_rng(wanted.seed)
-    tried = []
-    for i in range(wanted.starts):
-        spread = random.uniform(0.5 * space.low, 0.5 * space.high) if i else np.zeros(len(space))
-        x, sigma = rough.search(spread, iterations=STEPS, rounds=1)
+    rough, tried = Estimation(space, twin(pieces, names)), []
+    for i, start in enumerate([np.zeros(len(space)), *rough.scanned(SCANNED, wanted.seed)[: wanted.starts - 1]]):
+        x, sigma = rough.search(start, iterations=STEPS, rounds=1)
         tried.append((float(np.sum(np.log(sigma))), x, sigma))
         report((i + 1) / (wanted.starts + 3))
     cost, x, sigma = min(tried, key=lambda each: each[0])
