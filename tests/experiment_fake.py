@@ -30,7 +30,7 @@ ABOUT = {
 #: The simulated profiles, in the order of the figures.
 BOTH = ("as_published", "exact")
 #: Name of its recording.
-RUN = "trt, 0.8 Hz, with spine"
+RUN = "trot, 0.8 Hz, with spine"
 #: Speeds [m/s] of the trot at 0.5 and 0.8 Hz, in each profile.
 SPEEDS = {"exact": (0.05, 0.08), "as_published": (0.045, 0.07), "as_built": (0.04, 0.06)}
 #: What may be set for it.
@@ -75,7 +75,7 @@ class Fake:
             (
                 profile,
                 body,
-                "trt",
+                "trot",
                 frequency,
                 repeat,
                 factor * speed + 1e-3 * repeat,

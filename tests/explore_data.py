@@ -18,7 +18,7 @@ from nermo_mjx.view import model_hash
 #: Faster than this falls [m/s]: 0.1 times the frequency is the speed of a stiff spine.
 FALLS_ABOVE = 0.125
 #: Of a structure; the last one would end a page's script.
-NAMES = ["trt", "lat", "</script>"]
+NAMES = ["trot", "lateral_walk", "</script>"]
 MEASURES = (
     {"metric": "speed", "low": 0.0, "high": 0.1, "cells": 5},
     {"metric": "shake", "low": 0.0, "high": 2.0, "cells": 4},
@@ -90,7 +90,9 @@ def atlas(out: Path) -> tuple[Path, dict[str, np.ndarray]]:
     made = table(columns, atlas=json.dumps({"objective": objective, "measures": MEASURES}))
     pq.write_table(made, out / "atlas.parquet")
     (out / "run.json").write_text(json.dumps({"kind": "search"}))
-    (out / "search.yaml").write_text("robot: nermo_lite\ngait: lat\nrun: {cycles: 8, warmup_cycles: 2}\nset: {}\n")
+    (out / "search.yaml").write_text(
+        "robot: nermo_lite\ngait: lateral_walk\nrun: {cycles: 8, warmup_cycles: 2}\nset: {}\n"
+    )
     return out, values
 
 

@@ -158,15 +158,20 @@ def test_the_pages_name_every_command_and_no_other_option() -> None:
 
 @pytest.mark.parametrize("page", [page for page in TRIED if blocks(page, "yaml")], ids=lambda page: page.stem)
 def test_a_spec_file_is_valid(page: Path, beside: Callable[[Path], None]) -> None:
-    """One of a search has an objective."""
+    """One of a search has an objective, and one of a robot's log channels."""
+    from nermo_mjx.hardware.log import LogFields
     from nermo_mjx.optimize import Search
+    from nermo_mjx.specs.fields import read
+    from nermo_mjx.specs.reading import read_text
     from nermo_mjx.sweep import Sweep
 
     beside(page)
     for text in blocks(page, "yaml"):
         if text.startswith(("apiVersion", "kind")):
             continue  # for Kubernetes
-        if "\nobjective:" in text:
+        if "\nchannels:" in text:
+            assert read(read_text(text, page.name), LogFields).channels
+        elif "\nobjective:" in text:
             assert Search.from_text(text).names
         else:
             assert Sweep.from_text(text).variants > 1

@@ -37,7 +37,7 @@ def fell(driving: Driving, force: float, phase: float) -> bool:
 
 def main() -> None:
     policy = load_policy(sys.argv[1])
-    for name, setup in (("policy", Setup(controller=policy)), ("controller alone", Setup(gait="trt"))):
+    for name, setup in (("policy", Setup(controller=policy)), ("controller alone", Setup(gait="trot"))):
         driving = Driving(setup, {"frequency": setup.defaults()["frequency"]})
         for force in FORCES:
             cases = itertools.product((-force, force), np.arange(10) / 10)

@@ -20,7 +20,7 @@ from measuring import append, run_of
 from nermo_mjx.optimize import run_search, run_tuning
 from nermo_mjx.rollout import Run, Setup, Simulator
 
-WALK = {"gait": "trt", "spine": "stride_extension", "run": {"cycles": 6, "warmup_cycles": 2}}
+WALK = {"gait": "trot", "spine": "stride_extension", "run": {"cycles": 6, "warmup_cycles": 2}}
 EVALUATIONS, BATCH, SEEDS = 96, 16, 10
 #: Runs that a gradient in reverse mode costs, for the budget.
 GRADIENT_COST = 5

@@ -30,7 +30,7 @@ def of_package() -> dict[str, list[str]]:
     from nermo_mjx.experiments.run import EXPERIMENTS
     from nermo_mjx.physics.making import ENGINES
     from nermo_mjx.plotting.files import FORMATS
-    from nermo_mjx.robot import GAIT_NAMES, GAITS
+    from nermo_mjx.robot import GAIT_CODES, GAITS
     from nermo_mjx.robot.assembly import PRESETS, ROBOTS, TAILS
     from nermo_mjx.robot.scene import scenes
     from nermo_mjx.rollout import METRICS, all_parameters
@@ -43,7 +43,8 @@ def of_package() -> dict[str, list[str]]:
         "ROBOTS": ROBOTS,
         "TAILS": TAILS,
         "PHYSICS": PRESETS,
-        "GAITS": (*GAITS, *GAIT_NAMES.values()),
+        "GAITS": GAITS,
+        "GAIT_CODES": GAIT_CODES,
         "SPINE_MODES": (NO_MODE, *MODES),
         "TRAJECTORIES": (*FORMS, FREE),
         "HEADS": HEADS,

@@ -240,7 +240,7 @@ _report_out = options.text(
 @options.text("--base", "VALUE", "The baseline value; by default none, or the first.")
 @column("--for", "An interval for each value of a column; repeatable: for each combination.", multiple=True)
 @options.text("--where", "NAME=VALUE", "Only runs with this value of a column.", multiple=True)
-@column("--metric", "Metric to show for the groups; by default the speed.", among=METRICS, multiple=True)
+@column("--metric", "Metric to show; by default all, and for groups the speed.", among=METRICS, multiple=True)
 @flag("--all", "Every row and column, also those that are equal, empty or too wide.")
 @_report_out
 @log_channels
@@ -270,7 +270,7 @@ def compare_command(
     Examples:
       nermo-mjx compare runs/stiff runs/bending --for frequency --out runs/gain
       nermo-mjx compare runs/spine_gain --by spine --for gait --for frequency
-      nermo-mjx compare runs/spine_gain --by spine --where gait=trt --out gain.csv
+      nermo-mjx compare runs/spine_gain --by spine --where gait=trot --json
       nermo-mjx compare robot.csv twin.npz
     """
     needs = dict.fromkeys(("by", "base", "for", "where", "metric", "all", "out"), "directories of sweeps")
@@ -289,7 +289,7 @@ def compare_command(
     for text in where:
         name, equals, value = text.partition("=")
         if not equals:
-            raise click.UsageError(f"--where {text}: expected NAME=VALUE, such as gait=trt.")
+            raise click.UsageError(f"--where {text}: expected NAME=VALUE, such as gait=trot.")
         wanted[name.strip()] = value.strip()
     from nermo_mjx.sweep.comparing import compare, figures_of_comparison
 
@@ -297,7 +297,11 @@ def compare_command(
         told_of = {"groups": chosen["for"], "where": wanted, "drawn": chosen["metric"]}
         found = compare(a, b, by=by, base=base, **told_of, progress=shown.share)
     return _report(
-        "comparison", found, figures_of_comparison, out, lambda: _print_comparison(found, whole=chosen["all"])
+        "comparison",
+        found,
+        figures_of_comparison,
+        out,
+        lambda: _print_comparison(found, chosen["metric"], whole=chosen["all"]),
     )
 
 
@@ -319,9 +323,9 @@ def _report(
 _MOST_GROUPS = 30
 
 
-def _print_comparison(found: Comparison, *, whole: bool) -> None:
-    """Tables for people: every metric over all variants, and the chosen ones by groups; where lines have an end, what
-    differs, in the columns that fit."""
+def _print_comparison(found: Comparison, metrics: Sequence[str], *, whole: bool) -> None:
+    """Tables for people: the chosen metrics, or all of them, over all variants, and the drawn ones by groups; where
+    lines have an end, what differs, in the columns that fit."""
     from nermo_mjx.rollout.own_metrics import headed
     from nermo_mjx.sweep.table import profile_text
 
@@ -360,7 +364,7 @@ def _print_comparison(found: Comparison, *, whole: bool) -> None:
         numbers: list[Any] = [(found.base, "right"), (other, "right")]
         numbers += ["difference>", "95 % interval", "relative>", "variants>", "lost", ""]
         cells, heading = list[list[Any]](), ""
-        for row in chosen(found.rows(other)):
+        for row in chosen([row for row in found.rows(other) if not metrics or row["metric"] in metrics]):
             if (now := headings.get(row["metric"], "Own metrics")) != heading:
                 heading = now
                 cells.append([f"{heading}:", *[""] * (1 + len(numbers))])
@@ -388,7 +392,7 @@ def _print_comparison(found: Comparison, *, whole: bool) -> None:
 
 def _cells(row: Mapping[str, Any]) -> list[str]:
     shares = row["lost_base"], row["lost_other"]
-    lost = ", ".join(f"{100 * share:.2g} %" for share in shares) if any(shares) else ""
+    lost = ", ".join(f"{100 * share:.3g} %" for share in shares) if any(shares) else ""
     if not row["variants"]:
         return ["", "", "no run has it", "", "", "0", lost, ""]
     values = (row[name] for name in ("base_mean", "other_mean", "difference", "low", "high"))

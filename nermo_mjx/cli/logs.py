@@ -67,7 +67,9 @@ def log_command(file: Path, channels: Path | None) -> Output:
       nermo-mjx log robot.csv --channels robot.yaml
       nermo-mjx log robot.parquet --json
     """
-    from nermo_mjx.hardware.log import table_of_log
+    import numpy as np
+
+    from nermo_mjx.hardware.log import MOVED, table_of_log
     from nermo_mjx.hardware.signals import findings_of, lag_of
 
     log, table = log_of(file, channels), table_of_log(file)
@@ -75,7 +77,7 @@ def log_command(file: Path, channels: Path | None) -> Output:
     rows = []
     for each in log.channels:
         other = commands.get(each.of) if each.quantity == "angle" else None
-        lag = None if other is None else lag_of(each, other)[0]
+        lag = None if other is None or np.ptp(other.values) <= MOVED else lag_of(each, other)[0]
         low, high = float(each.values.min()), float(each.values.max())
         about = {"channel": each.name, "quantity": each.quantity, "of": each.of, "rate": 1.0 / each.interval}
         rows.append(about | {"samples": len(each.times), "low": low, "high": high, "unit": each.unit, "lag": lag})
@@ -108,17 +110,17 @@ def _shown_row(row: dict[str, Any]) -> list[str]:
 def compare_files(a: Path, b: Path, channels: Path | None) -> Output:
     """Two logs, or a log and a recording of the twin, or two recordings, channel by channel: B minus A."""
     from nermo_mjx.cli.view import load_recording
-    from nermo_mjx.hardware.signals import differences
-    from nermo_mjx.hardware.twin import beside, signals_of
+    from nermo_mjx.hardware.signals import channel_differences
+    from nermo_mjx.hardware.twin import beside, twin_signals
     from nermo_mjx.view import robot_of
 
     loaded = {path: load_recording(path) for path in (a, b) if path.suffix == ".npz"}
-    twins = {path: signals_of(each, robot_of(each)) for path, each in loaded.items()}
+    twins = {path: twin_signals(each, robot_of(each)) for path, each in loaded.items()}
     one, two = (twins.get(path) or log_of(path, channels) for path in (a, b))
     one, two = (beside(two, one) if a in twins else one, beside(one, two) if b in twins else two)
-    if not (found := differences(two, one)):
+    if not (found := channel_differences(two, one)):
         raise WrongUse(f"{a} and {b} have no channel of the same quantity and thing at the same time.")
-    content = {"a": a, "b": b, "channels": plain(found)}
+    content = {"a": a, "b": b, "channels": [*map(dataclasses.asdict, found)]}
     return Output(content, lambda: print_differences(f"{b} minus {a}", found))
 
 
@@ -130,8 +132,3 @@ def print_differences(title: str, found: Sequence[Difference]) -> None:
         row = [each.name, *(f"{round(number, 6) + 0.0:.3g}" for number in numbers), unit]
         rows.append([*row, str(round(1e3 * each.lag)), f"{each.correlation:.3f}"])
     print_table(title, "channel, RMS>, mean>, signal>, unit, lag [ms]>, correlation>", rows)
-
-
-def plain(found: Sequence[Difference]) -> list[dict[str, Any]]:
-    """For --json."""
-    return [dataclasses.asdict(each) for each in found]

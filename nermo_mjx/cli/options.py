@@ -148,6 +148,14 @@ def choice_option(name: str, names: tuple[str, ...], about: str | None = None, *
     return click.option(name, type=click.Choice(names), help=about, **settings)
 
 
+class _Gait(click.Choice):
+    """The name of a gait; the author's codes pass as well."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        codes = dict(zip(choices.GAIT_CODES, self.choices, strict=False))
+        return super().convert(codes.get(value, value), param, ctx)
+
+
 def number(name: str, about: str, kind: Any = float, **more: Any) -> Callable[[F], F]:
     """An option that takes a number."""
     whole = isinstance(kind, click.IntRange)
@@ -282,7 +290,9 @@ set_any = grouped(
 )
 #: What decides how the robot steps.
 gait = grouped(
-    choice_option("--gait", choices.GAITS, "Trot, walking trot, lateral walk, bound, rotary gallop."),
+    click.option(
+        "--gait", type=_Gait(choices.GAITS), default=choices.GAITS[0], show_default=True, help="Order of the feet."
+    ),
     number("--frequency", "Gait cycles per second [Hz]."),
     number("--stride", "Stride length, as a fraction of the maximum."),
     text(

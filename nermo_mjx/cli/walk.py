@@ -16,7 +16,7 @@ import click
 
 from nermo_mjx.cli import options
 from nermo_mjx.cli.choices import ENGINES, PILOTS
-from nermo_mjx.cli.logs import LOGS, log_channels, log_of, plain, print_differences
+from nermo_mjx.cli.logs import LOGS, log_channels, log_of, print_differences
 from nermo_mjx.cli.options import assigned, number, text
 from nermo_mjx.cli.output import Failure, Output, WrongUse, command, is_given, print_table, say
 from nermo_mjx.cli.progress import ProgressBar
@@ -100,7 +100,9 @@ def _switch(text: str) -> Switch:
         return Switch(float(at), blend, **words, values={name: float(value) for name, value in pairs.items()})
     except ValueError as error:
         about = f" {error}" if isinstance(error, ParameterError) else ""
-        raise WrongUse(f"--switch {text}: expected AT,NAME=X such as 2.5,gait=lat,frequency=0.8.{about}") from None
+        raise WrongUse(
+            f"--switch {text}: expected AT,NAME=X such as 2.5,gait=lateral_walk,frequency=0.8.{about}"
+        ) from None
 
 
 def _length(cycles: float | None, duration: float | None, warmup: float | None) -> Run:
@@ -141,15 +143,13 @@ def print_walk(report: dict[str, Any]) -> None:
     import numpy as np
 
     from nermo_mjx.experiments import theory
-    from nermo_mjx.robot import GAIT_NAMES
-    from nermo_mjx.rollout.metrics import Ending
 
     metrics, setup, parameters = report["metrics"], report["setup"], report["parameters"]
     lines = [("speed", metrics.get("speed"), "mm/s", 1e3)]
     if setup["controller"]:
         how = setup["controller"]
     else:
-        gait = GAIT_NAMES.get(setup["gait"], setup["gait"]).replace("_", " ")
+        gait = setup["gait"].replace("_", " ")
         how = f"{gait} at {parameters['frequency']:g} Hz, spine {setup['spine']}, profile {setup['profile']}"
         # Feet that neither slip nor lag (5.21), strides lengthened by the spine (5.33), whose bend counts only at the
         # moment when the diagonal pairs switch.
@@ -174,6 +174,13 @@ def print_walk(report: dict[str, Any]) -> None:
         for angle in ("roll", "pitch", "yaw")
     ]
     print_table("Orientation [degrees]", ", mean>, std>, min>, max>", angles)
+    print_ending(metrics)
+
+
+def print_ending(metrics: Mapping[str, Any]) -> None:
+    """Print how a run ended, unless it is as it should be."""
+    from nermo_mjx.rollout.metrics import Ending
+
     ending = Ending[metrics["status"]]
     if ending is not Ending.ok:
         click.echo(ending.value)
@@ -214,7 +221,7 @@ def walk_command(engine: str, record: Path | None, video: Path | None, camera: s
       nermo-mjx walk --frequency 0.8 --spine stride_extension --video w.mp4
       nermo-mjx walk --turn-rate 0.5 --steering mix --record turn.npz
       nermo-mjx walk --set contact.friction=0.6 --json
-      nermo-mjx walk --switch 2,gait=lat --switch 6,spine=stride_extension
+      nermo-mjx walk --switch 2,gait=lateral_walk --switch 6,frequency=0.5
       nermo-mjx walk --controller bound.py:Bound --set reach=0.04
       nermo-mjx walk --controller policy.npz --duration 5 --record walk.npz
       nermo-mjx walk --metrics my_metrics.py
@@ -382,10 +389,10 @@ def drive_command(
                             failures = [str(error)]
                     about, files = drive.report(), drive.files
                     failures = [drive.failure] if drive.failure else failures
-            if robots:
-                about |= dataclasses.asdict(robots.driven)
-                sentences, failures = robots.driven.sentences(), failures + robots.failures(about.get("factor", 1.0))
-                files += [log, log.with_suffix(".yaml")] if log else []
+        if robots:
+            about |= dataclasses.asdict(robots.driven)
+            sentences, failures = robots.driven.sentences(), failures + robots.failures(about.get("factor", 1.0))
+            files += [log, log.with_suffix(".yaml")] if log else []
     except SendError as error:
         raise Failure(f"{str(error).rstrip('.')}.") from None
     content = about | ({"verdict": failures} if connect or serve else {})
@@ -522,7 +529,7 @@ def _replay_log(
         say(sentence)
     shown = recording.metadata["log"]["shown"]
     missing = [each.name for each in log.channels if each.name not in shown and each.quantity != "command"]
-    content = {**made.metadata, "log": file, "channels": plain(found), "not_simulated": missing}
+    content = {**made.metadata, "log": file, "channels": [*map(dataclasses.asdict, found)], "not_simulated": missing}
 
     def show() -> None:
         print_differences(
@@ -530,6 +537,7 @@ def _replay_log(
         )
         if missing:
             click.echo(f"The twin has no signal of {', '.join(missing)}.")
+        print_ending(made.metadata["metrics"])
 
     return Output(content, show, [each for each in (saved["record"], saved["video"]) if each])
 
@@ -615,7 +623,7 @@ def servos_command(
 
     Examples:
       nermo-mjx servos --frequency 0.8 --out trot.csv
-      nermo-mjx servos --gait lat --turn-rate 0.5 --rate 100 --out turn.csv
+      nermo-mjx servos --gait trot --turn-rate 0.5 --rate 100 --out turn.csv
       nermo-mjx servos --spine stride_extension --cycles 3 --out walk.csv
       nermo-mjx servos --channels published --send mqtt://127.0.0.1 --seconds 10
       nermo-mjx servos --recording walk.npz --out policy.csv

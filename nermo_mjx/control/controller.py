@@ -344,17 +344,17 @@ _PATH_POINTS, _STRIDE_STEPS = 9, 41
 
 
 def control_parameters(
-    gait: str = "trt", *, steering: str | None = None, profile: str = "exact", routing: str = "type3", **values: Any
+    gait: str = "trot", *, steering: str | None = None, profile: str = "exact", routing: str = "type3", **values: Any
 ) -> ControlParameters:
     """Checked parameters of a published gait with some values changed.
 
-    >>> params = control_parameters("lat", frequency=0.8, **{"spine.amplitude": 0.3})
+    >>> params = control_parameters("lateral_walk", frequency=0.8, **{"spine.amplitude": 0.3})
     >>> float(params.gait.duty), float(params.spine.amplitude)
     (0.68, 0.3)
 
     Args:
-        gait: "trt", "trt1" or "lat". Give duty and offsets in `values` for a custom gait; the gait factor follows
-            the duty factor unless it is given.
+        gait: "trot", "walking_trot" or "lateral_walk". Give duty and offsets in `values` for a custom gait; the gait
+            factor follows the duty factor unless it is given.
         steering: "leg", "spine" or "mix"; by default that of the profile.
         profile: one of `PROFILES`.
         routing: knee tendon routing, for the check of the workspace.

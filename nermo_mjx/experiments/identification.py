@@ -98,7 +98,13 @@ CASES: Final = tuple(
         values={"frequency": frequency, "spine.amplitude": AMPLITUDE * spine, **_NO_PILOT},
     )
     for frequency in (0.5, 0.8)
-    for gait, spine in (("trt", False), ("trt", True), ("trt1", False), ("trt1", True), ("lat", False))
+    for gait, spine in (
+        ("trot", False),
+        ("trot", True),
+        ("walking_trot", False),
+        ("walking_trot", True),
+        ("lateral_walk", False),
+    )
 )
 #: No-slip speed of the trot at 0.8 Hz (5.22) [m/s].
 _THEORY: Final = 0.096

@@ -17,6 +17,7 @@ import numpy as np
 from nermo_mjx.experiments import theory
 from nermo_mjx.experiments.cases import AMPLITUDE, FREQUENCIES, CaseRuns, clock
 from nermo_mjx.experiments.walks import FULL_LOCK, GAITS, HARDWARE_STRIDE, STRATEGIES
+from nermo_mjx.plotting.shown import spoken
 from nermo_mjx.robot.parameters import LEGS, LIMBS
 
 Number = np.floating[Any]
@@ -87,7 +88,7 @@ class ProfileOutcome:
         """`gain` at each frequency."""
         return [self.gain(gait, frequency) for frequency in frequencies]
 
-    def ratio(self, column: str, gait: str = "trt", frequency: float = 0.8) -> Number:
+    def ratio(self, column: str, gait: str = "trot", frequency: float = 0.8) -> Number:
         """A column with the spine over that without."""
         return self.walk(column, gait, frequency, True) / self.walk(column, gait, frequency)
 
@@ -98,18 +99,18 @@ class ProfileOutcome:
     def growths(self, column: str) -> list[Number]:
         """Growth of a column of the trot with each step of the frequency, without and with the spine."""
         return [
-            self.walk(column, "trt", high, spine) / self.walk(column, "trt", low, spine) - 1
+            self.walk(column, "trot", high, spine) / self.walk(column, "trot", low, spine) - 1
             for low, high in itertools.pairwise(FREQUENCIES)
             for spine in (False, True)
         ]
 
     def largest_roll(self, spine: bool) -> Number:
         """Largest roll to either side, trot at 0.8 Hz [deg]."""
-        return max(abs(self.walk(end, "trt", 0.8, spine)) for end in ("roll_min", "roll_max"))
+        return max(abs(self.walk(end, "trot", 0.8, spine)) for end in ("roll_min", "roll_max"))
 
     def compensated(self, column: str) -> Number:
         """A column with offset compensation over that without, trot at 0.67 Hz with the spine."""
-        return self.walk(column, "trt", 0.67, True, compensated=True) / self.walk(column, "trt", 0.67, True)
+        return self.walk(column, "trot", 0.67, True, compensated=True) / self.walk(column, "trot", 0.67, True)
 
     def amplitude(self, angle: str, gait: str, frequency: float, spine: bool, compensated: bool = False) -> Number:
         """Half the range of an angle [deg]."""
@@ -119,7 +120,7 @@ class ProfileOutcome:
 
     def stride_line(self, spine: bool) -> float:
         """R^2 of the line through speed over stride, trot at 0.8 Hz; NaN with fewer than three strides."""
-        case = {"gait": "trt", "frequency": 0.8, "spine": spine, "compensated": False}
+        case = {"gait": "trot", "frequency": 0.8, "spine": spine, "compensated": False}
         stride, speed = (self.worlds(name, **case) for name in ("stride", "speed"))
         return float(np.corrcoef(stride, speed)[0, 1] ** 2) if len(np.unique(stride)) >= 3 else math.nan
 
@@ -136,7 +137,7 @@ class ProfileOutcome:
 
     def turn_time(self, strategy: str) -> Number:
         """Time for the quarter circle of 0.5 m, trot at 0.67 Hz [s]."""
-        return self.turn("time", "trt", 0.67, 0.5, strategy) / self._clock
+        return self.turn("time", "trot", 0.67, 0.5, strategy) / self._clock
 
     def lock(self, gait: str, strategy: str, frequency: float = 0.67) -> Number:
         """Smallest radius: that of the path at full lock [m]."""
@@ -146,7 +147,7 @@ class ProfileOutcome:
         """By what share a strategy's smallest radius is below another's."""
         return 1 - self.lock(gait, strategy, frequency) / self.lock(gait, other, frequency)
 
-    def followed(self, strategy: str, gait: str = "trt", frequency: float = 0.67, radius: float = 0.5) -> bool:
+    def followed(self, strategy: str, gait: str = "trot", frequency: float = 0.67, radius: float = 0.5) -> bool:
         """Whether all repeats followed a quarter circle."""
         return bool(self.turn("followed", gait, frequency, radius, strategy) == 1.0)
 
@@ -159,7 +160,7 @@ class ProfileOutcome:
         """The quarter circles that were not followed, in words."""
         circles = self._circles()
         lost = [(*circle, name) for circle in circles for name in STRATEGIES if not self.followed(name, *circle)]
-        texts = [f"{gait}, {f:g} Hz, {strategy}, {radius:g} m" for gait, f, radius, strategy in lost]
+        texts = [f"{spoken(gait)}, {f:g} Hz, {strategy}, {radius:g} m" for gait, f, radius, strategy in lost]
         if not circles:
             raise NotMeasured
         return "; ".join(texts) or "none"
@@ -268,102 +269,106 @@ Measure = Callable[[ProfileOutcome], float | bool | str | np.generic]
 #: By experiment and figure, as in `published.yaml`.
 MEASURES: Final[Mapping[str, Mapping[str, Measure]]] = {
     "straight-line": {
-        "theory: speed of trt, 0.8 Hz, no spine": lambda of: of.theory_speed("trt", 0.8),
-        "theory: speed of trt, 0.8 Hz, spine": lambda of: of.theory_speed("trt", 0.8, True),
+        "theory: speed of trot, 0.8 Hz, no spine": lambda of: of.theory_speed("trot", 0.8),
+        "theory: speed of trot, 0.8 Hz, spine": lambda of: of.theory_speed("trot", 0.8, True),
         "theory: longer stride by the spine": ProfileOutcome.stride_gain,
-        "theory: speed of the spine alone (stride 0), 0.8 Hz": lambda of: of.theory_speed("trt", 0.8, True, 0.0),
-        "speed of the spine alone (stride 0), 0.8 Hz": lambda of: of.speed("trt", 0.8, True, 0.0),
-        "speed of trt, 0.8 Hz, no spine": lambda of: of.speed("trt", 0.8),
-        "speed of trt over its theory, 0.8 Hz": lambda of: of.speed("trt", 0.8) / of.theory_speed("trt", 0.8),
-        "speed of trt1 over its theory, mean of the frequencies": lambda of: np.mean(
-            [of.speed("trt1", f) / of.theory_speed("trt1", f) for f in FREQUENCIES]
+        "theory: speed of the spine alone (stride 0), 0.8 Hz": lambda of: of.theory_speed("trot", 0.8, True, 0.0),
+        "speed of the spine alone (stride 0), 0.8 Hz": lambda of: of.speed("trot", 0.8, True, 0.0),
+        "speed of trot, 0.8 Hz, no spine": lambda of: of.speed("trot", 0.8),
+        "speed of trot over its theory, 0.8 Hz": lambda of: of.speed("trot", 0.8) / of.theory_speed("trot", 0.8),
+        "speed of walking trot over its theory, mean of the frequencies": lambda of: np.mean(
+            [of.speed("walking_trot", f) / of.theory_speed("walking_trot", f) for f in FREQUENCIES]
         ),
-        "speed of lat over its theory, mean of the frequencies": lambda of: np.mean(
-            [of.speed("lat", f) / of.theory_speed("lat", f) for f in FREQUENCIES]
+        "speed of lateral walk over its theory, mean of the frequencies": lambda of: np.mean(
+            [of.speed("lateral_walk", f) / of.theory_speed("lateral_walk", f) for f in FREQUENCIES]
         ),
         "trot > walking trot > lateral walk at each frequency": lambda of: every(
             falls(of.speed(g, f) for g in GAITS) for f in FREQUENCIES
         ),
-        "trt faster with the spine at each frequency": lambda of: min(of.gains("trt")) > 1,
-        "trt1 faster with the spine at each frequency": lambda of: min(of.gains("trt1")) > 1,
-        "speed of trt, 0.5 and 0.67 Hz, spine over none": lambda of: farthest(
-            of.gains("trt", FREQUENCIES[:2]), 1.05, 1.22
+        "trot faster with the spine at each frequency": lambda of: min(of.gains("trot")) > 1,
+        "walking trot faster with the spine at each frequency": lambda of: min(of.gains("walking_trot")) > 1,
+        "speed of trot, 0.5 and 0.67 Hz, spine over none": lambda of: farthest(
+            of.gains("trot", FREQUENCIES[:2]), 1.05, 1.22
         ),
-        "speed of trt, 0.8 Hz, spine over none": lambda of: of.gain("trt", 0.8),
-        "speed of trt over lat, 0.8 Hz, no spine": lambda of: of.speed("trt", 0.8) / of.speed("lat", 0.8),
-        "speed of trt with spine over lat, 0.8 Hz": lambda of: of.speed("trt", 0.8, True) / of.speed("lat", 0.8),
-        "speed of trt linear in frequency": lambda of: on_a_line(FREQUENCIES, of.speeds("trt")),
-        "speed of trt1 linear in frequency": lambda of: on_a_line(FREQUENCIES, of.speeds("trt1")),
-        "speed of lat saturates with frequency": lambda of: saturates(FREQUENCIES, of.speeds("lat")),
+        "speed of trot, 0.8 Hz, spine over none": lambda of: of.gain("trot", 0.8),
+        "speed of trot over lateral walk, 0.8 Hz, no spine": lambda of: (
+            of.speed("trot", 0.8) / of.speed("lateral_walk", 0.8)
+        ),
+        "speed of trot with spine over lateral walk, 0.8 Hz": lambda of: (
+            of.speed("trot", 0.8, True) / of.speed("lateral_walk", 0.8)
+        ),
+        "speed of trot linear in frequency": lambda of: on_a_line(FREQUENCIES, of.speeds("trot")),
+        "speed of walking trot linear in frequency": lambda of: on_a_line(FREQUENCIES, of.speeds("walking_trot")),
+        "speed of lateral walk saturates with frequency": lambda of: saturates(FREQUENCIES, of.speeds("lateral_walk")),
         "speed over stride, R^2 of a line": lambda of: of.stride_line(False),
         "speed over stride with the spine: a line, above that without": lambda of: (
             of.stride_line(True) >= LINEAR
-            and every(of.speed("trt", 0.8, True, s) > of.speed("trt", 0.8, False, s) for s in (0.0, 0.5, 0.8, 1.0))
+            and every(of.speed("trot", 0.8, True, s) > of.speed("trot", 0.8, False, s) for s in (0.0, 0.5, 0.8, 1.0))
         ),
         "roll std higher with the spine": lambda of: min(of.ratios("roll_std")) > 1,
         "pitch std higher with the spine": lambda of: min(of.ratios("pitch_std")) > 1,
         "yaw std higher with the spine": lambda of: min(of.ratios("yaw_std")) > 1,
-        "roll std, spine over none, trt and trt1 at each frequency": lambda of: farthest(
+        "roll std, spine over none, trot and walking trot at each frequency": lambda of: farthest(
             of.ratios("roll_std"), 1.25, 1.4
         ),
-        "roll std of trt grows with each frequency step": lambda of: min(of.growths("roll_std")) > 0,
-        "growth of roll std of trt with a frequency step, mean": lambda of: np.mean(of.growths("roll_std")),
-        "yaw std of trt with the spine, 0.8 Hz": lambda of: of.walk("yaw_std", "trt", 0.8, True),
-        "yaw std of trt, 0.8 Hz, spine over none": lambda of: of.ratio("yaw_std"),
-        "yaw amplitude of trt, 0.8 Hz, spine over none": lambda of: (
-            of.amplitude("yaw", "trt", 0.8, True) / of.amplitude("yaw", "trt", 0.8, False)
+        "roll std of trot grows with each frequency step": lambda of: min(of.growths("roll_std")) > 0,
+        "growth of roll std of trot with a frequency step, mean": lambda of: np.mean(of.growths("roll_std")),
+        "yaw std of trot with the spine, 0.8 Hz": lambda of: of.walk("yaw_std", "trot", 0.8, True),
+        "yaw std of trot, 0.8 Hz, spine over none": lambda of: of.ratio("yaw_std"),
+        "yaw amplitude of trot, 0.8 Hz, spine over none": lambda of: (
+            of.amplitude("yaw", "trot", 0.8, True) / of.amplitude("yaw", "trot", 0.8, False)
         ),
-        "yaw follows the spine's angle": lambda of: of.walk("yaw_spine_correlation", "trt", 0.8, True) >= 0.7,
-        "largest roll of trt, 0.8 Hz, spine": lambda of: of.largest_roll(True),
-        "largest roll of trt, 0.8 Hz, no spine": lambda of: of.largest_roll(False),
-        "roll std falls with duty, 0.8 Hz: trt > trt1 > lat": lambda of: falls(
+        "yaw follows the spine's angle": lambda of: of.walk("yaw_spine_correlation", "trot", 0.8, True) >= 0.7,
+        "largest roll of trot, 0.8 Hz, spine": lambda of: of.largest_roll(True),
+        "largest roll of trot, 0.8 Hz, no spine": lambda of: of.largest_roll(False),
+        "roll std falls with duty, 0.8 Hz: trot > walking trot > lateral walk": lambda of: falls(
             of.walk("roll_std", g, 0.8) for g in GAITS
         ),
-        "yaw std with the spine larger at the lower duty, trt > trt1": lambda of: every(
-            of.walk("yaw_std", "trt", f, True) > of.walk("yaw_std", "trt1", f, True) for f in FREQUENCIES
+        "yaw std with the spine larger at the lower duty, trot > walking trot": lambda of: every(
+            of.walk("yaw_std", "trot", f, True) > of.walk("yaw_std", "walking_trot", f, True) for f in FREQUENCIES
         ),
-        "roll std of trt, 0.67 Hz, spine, compensated over not": lambda of: of.compensated("roll_std"),
-        "roll amplitude of trt, 0.67 Hz, spine, compensated over not": lambda of: (
-            of.amplitude("roll", "trt", 0.67, True, True) / of.amplitude("roll", "trt", 0.67, True)
+        "roll std of trot, 0.67 Hz, spine, compensated over not": lambda of: of.compensated("roll_std"),
+        "roll amplitude of trot, 0.67 Hz, spine, compensated over not": lambda of: (
+            of.amplitude("roll", "trot", 0.67, True, True) / of.amplitude("roll", "trot", 0.67, True)
         ),
         "compensation lowers the roll, and leaves pitch and yaw": lambda of: (
             of.compensated("roll_std") < 1
             and every(abs(of.compensated(a) - 1) <= 0.15 for a in ("pitch_std", "yaw_std"))
         ),
         "standing pitch": lambda of: of.walk("pitch_mean", "stand", 0.8, False, 0.0),
-        "mean pitch of trt, 0.8 Hz, no spine": lambda of: of.walk("pitch_mean", "trt", 0.8),
+        "mean pitch of trot, 0.8 Hz, no spine": lambda of: of.walk("pitch_mean", "trot", 0.8),
         "largest pitch std of all cases": lambda of: np.nanmax(np.degrees(of.worlds("pitch_std"))),
-        "pitch std of trt, 0.8 Hz, spine minus none": lambda of: (
-            of.walk("pitch_std", "trt", 0.8, True) - of.walk("pitch_std", "trt", 0.8)
+        "pitch std of trot, 0.8 Hz, spine minus none": lambda of: (
+            of.walk("pitch_std", "trot", 0.8, True) - of.walk("pitch_std", "trot", 0.8)
         ),
-        "pitch std of trt, 0.8 Hz, stride 1.0 over 0.8": lambda of: max(
-            of.walk("pitch_std", "trt", 0.8, s, 1.0) / of.walk("pitch_std", "trt", 0.8, s, 0.8) for s in (False, True)
+        "pitch std of trot, 0.8 Hz, stride 1.0 over 0.8": lambda of: max(
+            of.walk("pitch_std", "trot", 0.8, s, 1.0) / of.walk("pitch_std", "trot", 0.8, s, 0.8) for s in (False, True)
         ),
-        "upward pitch peak of trt, 0.8 Hz, spine over none": lambda of: of.ratio("pitch_peak_up"),
-        "upward pitch peak of trt, 0.8 Hz, stride 1.0 over 0.8": lambda of: (
-            of.walk("pitch_peak_up", "trt", 0.8) / of.walk("pitch_peak_up", "trt", 0.8, False, 0.8)
+        "upward pitch peak of trot, 0.8 Hz, spine over none": lambda of: of.ratio("pitch_peak_up"),
+        "upward pitch peak of trot, 0.8 Hz, stride 1.0 over 0.8": lambda of: (
+            of.walk("pitch_peak_up", "trot", 0.8) / of.walk("pitch_peak_up", "trot", 0.8, False, 0.8)
         ),
-        "pitch peaks in a gait cycle of trt, 0.8 Hz": lambda of: of.walk("pitch_peaks", "trt", 0.8),
-        "largest upward pitch of trt, 0.8 Hz": lambda of: max(
-            -of.walk("pitch_min", "trt", 0.8, s) for s in (False, True)
+        "pitch peaks in a gait cycle of trot, 0.8 Hz": lambda of: of.walk("pitch_peaks", "trot", 0.8),
+        "largest upward pitch of trot, 0.8 Hz": lambda of: max(
+            -of.walk("pitch_min", "trot", 0.8, s) for s in (False, True)
         ),
-        "front feet carry more than rear feet": lambda of: of.walk("front_load_share", "trt", 0.8) > 0.5,
+        "front feet carry more than rear feet": lambda of: of.walk("front_load_share", "trot", 0.8) > 0.5,
         "rear feet slip most at lift-off": lambda of: (
-            of.walk("slip_rear_lift_off", "trt", 0.8)
-            > max(of.walk(f"slip_rear_{part}", "trt", 0.8) for part in ("touch_down", "mid_stance"))
+            of.walk("slip_rear_lift_off", "trot", 0.8)
+            > max(of.walk(f"slip_rear_{part}", "trot", 0.8) for part in ("touch_down", "mid_stance"))
         ),
-        "hardware: speed of trt, 0.67 Hz, no spine": lambda of: of.speed("trt", 0.67),
-        "hardware: speed of trt, 0.67 Hz, spine": lambda of: of.speed("trt", 0.67, True),
-        "hardware: speed of trt, 0.67 Hz, spine over none": lambda of: of.gain("trt", 0.67),
-        "hardware: speed of trt, 0.5 and 0.8 Hz, spine over none": lambda of: farthest(
-            of.gains("trt", (0.5, 0.8)), 1.15, 1.22
+        "hardware: speed of trot, 0.67 Hz, no spine": lambda of: of.speed("trot", 0.67),
+        "hardware: speed of trot, 0.67 Hz, spine": lambda of: of.speed("trot", 0.67, True),
+        "hardware: speed of trot, 0.67 Hz, spine over none": lambda of: of.gain("trot", 0.67),
+        "hardware: speed of trot, 0.5 and 0.8 Hz, spine over none": lambda of: farthest(
+            of.gains("trot", (0.5, 0.8)), 1.15, 1.22
         ),
-        "hardware: speed of trt over lat, mean of the frequencies": lambda of: np.mean(
-            [of.speed("trt", f) / of.speed("lat", f) for f in FREQUENCIES]
+        "hardware: speed of trot over lateral walk, mean of the frequencies": lambda of: np.mean(
+            [of.speed("trot", f) / of.speed("lateral_walk", f) for f in FREQUENCIES]
         ),
-        "hardware below simulation, trt, no spine": lambda of: of.below_simulation("trt"),
-        "hardware below simulation, trt, spine": lambda of: of.below_simulation("trt", True),
-        "hardware below simulation, lat": lambda of: of.below_simulation("lat"),
+        "hardware below simulation, trot, no spine": lambda of: of.below_simulation("trot"),
+        "hardware below simulation, trot, spine": lambda of: of.below_simulation("trot", True),
+        "hardware below simulation, lateral walk": lambda of: of.below_simulation("lateral_walk"),
     },
     "turning": {
         "spine-based turning fastest wherever it follows the path": lambda of: every(
@@ -382,42 +387,50 @@ MEASURES: Final[Mapping[str, Mapping[str, Measure]]] = {
         "spine-based turning has the more limited range of radii": lambda of: every(
             of.lock(g, "spine", f) > of.lock(g, "leg", f) for g in GAITS for f in FREQUENCIES
         ),
-        "speed, spine- over mix-based, trt, 1.0 m, 0.5 Hz": lambda of: (
-            of.turn("speed", "trt", 0.5, 1.0, "spine") / of.turn("speed", "trt", 0.5, 1.0, "mix")
+        "speed, spine- over mix-based, trot, 1.0 m, 0.5 Hz": lambda of: (
+            of.turn("speed", "trot", 0.5, 1.0, "spine") / of.turn("speed", "trot", 0.5, 1.0, "mix")
         ),
-        "speed, spine- over mix-based, trt1, 1.0 m, 0.5 Hz": lambda of: (
-            of.turn("speed", "trt1", 0.5, 1.0, "spine") / of.turn("speed", "trt1", 0.5, 1.0, "mix")
+        "speed, spine- over mix-based, walking trot, 1.0 m, 0.5 Hz": lambda of: (
+            of.turn("speed", "walking_trot", 0.5, 1.0, "spine") / of.turn("speed", "walking_trot", 0.5, 1.0, "mix")
         ),
-        "time for 0.5 m, trt, 0.67 Hz, spine- over leg-based": lambda of: of.turn_time("spine") / of.turn_time("leg"),
-        "time for 0.5 m, trt, 0.67 Hz, mix- over leg-based": lambda of: of.turn_time("mix") / of.turn_time("leg"),
+        "time for 0.5 m, trot, 0.67 Hz, spine- over leg-based": lambda of: of.turn_time("spine") / of.turn_time("leg"),
+        "time for 0.5 m, trot, 0.67 Hz, mix- over leg-based": lambda of: of.turn_time("mix") / of.turn_time("leg"),
         "paths not followed": ProfileOutcome.lost,
-        "time for 0.5 m, trt, 0.67 Hz, spine-based": lambda of: of.turn_time("spine"),
-        "time for 0.5 m, trt, 0.67 Hz, leg-based": lambda of: of.turn_time("leg"),
-        "time for 0.5 m, trt, 0.67 Hz, mix-based": lambda of: of.turn_time("mix"),
-        "smallest radius of trt, leg-based": lambda of: of.lock("trt", "leg"),
-        "smallest radius of trt, mix-based": lambda of: of.lock("trt", "mix"),
+        "time for 0.5 m, trot, 0.67 Hz, spine-based": lambda of: of.turn_time("spine"),
+        "time for 0.5 m, trot, 0.67 Hz, leg-based": lambda of: of.turn_time("leg"),
+        "time for 0.5 m, trot, 0.67 Hz, mix-based": lambda of: of.turn_time("mix"),
+        "smallest radius of trot, leg-based": lambda of: of.lock("trot", "leg"),
+        "smallest radius of trot, mix-based": lambda of: of.lock("trot", "mix"),
         "smallest radius of all, mix-based": lambda of: np.nanmin(
             of.worlds("turning_radius", strategy="mix", radius=0.0)
         ),
-        "smallest radius of lat by the spine, 0.5 Hz": lambda of: of.lock("lat", "spine", 0.5),
-        "smallest radius of lat by the spine, 0.8 Hz, above 0.5 m": lambda of: of.lock("lat", "spine", 0.8) > 0.5,
-        "smallest radius of lat by the spine, 0.8 Hz": lambda of: of.lock("lat", "spine", 0.8),
-        "smallest radius of trt, 0.5 Hz, mix- below spine-based": lambda of: of.tighter("trt", "mix", "spine", 0.5),
-        "smallest radius of lat, 0.8 Hz, mix- below spine-based": lambda of: of.tighter("lat", "mix", "spine", 0.8),
-        "theory: smallest radius, leg-based": lambda of: of.turn("theory_radius", "trt", 0.67, 0.0, "leg"),
-        "theory: smallest radius, mix-based": lambda of: of.turn("theory_radius", "trt", 0.67, 0.0, "mix"),
-        "theory: spine-based full lock (5.43)": lambda of: of.turn("theory_radius", "trt", 0.67, 0.0, "spine"),
+        "smallest radius of lateral walk by the spine, 0.5 Hz": lambda of: of.lock("lateral_walk", "spine", 0.5),
+        "smallest radius of lateral walk by the spine, 0.8 Hz, above 0.5 m": lambda of: (
+            of.lock("lateral_walk", "spine", 0.8) > 0.5
+        ),
+        "smallest radius of lateral walk by the spine, 0.8 Hz": lambda of: of.lock("lateral_walk", "spine", 0.8),
+        "smallest radius of trot, 0.5 Hz, mix- below spine-based": lambda of: of.tighter("trot", "mix", "spine", 0.5),
+        "smallest radius of lateral walk, 0.8 Hz, mix- below spine-based": lambda of: of.tighter(
+            "lateral_walk", "mix", "spine", 0.8
+        ),
+        "theory: smallest radius, leg-based": lambda of: of.turn("theory_radius", "trot", 0.67, 0.0, "leg"),
+        "theory: smallest radius, mix-based": lambda of: of.turn("theory_radius", "trot", 0.67, 0.0, "mix"),
+        "theory: spine-based full lock (5.43)": lambda of: of.turn("theory_radius", "trot", 0.67, 0.0, "spine"),
         "theory: spine-based full lock, two feet with equal strides": lambda of: of.turn(
-            "theory_equal_strides", "trt", 0.67, 0.0, "spine"
+            "theory_equal_strides", "trot", 0.67, 0.0, "spine"
         ),
-        "smallest radius of trt, mix-based below leg-based": lambda of: of.tighter("trt", "mix", "leg"),
-        "smallest radius of trt1, mix-based below leg-based": lambda of: of.tighter("trt1", "mix", "leg"),
-        "smallest radius of lat, mix-based below leg-based": lambda of: of.tighter("lat", "mix", "leg"),
-        "smallest radius of trt above theory, leg-based": lambda of: (
-            of.lock("trt", "leg") / of.turn("theory_radius", "trt", 0.67, 0.0, "leg") - 1
+        "smallest radius of trot, mix-based below leg-based": lambda of: of.tighter("trot", "mix", "leg"),
+        "smallest radius of walking trot, mix-based below leg-based": lambda of: of.tighter(
+            "walking_trot", "mix", "leg"
         ),
-        "smallest radius of trt above theory, mix-based": lambda of: (
-            of.lock("trt", "mix") / of.turn("theory_radius", "trt", 0.67, 0.0, "mix") - 1
+        "smallest radius of lateral walk, mix-based below leg-based": lambda of: of.tighter(
+            "lateral_walk", "mix", "leg"
+        ),
+        "smallest radius of trot above theory, leg-based": lambda of: (
+            of.lock("trot", "leg") / of.turn("theory_radius", "trot", 0.67, 0.0, "leg") - 1
+        ),
+        "smallest radius of trot above theory, mix-based": lambda of: (
+            of.lock("trot", "mix") / of.turn("theory_radius", "trot", 0.67, 0.0, "mix") - 1
         ),
         "smallest radius off theory, mean of all cases": lambda of: np.mean(
             abs(
@@ -427,12 +440,12 @@ MEASURES: Final[Mapping[str, Mapping[str, Measure]]] = {
             )
         ),
         "right turns as left turns": ProfileOutcome.mirrored,
-        "hardware: time for 0.5 m, trt, 0.67 Hz, spine-based": lambda of: of.turn_time("spine"),
-        "hardware: time for 0.5 m, trt, 0.67 Hz, leg-based": lambda of: of.turn_time("leg"),
-        "hardware: time for 0.5 m, trt, 0.67 Hz, mix-based": lambda of: of.turn_time("mix"),
-        "hardware: 0.5 m, trt, 0.67 Hz, followed, spine-based": lambda of: of.followed("spine"),
-        "hardware: 0.5 m, trt, 0.67 Hz, followed, leg-based": lambda of: of.followed("leg"),
-        "hardware: 0.5 m, trt, 0.67 Hz, followed, mix-based": lambda of: of.followed("mix"),
+        "hardware: time for 0.5 m, trot, 0.67 Hz, spine-based": lambda of: of.turn_time("spine"),
+        "hardware: time for 0.5 m, trot, 0.67 Hz, leg-based": lambda of: of.turn_time("leg"),
+        "hardware: time for 0.5 m, trot, 0.67 Hz, mix-based": lambda of: of.turn_time("mix"),
+        "hardware: 0.5 m, trot, 0.67 Hz, followed, spine-based": lambda of: of.followed("spine"),
+        "hardware: 0.5 m, trot, 0.67 Hz, followed, leg-based": lambda of: of.followed("leg"),
+        "hardware: 0.5 m, trot, 0.67 Hz, followed, mix-based": lambda of: of.followed("mix"),
     },
     "balance": {
         "front left lifted, without balance compensation": lambda of: of.verdict("front_left", False),

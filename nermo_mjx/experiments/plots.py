@@ -28,6 +28,7 @@ from nermo_mjx.experiments.published import AGREES, Line
 from nermo_mjx.kinematics.body import attitude
 from nermo_mjx.plotting.charts import FigurePage, horizontal_grid, light
 from nermo_mjx.plotting.shown import shown as in_shown_unit
+from nermo_mjx.plotting.shown import spoken
 from nermo_mjx.plotting.style import BEST, FOOT, GRID, INK, LINE, MISSING, MUTED, OKABE_ITO, SERIES, SHADE
 from nermo_mjx.recording import Recording
 from nermo_mjx.robot import LIMBS, load_robot
@@ -61,7 +62,6 @@ WITH: Final = {False: "without spine", True: "with spine"}
 COMPENSATED: Final = OKABE_ITO["purple"]
 STRATEGY: Final = {"leg": OKABE_ITO["green"], "spine": OKABE_ITO["purple"], "mix": OKABE_ITO["orange"]}
 PASS, FAIL = "#c6dff0", "#f6cfb5"
-GAIT: Final = {"trt": "trot", "trt1": "walking trot", "lat": "lateral walk"}
 CLOCK: Final = "times and speeds are those of the controller's clock"
 ANGLES: Final = ("roll", "pitch", "yaw")
 #: Share of a group's width that its bars fill.
@@ -317,9 +317,9 @@ def by_gait(
     """
     walked = {
         (gait, i): sorted(set(outcome.columns["frequency"][outcome.where(gait=gait, **case)].tolist()))
-        for gait, (i, (_, _, case, _)) in itertools.product(GAIT, enumerate(rows))
+        for gait, (i, (_, _, case, _)) in itertools.product(walks.GAITS, enumerate(rows))
     }
-    gaits = [gait for gait in GAIT if any(walked[gait, i] for i in range(len(rows)))]
+    gaits = [gait for gait in walks.GAITS if any(walked[gait, i] for i in range(len(rows)))]
     panels: list[list[Panel]] = []
     for i, (suffix, label, case, bar) in enumerate(rows):
         panels.append([])
@@ -328,7 +328,7 @@ def by_gait(
             for f in walked[gait, i]:
                 bars = [bar({"gait": gait, "frequency": f, **case, **kind}) for kind in kinds]
                 groups[f"{f:g}"] = [each for each in bars if len(each.values)]
-            head = "" if suffix is None else GAIT[gait] + suffix
+            head = "" if suffix is None else spoken(gait) + suffix
             foot = "gait frequency [Hz]" if i == len(rows) - 1 else ""
             panels[-1].append(Panel(groups, head, foot, "" if panels[-1] else label, len(kinds)))
     return panels if gaits else []
@@ -411,13 +411,13 @@ def _agreement(outcome: CaseRuns, lines: Lines) -> Drawn:
 # --- straight line
 
 #: Figures of the report whose published numbers are drawn.
-SPEED: Final = "speed of trt, 0.8 Hz, no spine"
-GAIN: Final = "speed of trt, 0.8 Hz, spine over none"
-OVER_LATERAL: Final = "speed of trt over lat, 0.8 Hz, no spine"
-LARGEST_ROLL: Final = "largest roll of trt, 0.8 Hz, spine"
+SPEED: Final = "speed of trot, 0.8 Hz, no spine"
+GAIN: Final = "speed of trot, 0.8 Hz, spine over none"
+OVER_LATERAL: Final = "speed of trot over lateral walk, 0.8 Hz, no spine"
+LARGEST_ROLL: Final = "largest roll of trot, 0.8 Hz, spine"
 COMPENSATION: Final = {
-    "std": "roll std of trt, 0.67 Hz, spine, compensated over not",
-    "amplitude": "roll amplitude of trt, 0.67 Hz, spine, compensated over not",
+    "std": "roll std of trot, 0.67 Hz, spine, compensated over not",
+    "amplitude": "roll amplitude of trot, 0.67 Hz, spine, compensated over not",
 }
 
 
@@ -426,11 +426,11 @@ def _straight_line(outcome: CaseRuns, lines: Lines) -> Drawn:
     speed, gain, over = (published(lines, figure) for figure in (SPEED, GAIN, OVER_LATERAL))
     reported = {}
     if isinstance(speed, float):
-        reported["trt", 0.8, False] = speed
+        reported["trot", 0.8, False] = speed
         if isinstance(gain, float):
-            reported["trt", 0.8, True] = speed * gain
+            reported["trot", 0.8, True] = speed * gain
         if isinstance(over, float):
-            reported["lat", 0.8, False] = speed / over
+            reported["lateral_walk", 0.8, False] = speed / over
     names = profiles(outcome)
 
     def speed_of(case: Case) -> Bar:
@@ -452,7 +452,7 @@ def _straight_line(outcome: CaseRuns, lines: Lines) -> Drawn:
         if not panels:
             return None
         # The lateral walk is run only without the spine, so its groups have half the bars.
-        shares = [0.62 if panel.title == GAIT["lat"] else 1.0 for panel in panels[0]]
+        shares = [0.62 if panel.title == spoken("lateral_walk") else 1.0 for panel in panels[0]]
         widths = [max(1.2, len(each.groups) * share + 0.3) for each, share in zip(panels[0], shares, strict=True)]
         handles = [*(swatch(WITH[on], SPINE[on]) for on in (False, True)), *profile_swatches(names)]
         size, ratios = (max(7.4, 2.1 + 0.92 * sum(widths)), height), {"width_ratios": widths}
@@ -471,7 +471,7 @@ def _straight_line(outcome: CaseRuns, lines: Lines) -> Drawn:
 
 def _speed_over_stride(outcome: CaseRuns, reported: Mapping[Any, float]) -> Figure | None:
     names = profiles(outcome)
-    walked = outcome.only(gait="trt", frequency=0.8, compensated=False, profile=names[0])
+    walked = outcome.only(gait="trot", frequency=0.8, compensated=False, profile=names[0])
     strides = sorted(set(walked.columns["stride"].tolist()))
     if len(strides) < 2:
         return None
@@ -479,7 +479,7 @@ def _speed_over_stride(outcome: CaseRuns, reported: Mapping[Any, float]) -> Figu
     ax = page.axes[0, 0]
     foot = {"transform": ax.get_xaxis_transform(), "gid": "failed"}
     for profile, on in itertools.product(names, (False, True)):
-        case: Case = {"profile": profile, "gait": "trt", "frequency": 0.8, "spine": on, "compensated": False}
+        case: Case = {"profile": profile, "gait": "trot", "frequency": 0.8, "spine": on, "compensated": False}
         runs = [Bar(repeats(outcome, "speed", stride=s, **case)) for s in strides]
         colour = tone(SPINE[on], profile)
         ax.plot(strides, [run.mean for run in runs], "-o", color=colour, ms=5, lw=1.8, zorder=4)
@@ -488,7 +488,7 @@ def _speed_over_stride(outcome: CaseRuns, reported: Mapping[Any, float]) -> Figu
             ax.plot(strides, theory, ":", color=SPINE[on], lw=1.3, zorder=2)
         lost = [s for s, run in zip(strides, runs, strict=True) if run.failed]
         ax.plot(lost, [0.02] * len(lost), "x", ms=6, mew=1.6, color=colour, **foot)
-    marks = [value for (gait, _, _), value in reported.items() if gait == "trt"]
+    marks = [value for (gait, _, _), value in reported.items() if gait == "trot"]
     for value in marks:
         mark_published(ax, 1.0, value)
     ax.set(xlabel="normalised stride [1]", ylabel=axis_label(outcome, "speed", "speed"))
@@ -506,7 +506,7 @@ def _orientation(outcome: CaseRuns, lines: Lines) -> Figure | None:
     if not runs:
         return None
     labels = runs[0].metadata["labels"]
-    title = f"Orientation over two gait cycles: {GAIT[labels['gait']]} at {labels['frequency']:g} Hz"
+    title = f"Orientation over two gait cycles: {spoken(labels['gait'])} at {labels['frequency']:g} Hz"
     page = FigurePage(title, (7.4, 6.6), 3, 1, sharex=True)
     for run in runs:
         cycles = run.time * labels["frequency"] / clock(labels["profile"])
@@ -537,7 +537,7 @@ def _compensation(outcome: CaseRuns, lines: Lines) -> Figure | None:
     for measure, figure in COMPENSATION.items():
         groups = {}
         for profile in profiles(outcome):
-            case: Case = {"profile": profile, "gait": "trt", "frequency": 0.67, "spine": True, "stride": 1.0}
+            case: Case = {"profile": profile, "gait": "trot", "frequency": 0.67, "spine": True, "stride": 1.0}
             names = ("roll_std",) if measure == "std" else ("roll_min", "roll_max")
             ends = [[repeats(outcome, name, compensated=on, **case) for name in names] for on in (False, True)]
             off, on = (each[0] if measure == "std" else 0.5 * (each[1] - each[0]) for each in ends)
@@ -553,8 +553,8 @@ def _compensation(outcome: CaseRuns, lines: Lines) -> Figure | None:
 
 # --- turning
 
-TIME: Final = {name: f"time for 0.5 m, trt, 0.67 Hz, {name}-based" for name in walks.STRATEGIES}
-RADIUS: Final = {name: f"smallest radius of trt, {name}-based" for name in ("leg", "mix")}
+TIME: Final = {name: f"time for 0.5 m, trot, 0.67 Hz, {name}-based" for name in walks.STRATEGIES}
+RADIUS: Final = {name: f"smallest radius of trot, {name}-based" for name in ("leg", "mix")}
 #: End of the axis of smallest radii [mm].
 _WIDEST: Final = 700.0
 _BASED: Final = {name: f"{name}-based" for name in walks.STRATEGIES}
@@ -575,13 +575,13 @@ def _turning(outcome: CaseRuns, lines: Lines) -> Drawn:
     def speed(case: Case) -> Bar:
         at = (case["gait"], case["frequency"], case["radius"], case["profile"])
         time = published(lines, TIME[case["strategy"]])
-        timed = at == ("trt", 0.67, 0.5, "as_published")
+        timed = at == ("trot", 0.67, 0.5, "as_published")
         mark = 1e3 * 0.5 * np.pi / 2 / time if timed and isinstance(time, float) else None
         return bar("speed", case, mark, hatched=strayed(case))
 
     def lock(case: Case) -> Bar:
         value = published(lines, RADIUS.get(case["strategy"], ""))
-        mark = times(1e3, value) if (case["gait"], case["profile"]) == ("trt", names[0]) else None
+        mark = times(1e3, value) if (case["gait"], case["profile"]) == ("trot", names[0]) else None
         return bar("turning_radius", case, mark, theory=only(repeats(outcome, "theory_radius", **case)))
 
     def page(title: str, radii: Sequence[float], height: float, label: str, note: str, bar: Any) -> Figure | None:
@@ -602,7 +602,7 @@ def _turning(outcome: CaseRuns, lines: Lines) -> Drawn:
     note = f"{{spread}}; {CLOCK}; published: length of the path over the published time"
     yield "speed", page(title, walks.RADII, 2.5, label, note, speed)
 
-    circle = {"gait": "trt", "frequency": 0.67, "radius": 0.5}
+    circle = {"gait": "trot", "frequency": 0.67, "radius": 0.5}
     if outcome.where(**circle).any():
         panels: list[Panel] = []
         for side in walks.SIDES:
@@ -635,7 +635,9 @@ def _paths(outcome: CaseRuns) -> Figure | None:
     labels = runs[0].metadata["labels"]
     radius, side = float(labels["radius"]), walks.SIDES[str(labels["side"])]
     bound = float(walks.bound(np.asarray(radius)))
-    title = f"Paths on the quarter circle of {1e3 * radius:g} mm: {GAIT[labels['gait']]} at {labels['frequency']:g} Hz"
+    title = (
+        f"Paths on the quarter circle of {1e3 * radius:g} mm: {spoken(labels['gait'])} at {labels['frequency']:g} Hz"
+    )
     page = FigurePage(title, (6.8, 6.9))
     ax, angle = page.axes[0, 0], np.linspace(0, np.pi / 2, 200)
 

@@ -139,7 +139,7 @@ class Directory:
             own = tuple(f"{folder}/{name}" for folder in ("recordings", "videos"))
             written.remove([file for file in written.known if file.startswith(own)])
             for title, recording in outcome.recordings.items():
-                # "trt, 0.67 Hz, with spine" is trt-0.67-hz-with-spine.
+                # "trot, 0.67 Hz, with spine" is trot-0.67-hz-with-spine.
                 slug = re.sub(r"[^a-z0-9.]+", "-", title.lower()).strip("-.").removeprefix(f"{name}-") or "run"
                 file = self.out / "recordings" / f"{name}-{slug}.npz"
                 files[title] = file if file not in files.values() else file.with_stem(f"{file.stem}-{len(files)}")

@@ -70,13 +70,13 @@ def line_cases(quick: bool = False) -> tuple[Case, ...]:
     frequencies = FREQUENCIES[-1:] if quick else FREQUENCIES
     both = (False, True)
     still = {"stance.swing_amplitude": 0.0, "stance.stance_amplitude": 0.0}
-    stands = _line("trt", 0.8, False, 0.0)  # on its neutral feet
-    stands = Case({**stands.labels, "gait": "stand"}, "trt", values={**stands.values, **still}, profiles=SIMULATED)
-    gaits = [_line(gait, f, spine) for f in frequencies for gait in ("trt", "trt1") for spine in both]
-    lateral = [_line("lat", f, False) for f in frequencies]
-    strides = [_line("trt", 0.8, spine, stride) for stride in (0.0, 0.5, 0.8) for spine in both]
-    compensated = [_line("trt", 0.67, True, compensated=True)] + ([_line("trt", 0.67, True)] if quick else [])
-    hardware = (("trt", False), ("trt", True), ("lat", False))
+    stands = _line("trot", 0.8, False, 0.0)  # on its neutral feet
+    stands = Case({**stands.labels, "gait": "stand"}, "trot", values={**stands.values, **still}, profiles=SIMULATED)
+    gaits = [_line(gait, f, spine) for f in frequencies for gait in ("trot", "walking_trot") for spine in both]
+    lateral = [_line("lateral_walk", f, False) for f in frequencies]
+    strides = [_line("trot", 0.8, spine, stride) for stride in (0.0, 0.5, 0.8) for spine in both]
+    compensated = [_line("trot", 0.67, True, compensated=True)] + ([_line("trot", 0.67, True)] if quick else [])
+    hardware = (("trot", False), ("trot", True), ("lateral_walk", False))
     built = [_line(gait, f, spine, HARDWARE_STRIDE, profiles=_BUILT) for f in FREQUENCIES for gait, spine in hardware]
     return (stands, *gaits, *lateral, *strides, *compensated, *built)
 
@@ -93,13 +93,13 @@ def walk_line(settings: Settings) -> CaseRuns:
     columns = cases.measured(batch, simulator.run(batch.values, length, progress=settings.progress))
     columns["theory_speed"] = theory.speed(batch.all_values(defaults))
     # The publication describes the gait cycle of the trot at 0.8 Hz, with two strides.
-    described = [_line("trt", 0.8, spine, stride).labels for stride in (0.8, 1.0) for spine in (False, True)]
+    described = [_line("trot", 0.8, spine, stride).labels for stride in (0.8, 1.0) for spine in (False, True)]
     looked_into = np.logical_or.reduce(
         [np.logical_and.reduce([batch.labels[name] == labels[name] for name in labels]) for labels in described]
     )
     columns |= gait_cycle(simulator, batch, looked_into, Run(_WARMUP + (4.0 if quick else _RECORDED), _WARMUP))
-    names = [f"trt, 0.67 Hz, {which} spine" for which in ("without", "with")]
-    shown = [_line("trt", 0.67, spine) for spine in (False, True)]
+    names = [f"trot, 0.67 Hz, {which} spine" for which in ("without", "with")]
+    shown = [_line("trot", 0.67, spine) for spine in (False, True)]
     recordings = _record(simulator, shown, settings, Run(cycles=4.0 if quick else _RECORDED), names)
     return CaseRuns.of("straight-line", columns, recordings)
 
@@ -227,7 +227,7 @@ RADII: Final = (1.0, 0.5)
 #: Radius that represents full lock, as in the publication: the turn rate is held at its maximum.
 FULL_LOCK: Final = 0.0
 STRATEGIES: Final = ("leg", "spine", "mix")
-GAITS: Final = ("trt", "trt1", "lat")
+GAITS: Final = ("trot", "walking_trot", "lateral_walk")
 SIDES: Final = {"left": 1.0, "right": -1.0}
 #: A path is followed if the torso, including its sway, stays this close to it: 5 % of its radius, at least 2.5 cm.
 BOUND_SHARE: Final = 0.05
@@ -256,11 +256,11 @@ def turn_cases(quick: bool = False) -> tuple[Case, ...]:
 
     `quick`: trot at 0.67 Hz, R = 0.5 m and full lock.
     """
-    gaits, frequencies = (("trt",), (0.67,)) if quick else (GAITS, FREQUENCIES)
+    gaits, frequencies = (("trot",), (0.67,)) if quick else (GAITS, FREQUENCIES)
     radii = (0.5, FULL_LOCK) if quick else (*RADII, FULL_LOCK)
     left = [_turn(*case) for case in itertools.product(gaits, frequencies, radii, STRATEGIES)]
     right = [_turn(*case) for case in itertools.product(gaits[:2], (0.67,), radii, STRATEGIES, ("right",))]
-    built = [_turn("trt", 0.67, 0.5, name, stride=HARDWARE_STRIDE, profiles=_BUILT) for name in STRATEGIES]
+    built = [_turn("trot", 0.67, 0.5, name, stride=HARDWARE_STRIDE, profiles=_BUILT) for name in STRATEGIES]
     return (*left, *right, *built)
 
 
@@ -303,8 +303,8 @@ def walk_turns(settings: Settings) -> CaseRuns:
         before += share
         if pilot == "arc":
             stride = HARDWARE_STRIDE if settings.profiles[0] == "as_built" else 1.0
-            shown = [_turn("trt", 0.67, 0.5, name, "left", stride, profiles=settings.profiles) for name in STRATEGIES]
-            names = [f"trt, 0.67 Hz, R = 0.5 m, {name}" for name in STRATEGIES]
+            shown = [_turn("trot", 0.67, 0.5, name, "left", stride, profiles=settings.profiles) for name in STRATEGIES]
+            names = [f"trot, 0.67 Hz, R = 0.5 m, {name}" for name in STRATEGIES]
 
             def length_of(one: Worlds, defaults: Mapping[str, float] = defaults) -> Run:
                 return _turn_length(one.all_values(defaults), one.labels["radius"])
@@ -373,7 +373,7 @@ def maze_cases() -> tuple[Case, ...]:
     for profiles, stride in ((SIMULATED, 1.0), (_BUILT, HARDWARE_STRIDE)):
         for spine, steering in ((False, "leg"), (True, "mix")):
             values = {"frequency": MAZE_FREQUENCY, "spine.amplitude": AMPLITUDE * spine, "stride": stride, **_GUIDED}
-            chosen.append(Case({"spine": spine}, "trt", steering, values, profiles))
+            chosen.append(Case({"spine": spine}, "trot", steering, values, profiles))
     return tuple(chosen)
 
 

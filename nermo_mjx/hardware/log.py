@@ -59,9 +59,10 @@ _OF: Final = {"gyro": "imu", "acceleration": "imu", "position": "torso", "yaw": 
 #: How many columns a channel may have: one for each axis of these quantities.
 _AXES: Final = {"gyro": (3,), "acceleration": (3,), "position": (2, 3)}
 _SECONDS: Final = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-#: Quantities that never stand still when they are measured; an angle does unless its command moves by more than this.
+#: Quantities that never stand still when they are measured; an angle may, unless its command moves by more than this
+#: [rad, m].
 _MOVING: Final = ("velocity", "gyro", "acceleration", "position", "yaw")
-_MOVED: Final = 0.05
+MOVED: Final = 0.05
 #: Rows in a row that may be stamped before an earlier one: more are of a clock that was set back.
 _LATE_ROWS: Final = 10
 #: Longest interval between samples that is no gap, in usual ones: a single lost sample makes one of 2.
@@ -208,6 +209,8 @@ def _csv(path: Path) -> Any:
     how = {"sep": mark, "decimal": "," if mark == ";" else ".", "skipinitialspace": True, "low_memory": False}
     try:
         frame = pd.read_csv(rows, header=None, index_col=False, names=range(len(names)), **how)
+        if len(frame) != len(lines) - 1:
+            raise ValueError("a quoted cell goes over several lines")
         return frame.set_axis(names, axis=1).set_axis([number for number, _ in lines[1:]], axis=0)
     except ValueError as error:  # pandas' ParserError is one
         raise SpecError(f"{path}: not valid CSV: {str(error).strip().rstrip('.')}.") from None
@@ -261,7 +264,7 @@ def read_log(file: str | os.PathLike[str], channels: str | os.PathLike[str] | Ma
         made[key] = Channel(name, *key, times, values, unit)
     for (quantity, of), each in made.items():
         command = made.get(("command", of)) if quantity == "angle" else None
-        moves = quantity in _MOVING or (command is not None and np.ptp(command.values) > _MOVED)
+        moves = quantity in _MOVING or (command is not None and np.ptp(command.values) > MOVED)
         still = np.flatnonzero(np.ptp(each.values, axis=0).reshape(-1) == 0.0) if moves else ()
         for i in still:
             entry = fields.channels[each.name]

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float
 
-from nermo_mjx.hardware.log import Channel, Log
+from nermo_mjx.hardware.log import MOVED, Channel, Log
 
 #: Largest lag that is looked for [s].
 LONGEST_LAG: Final = 0.25
@@ -70,12 +70,8 @@ def lag_of(channel: Channel, other: Channel) -> tuple[float, float]:
     best = begin + int(np.argmax(found[begin:end]))
     near = slice(max(0, min(begin, best - 1)), max(end, best + 2))
     bend, slope, _ = np.polyfit(lags[near] - lags[best], found[near], 2) if np.ptp(found[near]) else (0.0, 0.0, 0.0)
-    shift = (
-        float(np.clip(-0.5 * slope / bend, lags[near][0] - lags[best], lags[near][-1] - lags[best]))
-        if bend < 0.0
-        else 0.0
-    )
-    return float(lags[best]) + shift, sign * float(found[best])
+    vertex = lags[best] - (0.5 * slope / bend if bend < 0.0 else 0.0)
+    return float(np.clip(vertex, *lags[near][[0, -1]])), sign * float(found[best])
 
 
 def _correlation(a: np.ndarray, b: np.ndarray) -> float:
@@ -85,15 +81,15 @@ def _correlation(a: np.ndarray, b: np.ndarray) -> float:
     return float(np.corrcoef(a[both], b[both])[0, 1])
 
 
-def differences(log: Log, other: Log) -> list[Difference]:
+def channel_differences(log: Log, other: Log) -> list[Difference]:
     """The channels of one log minus those of another one, axis by axis, of the quantities and things that both have.
 
-    A position's frame is the camera's, and a yaw's zero is arbitrary: see `placed`.
+    A position's frame is the camera's, and a yaw's zero is arbitrary: see `in_frame_of`.
     """
     found = []
     for channel in log.channels:
         twin = other.of_quantity(channel.quantity).get(channel.of)
-        pairs = zip(axes_of(channel), axes_of(placed(twin, channel)), strict=False) if twin is not None else ()
+        pairs = zip(axes_of(channel), axes_of(in_frame_of(twin, channel)), strict=False) if twin is not None else ()
         for (name, one), (_, two) in pairs:
             residual = one.values - values_at(two, one.times)
             residual = residual[np.isfinite(residual)]
@@ -103,7 +99,7 @@ def differences(log: Log, other: Log) -> list[Difference]:
     return found
 
 
-def placed(twin: Channel, channel: Channel) -> Channel:
+def in_frame_of(twin: Channel, channel: Channel) -> Channel:
     """A track or a yaw in the frame of another one: turned about the vertical and shifted so that the residual is least
     [Umeyama, IEEE PAMI 13, 1991]; other quantities as they are."""
     if channel.quantity not in ("position", "yaw"):
@@ -155,7 +151,7 @@ _OFTEN: Final = 10
 def findings_of(log: Log) -> tuple[str, ...]:
     """What looks wrong with a log's channels, in sentences; nothing of a log that is in order."""
     commands, angles = log.of_quantity("command"), log.of_quantity("angle")
-    pairs = [(angles[of], commands[of]) for of in angles if of in commands and np.ptp(commands[of].values) > 0.0]
+    pairs = [(angles[of], commands[of]) for of in angles if of in commands and np.ptp(commands[of].values) > MOVED]
     lags = {angle.of: lag_of(angle, command) for angle, command in pairs}
     found = [*log.findings]
     for angle, command in pairs:
@@ -167,11 +163,10 @@ def findings_of(log: Log) -> tuple[str, ...]:
             found.append(f"{name} seems mirrored ({correlation:.2f}).")
         there = values_at(command, angle.times - lag)
         both = np.isfinite(there)
-        gain, offset = np.polyfit(there[both], angle.values[both], 1)
+        gain, apart = np.polyfit(there[both], angle.values[both], 1)[0], (angle.values - there)[both].mean()
         if not _GAINS[0] < abs(gain) < _GAINS[1]:
             found.append(f"{name} moves {abs(gain):.3g} times as far as its command: one of the two has another unit.")
-        elif correlation > 0.0 and abs(offset + (gain - 1.0) * there[both].mean()) > _OFF:
-            apart = offset + (gain - 1.0) * there[both].mean()
+        elif correlation > 0.0 and abs(apart) > _OFF:
             found.append(f"{name} stands {apart:.2g} {angle.unit} off its command: one of the two has another zero.")
         others = [each for of, (each, _) in lags.items() if of != angle.of]
         if lag < -max(angle.interval, command.interval):

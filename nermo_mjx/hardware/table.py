@@ -144,7 +144,7 @@ def servo_table(
 ) -> ServoTable:
     """The servo angles that the controller commands in a steady gait.
 
-    >>> servo_table(Setup(gait="lat"), {"frequency": 0.5}, rate=20.0).angles.shape
+    >>> servo_table(Setup(gait="lateral_walk"), {"frequency": 0.5}, rate=20.0).angles.shape
     (40, 10)
 
     The pilot is always `open_loop`, with the turn rate `pilot.turn_rate`. The table begins at the phase `start.phase`,

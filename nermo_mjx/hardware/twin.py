@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from nermo_mjx.hardware.log import Channel, Log
-from nermo_mjx.hardware.signals import Difference, axes_of, differences, placed, values_at
+from nermo_mjx.hardware.signals import Difference, axes_of, channel_differences, in_frame_of, values_at
 from nermo_mjx.kinematics.body import attitude
 from nermo_mjx.recording import BESIDE, Recording
 from nermo_mjx.robot import LIMBS, ParameterError, Robot, ServoAngles
@@ -117,7 +117,7 @@ def replay_log(
     return dataclasses.replace(made, time=made.time - before * dt)
 
 
-def signals_of(recording: Recording, robot: Robot) -> Log:
+def twin_signals(recording: Recording, robot: Robot) -> Log:
     """The signals of a recorded twin, named as in a log; yaw and position are those of the torso's IMU.
 
     A sample stands for the tick before it: its commands act since the tick's begin, and its sensors were read before
@@ -155,7 +155,7 @@ def beside(log: Log, twin: Log) -> Log:
         if other is not None and channel.unit == "switch":
             other = dataclasses.replace(other, values=(other.values > _SWITCH).astype(float), unit="switch")
         if other is not None:
-            found.append(dataclasses.replace(placed(other, channel), name=channel.name))
+            found.append(dataclasses.replace(in_frame_of(other, channel), name=channel.name))
     return Log(tuple(found), twin.file)
 
 
@@ -164,8 +164,8 @@ def with_log(recording: Recording, log: Log, robot: Robot) -> tuple[Recording, l
 
     Each axis of a channel is the sensor `log.NAME`, (T, 2): measured at the recording's times (NaN in gaps), simulated.
     """
-    twin = beside(log, signals_of(recording, robot))
-    found, sensors = differences(log, twin), dict(recording.sensors)
+    twin = beside(log, twin_signals(recording, robot))
+    found, sensors = channel_differences(log, twin), dict(recording.sensors)
     for channel in log.channels:
         if (other := twin.of_quantity(channel.quantity).get(channel.of)) is not None:
             for (name, one), (_, two) in zip(axes_of(channel), axes_of(other), strict=False):

@@ -37,7 +37,7 @@ from nermo_mjx.control.schedule import GAINS
 from nermo_mjx.live.driving import Commanded, Driving, Finite, Journal
 from nermo_mjx.recording import RecordingError
 from nermo_mjx.robot import LIMBS
-from nermo_mjx.robot.parameters import GAIT_NAMES, GAIT_PATTERNS
+from nermo_mjx.robot.parameters import GAIT_PATTERNS
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.runs.job import interruptible
 from nermo_mjx.view.clip import clips_of
@@ -448,8 +448,9 @@ class LiveDrive:
     def _obey(self, message: Message) -> None:
         driving = self.driving
         if message.set or any((message.gait, message.steering, message.spine, message.head, message.tail_motion)):
-            driving.command(message.switch(driving.time))
-            self._gait, self._steering = message.gait or self._gait, message.steering or self._steering
+            switch = message.switch(driving.time)
+            driving.command(switch)
+            self._gait, self._steering = switch.gait or self._gait, switch.steering or self._steering
         if message.push is not None:
             driving.push(message.push.body, message.push.force, message.push.seconds)
         self.paused = self.paused if message.pause is None else message.pause
@@ -503,7 +504,7 @@ class LiveDrive:
             {
                 "paused": self.paused,
                 "speed": self.speed,
-                "gait": GAIT_NAMES.get(self._gait, self._gait),
+                "gait": self._gait,
                 "steering": self._steering,
                 **modes,
                 "values": {name: self.driving.value(name) for name in SLIDERS},
@@ -524,7 +525,7 @@ class LiveDrive:
             for field, names in driving.simulator.setup.modes.items()
         }
         ours = "offset.front_left" in driving.parameters
-        choices = {"gait": [GAIT_NAMES.get(key, key) for key in GAIT_PATTERNS], "steering": [*STEERING]} if ours else {}
+        choices = {"gait": [*GAIT_PATTERNS], "steering": [*STEERING]} if ours else {}
         return self._shown.document({"sliders": sliders, "choices": choices | modes})
 
 

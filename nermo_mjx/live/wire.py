@@ -241,13 +241,14 @@ class Driven:
 class LinkLog(Appended):
     """The log of a driven robot: FILE.csv has a row for each command and each message, when it was sent or came.
 
-    FILE.yaml says what its columns are, see `hardware.log`.
+    FILE.yaml says what its columns are, see `hardware.log`. Messages with stamps have their own clock, which is set by
+    the one that came soonest.
     """
 
     def __init__(self, path: Path, channels: Channels, robot: Robot, clock: Callable[[], float]) -> None:
         """See `Appended`."""
         super().__init__(path)
-        self.about, self._begun = path.with_suffix(".yaml"), clock()
+        self.about, self._begun, self._offset = path.with_suffix(".yaml"), clock(), math.inf
         self._robot, self._servos = robot, {c.servo: i for i, c in enumerate(channels) if c.servo in robot.servos}
         sizes = {"gyro": "gyro", "accelerometer": "acceleration", "position": "position"}
         axes = {name: [f"{name}_{axis}" for axis in "xyz"] for name in sizes}
@@ -272,6 +273,7 @@ class LinkLog(Appended):
     def measured(self, now: float, stamp: float | None, found: Mapping[str, np.ndarray]) -> None:
         """A message that came at a time [s], by field of `Sensors`, and its own time."""
         row = {} if stamp is None else {"stamp": stamp}
+        self._offset = min(self._offset, now - self._begun - row.get("stamp", -math.inf))
         for name, ends in (("foot_force", LIMBS), *((name, "xyz") for name in ("gyro", "accelerometer", "position"))):
             row |= {f"{name}_{end}": value for end, value in zip(ends, found.get(name, ()), strict=False)}
         if "servo_angle" in found:
@@ -289,6 +291,9 @@ class LinkLog(Appended):
     def _more(self) -> bytes:
         # A channel has two samples at least.
         there = {name: e for name, e in self._told.items() if self._counts[e.get("columns", [name])[0]] > 1}
+        if math.isfinite(self._offset):
+            own = {"column": "stamp", "offset": round(self._offset, 6)}
+            there = {name: e if e["quantity"] == "command" else e | {"time": own} for name, e in there.items()}
         about = dump({"time": {"column": "t", "unit": "s"}, "channels": there}).encode()
         if about != self._written:
             with contextlib.suppress(OSError):  # the log's own error tells of a full disk

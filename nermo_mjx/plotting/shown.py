@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from nermo_mjx.robot.parameters import GAIT_NAMES
+from nermo_mjx.robot.parameters import GAIT_CODES
 
 _SHOWN_UNITS = {
     "rad": ("deg", 180 / math.pi),
@@ -30,10 +30,10 @@ _STATISTICS = {
 def spoken(name: str) -> str:
     """The name of a column, or of a choice in it, in words, as titles and axes have it.
 
-    >>> spoken("roll_std"), spoken("spine.phase"), spoken("cost_of_transport"), spoken("lat")
+    >>> spoken("roll_std"), spoken("spine.phase"), spoken("cost_of_transport"), spoken("lateral_walk")
     ('roll, standard deviation', 'spine phase', 'mechanical cost of transport', 'lateral walk')
     """
-    name = GAIT_NAMES.get(name, name)
+    name = GAIT_CODES.get(name, name)  # of tables that former versions wrote
     if name == "cost_of_transport":
         return "mechanical cost of transport"
     stem, _, last = name.rpartition("_")

@@ -22,11 +22,9 @@ from jaxtyping import Float
 from nermo_mjx.shapes import Array, PerLimb, Quaternion, Scalars, Spatial
 
 LIMBS: Final = ("front_left", "front_right", "rear_left", "rear_right")
-GAITS: Final = ("trt", "trt1", "lat", "bound", "gallop")
-#: The field's names of the author's gaits, which are accepted in place of his, and shown.
-GAIT_NAMES: Final = {"trt": "trot", "trt1": "walking_trot", "lat": "lateral_walk"}
-#: The author's codes by those names.
-GAIT_CODES: Final = {name: code for code, name in GAIT_NAMES.items()}
+GAITS: Final = ("trot", "walking_trot", "lateral_walk", "bound", "gallop")
+#: The author's codes of gaits, which are accepted in place of their names, and shown nowhere.
+GAIT_CODES: Final = {"trt": "trot", "trt1": "walking_trot", "lat": "lateral_walk"}
 ROUTINGS: Final = ("type1", "type2", "type3", "type3_idler")
 
 
@@ -278,9 +276,9 @@ class GaitPattern:
 
 
 GAIT_PATTERNS: Final[dict[str, GaitPattern]] = {
-    "trt": GaitPattern(0.50, (0.50, 0.00, 0.00, 0.50), 2.00),  # ideal trot
-    "trt1": GaitPattern(0.60, (0.50, 0.00, 0.00, 0.50), 1.67),  # walking trot
-    "lat": GaitPattern(0.68, (0.63, 0.14, 0.00, 0.54), 1.47),  # lateral sequence walk
+    "trot": GaitPattern(0.50, (0.50, 0.00, 0.00, 0.50), 2.00),
+    "walking_trot": GaitPattern(0.60, (0.50, 0.00, 0.00, 0.50), 1.67),
+    "lateral_walk": GaitPattern(0.68, (0.63, 0.14, 0.00, 0.54), 1.47),  # lateral sequence walk
     # Not in the thesis. Bound: hind pair, then fore pair, half a cycle apart (Hildebrand, BioScience 39, 1989), with
     # neither flight nor overlap, as in the ideal trot. Gallop: the rotary gallop that the author's code has and does
     # not use (`gallop_rot_parameters` of mouse_parameters_dir.py); gait factor 1 / duty.

@@ -38,7 +38,7 @@ from nermo_mjx.control.schedule import MODES, MOST, Schedule, Switch, check_sche
 from nermo_mjx.control.spine_modes import SAGITTAL_MODES, SPINES, SpineModes, mode_names
 from nermo_mjx.control.stepping import FREE
 from nermo_mjx.control.trajectory import FORMS
-from nermo_mjx.robot import GAIT_CODES, GAIT_NAMES, GAITS, ParameterError, Robot, RobotConfig, load_robot
+from nermo_mjx.robot import GAIT_CODES, GAITS, ParameterError, Robot, RobotConfig, load_robot
 from nermo_mjx.robot.equipment import check_servo, highest_kp, highest_kv
 from nermo_mjx.robot.geometry import Geometry, check_geometry, names_geometry
 from nermo_mjx.robot.masses import mass_values
@@ -194,7 +194,7 @@ PRESETTINGS: Final = ("gait", "steering", "profile")
 class Setup(RobotConfig):
     """Static choices of a simulation; every name is checked at construction.
 
-    >>> Setup(gait="lat", spine="stride_extension").defaults()["duty"]
+    >>> Setup(gait="lateral_walk", spine="stride_extension").defaults()["duty"]
     0.68
 
     `dataclasses.replace` with another preset of the physics takes that preset's time step, unless one was given. A
@@ -209,9 +209,9 @@ class Setup(RobotConfig):
     """
 
     gait: str = static(
-        "trt",
-        "defaults of duty, offsets and gait factor; of two names the first one, the author's, is stored",
-        (*GAITS, *GAIT_NAMES.values()),
+        "trot",
+        "defaults of duty, offsets and gait factor",
+        GAITS,
     )
     spine: str = static(
         "none",

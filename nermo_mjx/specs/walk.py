@@ -20,7 +20,7 @@ from nermo_mjx.control.parameters import STEERING, robot_choices
 from nermo_mjx.control.schedule import Switch
 from nermo_mjx.control.spine_modes import SPINES
 from nermo_mjx.control.stepping import FREE
-from nermo_mjx.robot import GAIT_NAMES, GAITS
+from nermo_mjx.robot import GAITS
 from nermo_mjx.robot.equipment import MOST_HINGES
 from nermo_mjx.robot.parameters import ProfileChoice
 from nermo_mjx.robot.quantity import ParameterError, Quantity, did_you_mean
@@ -195,7 +195,7 @@ class SwitchFields(Fields):
     example: ClassVar = "{at: 2.0, gait: lateral_walk}"
     at: Annotated[float, Field(ge=0, allow_inf_nan=False)] = Field(description="when it begins [s]")
     blend: Positive = Field(1.0, description="how long it takes, in gait cycles")
-    gait: str = optional("the next gait", enum=[*GAITS, *GAIT_NAMES.values()])
+    gait: str = optional("the next gait", enum=[*GAITS])
     steering: str = optional("what turns the robot from then on", enum=[*STEERING])
     spine: str = optional("modes of the spine from then on", enum=[*SPINES])
     head: str = optional("what the head does from then on", enum=[*HEADS])

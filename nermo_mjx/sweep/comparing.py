@@ -23,6 +23,7 @@ from nermo_mjx.plotting.charts import FigurePage, horizontal_grid, set_scales
 from nermo_mjx.plotting.files import Figures
 from nermo_mjx.plotting.shown import ShownValues, shown, spoken, titled
 from nermo_mjx.plotting.style import BEST, GRID, INK, LINE, MUTED, SERIES
+from nermo_mjx.robot.parameters import GAIT_CODES
 from nermo_mjx.robot.quantity import ParameterError, did_you_mean
 from nermo_mjx.runs.files import DirectoryError
 from nermo_mjx.runs.rows import part_files
@@ -185,7 +186,11 @@ def value_among(wanted: Value, values: Sequence[Value], option: str) -> Value:
     except ValueError:
         number = math.nan
     for value in values:
-        close = str(wanted) == value if isinstance(value, str) else math.isclose(number, value, abs_tol=1e-12)
+        close = (
+            value in (wanted, GAIT_CODES.get(str(wanted)))
+            if isinstance(value, str)
+            else math.isclose(number, value, abs_tol=1e-12)
+        )
         if close:
             return value
     listed = ", ".join(map(value_text, values[:12])) + (f" and {len(values) - 12} more" if len(values) > 12 else "")

@@ -24,6 +24,7 @@ from typing_extensions import TypedDict
 
 from nermo_mjx.files import FileError, read_as
 from nermo_mjx.plotting.files import Figures, write_figures
+from nermo_mjx.robot.parameters import GAIT_CODES
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.rollout.own_metrics import METRICS
 from nermo_mjx.runs.code import session
@@ -284,7 +285,7 @@ class Results:
                     read = file.read([*dict.fromkeys(["row", *names])], use_threads=False)
                     few.append(read.replace_schema_metadata(None))
             joined.append(joined_tables(few, path).select(names).combine_chunks())
-        table = pa.concat_tables(joined)
+        table = _with_gaits_named(pa.concat_tables(joined))
         for name, column in zip(table.column_names, table.columns, strict=True):
             # What the code of some rows did not know is null, but none of these.
             if column.null_count and (name in ("status", "code") or pa.types.is_integer(column.type)):
@@ -308,7 +309,7 @@ def read_table(out: str | os.PathLike[str]) -> pa.Table:
     if not parts:
         raise DirectoryError(f"{out} holds no results of a sweep.")
     metadata = _common(parts[0].schema)
-    table = joined_tables([part.replace_schema_metadata(metadata) for part in parts], out)
+    table = _with_gaits_named(joined_tables([part.replace_schema_metadata(metadata) for part in parts], out))
     del parts
     known = "row" in table.column_names and not table.column("row").null_count
     if not known or not pa.types.is_integer(table.schema.field("row").type):
@@ -336,6 +337,16 @@ def joined_tables(tables: Sequence[pa.Table], where: object) -> pa.Table:
         raise DirectoryError(
             f"{where}: the files of its table differ ({reason}): run the same command again."
         ) from None
+
+
+def _with_gaits_named(table: pa.Table) -> pa.Table:
+    """The table with the names of gaits in the place of the author's codes, which former versions wrote."""
+    for place, field in enumerate(table.schema):
+        if field.name == "gait" and pa.types.is_string(field.type):
+            written = table.column(place).to_pylist()
+            named = pa.array([GAIT_CODES.get(gait, gait) for gait in written], field.type)
+            table = table.set_column(place, field, named)
+    return table
 
 
 def _order(table: pa.Table, *, once: bool) -> np.ndarray:

@@ -19,14 +19,14 @@ from nermo_mjx.control.parameters import ControlParameters, published_values
 from nermo_mjx.control.stepping import FREE, FreeStepping, Stepping
 from nermo_mjx.kinematics.leg import forward_kinematics, four_legs
 from nermo_mjx.plotting.charts import FigurePage, horizontal_grid
+from nermo_mjx.plotting.shown import spoken
 from nermo_mjx.plotting.style import FOOT, GRID, INK, LINE, MISSING, MUTED, SERIES, TAIL
 from nermo_mjx.recording import Recording, RecordingError
-from nermo_mjx.robot import GAITS, LIMBS, ParameterError, Robot
+from nermo_mjx.robot import GAIT_CODES, GAITS, LIMBS, ParameterError, Robot
 from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.parameters import servos_by_count
 from nermo_mjx.robot.quantity import quantities, replace_quantities
 from nermo_mjx.view.recorded import (
-    GAIT_TITLES,
     STANDING,
     attitude_of,
     beside_log,
@@ -50,7 +50,8 @@ class RecordedGait:
     def values(self) -> dict[str, float]:
         """The parameters that are known by name."""
         setup = self.recording.metadata.get("setup", {})
-        known: dict[str, Any] = published_values(setup["gait"]) if setup.get("gait") in GAITS else {}
+        gait = GAIT_CODES.get(setup.get("gait"), setup.get("gait"))
+        known: dict[str, Any] = published_values(gait) if gait in GAITS else {}
         return known | dict(self.recording.metadata.get("parameters", {}))
 
     @property
@@ -63,7 +64,7 @@ class RecordedGait:
     def title(self) -> str:
         """The gait in words, after a colon; empty if unknown."""
         setup, labels = self.recording.metadata.get("setup", {}), self.recording.metadata.get("labels", {})
-        gait = GAIT_TITLES.get(setup.get("gait", labels.get("gait")), "")
+        gait = spoken(setup.get("gait") or labels.get("gait") or "")
         if self.cycle is None:
             return f": {gait}" if gait else ""
         return f": {gait} at {self.values['frequency']:.3g} Hz" if gait else f" at {self.values['frequency']:.3g} Hz"

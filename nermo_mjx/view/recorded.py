@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from nermo_mjx.plotting.shown import shown as in_shown_unit
+from nermo_mjx.plotting.shown import titled
 from nermo_mjx.recording import BESIDE, Recording, RecordingError
 from nermo_mjx.robot import LIMBS, ModelParameters, Robot, RobotConfig, load_robot
 from nermo_mjx.robot.geometry import Geometry
@@ -303,6 +304,9 @@ def plots_of(recording: Recording, motion: Motion) -> list[Plot]:
     samples, time = np.searchsorted(recording.time, motion.time), motion.time
     sensors = {name: np.asarray(values)[samples] for name, values in recording.sensors.items()}
     plots = []
+    for plot in beside_log(recording):
+        lines = tuple(dataclasses.replace(line, values=line.values[samples]) for line in plot.lines)
+        plots.append(dataclasses.replace(plot, lines=lines))
     if "foot_force" in sensors:
         loads = [
             (limb.replace("_", " "), limb, force) for limb, force in zip(LIMBS, sensors["foot_force"].T, strict=True)
@@ -337,9 +341,6 @@ def plots_of(recording: Recording, motion: Motion) -> list[Plot]:
         plots += [Plot(key, f"Tension, {part} tendons", "N", tuple(curves))] if curves else []
     if "servo_angle" in sensors:
         plots += _servos(np.rad2deg(sensors["servo_angle"]), np.rad2deg(recording.ctrl[samples]))
-    for plot in beside_log(recording):
-        lines = tuple(dataclasses.replace(line, values=line.values[samples]) for line in plot.lines)
-        plots.append(dataclasses.replace(plot, lines=lines))
     return plots
 
 
@@ -401,7 +402,6 @@ def _over_cycle(values: np.ndarray, time: np.ndarray, period: float) -> np.ndarr
     return np.where((begin >= time[0] - 1e-9) & (end <= time[-1] + 1e-9), mean, np.nan)
 
 
-GAIT_TITLES: Final = {"trt": "trot", "trt1": "walking trot", "lat": "lateral sequence walk"}
 #: Metrics in the page's head, and their labels.
 _HEADLINE: Final = {
     "speed": "speed",
@@ -417,11 +417,12 @@ def title_of(recording: Recording) -> str:
     """The gait, its frequency and the spine mode, as far as known; or the name of an experiment's case."""
     if "case" in recording.metadata:
         return str(recording.metadata["case"])
+    if file := _part(recording, "log").get("file"):
+        return f"Commands of {str(file).rpartition('/')[2]}"
     setup, parameters = _part(recording, "setup"), _part(recording, "parameters")
     gait, controller = setup.get("gait"), str(setup.get("controller") or "Recording").rpartition(":")[2]
     controller = controller.rpartition("/")[2]  # of a policy's file, its name
-    known = GAIT_TITLES.get(str(gait), "").capitalize()
-    parts = [(known or str(gait)) if gait else controller]
+    parts = [titled(str(gait)) if gait else controller]
     if (frequency := parameters.get("frequency")) is not None:
         parts.append(f"{frequency:.3g} Hz")
     spine = str(setup.get("spine", "none")).replace("_", " ")

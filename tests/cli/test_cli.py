@@ -98,7 +98,7 @@ def test_examples_in_the_help_are_valid_commands() -> None:
     [
         (["wlak"], "Did you mean 'walk'"),
         (["sweep", "--list-parameter"], "--list-parameters"),
-        (["walk", "--gait", "canter"], "'trt', 'trt1', 'lat'"),
+        (["walk", "--gait", "canter"], "'trot', 'walking_trot', 'lateral_walk'"),
         (["walk", "--frequency", "50"], "frequency is 50: allowed is [0.001, 5] Hz."),
         (["walk", "--scene", "moon"], "scene is 'moon': allowed is 'balance_stand' or 'flat'"),
         (["walk", "--spine-amplitude", "0.2"], "--spine-amplitude has no effect with --spine none"),
@@ -248,7 +248,17 @@ def test_walk_json_is_one_object_with_the_promised_fields(tmp_path: Path) -> Non
 @pytest.mark.compiles
 def test_options_reach_the_simulation(tmp_path: Path) -> None:
     options = ("--spine", "stride_extension", "--spine-amplitude", "0.3", "--spine-phase", "0.5", "--stride", "0.8")
-    more = ("--gait", "lat", "--offset-compensation", "--turn-rate", "0.4", "--steering", "mix", "--physics", "fast")
+    more = (
+        "--gait",
+        "lateral_walk",
+        "--offset-compensation",
+        "--turn-rate",
+        "0.4",
+        "--steering",
+        "mix",
+        "--physics",
+        "fast",
+    )
     last = ("--tail", "articulated", "--profile", "as_published", "--seed", "3")
     report = json_of(*SHORT, *options, *more, *last)
     expected = {
@@ -263,7 +273,13 @@ def test_options_reach_the_simulation(tmp_path: Path) -> None:
     assert expected.items() <= report["parameters"].items()
     assert report["parameters"]["tracking.foot_gain"] < 1.0
     assert report["parameters"]["start.x"] != 0.0
-    setup = {"gait": "lat", "pilot": "open_loop", "tail": "articulated", "physics": "fast", "timestep": 0.01 / 3}
+    setup = {
+        "gait": "lateral_walk",
+        "pilot": "open_loop",
+        "tail": "articulated",
+        "physics": "fast",
+        "timestep": 0.01 / 3,
+    }
     assert {name: report["setup"][name] for name in setup} == pytest.approx(setup)
 
 
@@ -410,7 +426,7 @@ def test_identify_writes_its_result_and_a_report(identified: Mock, tmp_path: Pat
     assert set(result["targets"]) == set(TARGETS)
     assert set(result["free"]) == set(FREE)
     assert result["costs"] == [0.9, 10.0, 0.5]
-    assert result["targets"]["trt, 0.8 Hz, over lat"]["published"] == 1.27
+    assert result["targets"]["trot, 0.8 Hz, over lateral walk"]["published"] == 1.27
     stored = json.loads((out / "identification.json").read_text())
     assert stored == {name: value for name, value in result.items() if name != "out"}
     text = (out / "identification.md").read_text()

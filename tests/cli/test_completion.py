@@ -42,7 +42,7 @@ def folder(tmp_path: Path) -> Path:
     ("line", "offer"),
     [
         ("nermo-mjx pl", ["plain,play", "plain,plot"]),
-        ("nermo-mjx walk --gait t", ["plain,trt", "plain,trt1", "plain,trot"]),
+        ("nermo-mjx walk --gait t", ["plain,trot"]),
         ("nermo-mjx walk --set spine.a", ["plain,spine.amplitude=", "plain,spine.amplitude=X"]),
         ("nermo-mjx walk --scene q", ["plain,quarter_circles"]),
         ("nermo-mjx render --camera th", ["plain,three_quarter"]),

@@ -96,7 +96,11 @@ def erratic():
 
 
 @settings(max_examples=25, deadline=None)
-@given(seed=st.integers(0, 2**32 - 1), gait=st.sampled_from(["trt", "trt1", "lat"]), slow=st.floats(0.05, 1.0))
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    gait=st.sampled_from(["trot", "walking_trot", "lateral_walk"]),
+    slow=st.floats(0.05, 1.0),
+)
 def test_the_foot_path_is_continuous_whatever_the_command_does(erratic, seed, gait, slow):
     """No foot moves farther in a tick than the fastest point of its path allows, or of both paths where it switches."""
     random = np.random.default_rng(seed)
@@ -158,12 +162,12 @@ WINDING = tabulated(np.linspace(0.0, 4.0, 201), 1.0, 0.8 * np.sin(np.linspace(0.
 @pytest.mark.parametrize(
     ("gait", "name", "low", "high"),
     [
-        ("trt", "frequency", 0.8, 0.808),
-        ("lat", "frequency", 0.5, 0.505),
-        ("trt1", "duty", 0.6, 0.606),
-        ("lat", "duty", 0.97, 0.9985),  # from three ticks of swing to none
-        ("trt1", "offset.front_left", 0.5, 0.505),
-        ("lat", "tracking.clock_ratio", 0.4, 0.404),
+        ("trot", "frequency", 0.8, 0.808),
+        ("lateral_walk", "frequency", 0.5, 0.505),
+        ("walking_trot", "duty", 0.6, 0.606),
+        ("lateral_walk", "duty", 0.97, 0.9985),  # from three ticks of swing to none
+        ("walking_trot", "offset.front_left", 0.5, 0.505),
+        ("lateral_walk", "tracking.clock_ratio", 0.4, 0.404),
     ],
 )
 def test_the_feet_do_not_jump_when_a_switch_falls_into_another_tick(gait, name, low, high, pilot):
@@ -207,7 +211,7 @@ def test_the_feet_are_where_a_much_faster_controller_has_them(duty):
 
 def test_the_derivatives_of_the_feet_are_those_of_finite_differences():
     """Of every foot at every tick with respect to what sets the instants of the switches, while it is steered."""
-    controller, gait = published_controller(pilot="external", command=WINDING), control_parameters("trt1")
+    controller, gait = published_controller(pilot="external", command=WINDING), control_parameters("walking_trot")
     names = ["frequency", "duty", "offset.front_left", "tracking.clock_ratio", "turning.exponent"]
     at = np.array([0.81, 0.63, 0.51, 0.93, 1.3])
 
@@ -235,7 +239,7 @@ def _start(controller):
     return jax.jit(run)
 
 
-@pytest.mark.parametrize("gait", ["trt", "trt1", "lat"])
+@pytest.mark.parametrize("gait", ["trot", "walking_trot", "lateral_walk"])
 @pytest.mark.parametrize("phase", [0.0, 0.3, 0.77])
 def test_the_first_posture_is_the_gaits_own(gait, phase):
     """Cycles later the feet are where they started, to the rounding of 200 steps of the phase."""
@@ -249,7 +253,7 @@ def test_the_first_posture_is_the_gaits_own(gait, phase):
 
 def test_the_servo_angles_put_the_feet_where_they_are_commanded():
     """Forward kinematics is the oracle; the tolerance is float32 rounding over an arccosine."""
-    states, servo = walk(published_controller(), control_parameters("lat", frequency=0.8))
+    states, servo = walk(published_controller(), control_parameters("lateral_walk", frequency=0.8))
     reached = forward_kinematics(four_legs(ROBOT), jnp.stack([servo.hip, servo.knee], axis=-1), "type3")
     np.testing.assert_allclose(reached.foot, states.foot, atol=2e-6)
     assert reached.reachable.all()
@@ -328,7 +332,7 @@ def test_balance_rests_on_four_feet_and_acts_when_one_is_lifted():
 
 def test_two_modes_are_on_together_without_blocking_each_other():
     """The sum of the single modes, clipped to the servo's limit."""
-    params = control_parameters("lat", **{"spine.amplitude": 0.1})
+    params = control_parameters("lateral_walk", **{"spine.amplitude": 0.1})
     names = ("stride_extension", "balance", "stride_extension+balance")
     servos = [walk(published_controller(spine=name, masses=MASSES), params)[1].spine for name in names]
     assert np.ptp(servos[1]) > 0.01
@@ -614,8 +618,8 @@ def test_new_values_do_not_compile_again_and_a_batch_equals_its_members():
         return jax.lax.scan(step, controller.init(params, sensors_at(), phase), None, length=50)[1]
 
     cases = [
-        control_parameters("trt", frequency=0.5, **{"spine.amplitude": 0.1}),
-        control_parameters("lat", frequency=0.8, **{"spine.amplitude": 0.4}),
+        control_parameters("trot", frequency=0.5, **{"spine.amplitude": 0.1}),
+        control_parameters("lateral_walk", frequency=0.8, **{"spine.amplitude": 0.4}),
     ]
     single = [run(case, np.float32(phase)) for case, phase in zip(cases, (0.1, 0.6), strict=True)]
     assert len(compilations) == 1
@@ -658,15 +662,15 @@ def test_a_spine_servo_angle_of_0_4_is_about_0_1_rad_a_joint():
 
 def test_the_gait_factor_follows_the_duty_factor():
     """Erratum 20: 1 / duty, for any duty that is named without a factor; a factor that is given stays."""
-    assert control_parameters("trt", duty=0.6).gait.gait_factor == pytest.approx(1 / 0.6)
-    assert control_parameters("trt", duty=0.6, gait_factor=2.0).gait.gait_factor == 2.0
-    assert control_parameters("trt").gait.gait_factor == 2.0
+    assert control_parameters("trot", duty=0.6).gait.gait_factor == pytest.approx(1 / 0.6)
+    assert control_parameters("trot", duty=0.6, gait_factor=2.0).gait.gait_factor == 2.0
+    assert control_parameters("trot").gait.gait_factor == 2.0
     batch = Simulator(Setup(), engine="c").parameters({"duty": np.array([0.5, 0.8])})
     np.testing.assert_allclose(batch.control.gait.gait_factor, [2.0, 1.25])
-    assert control_parameters("lat").gait.gait_factor == pytest.approx(1 / 0.68, rel=5e-3)
+    assert control_parameters("lateral_walk").gait.gait_factor == pytest.approx(1 / 0.68, rel=5e-3)
 
 
-@pytest.mark.parametrize("gait", ["trt", "trt1", "lat"])
+@pytest.mark.parametrize("gait", ["trot", "walking_trot", "lateral_walk"])
 @pytest.mark.parametrize("profile", ["exact", "as_published"])
 def test_the_published_gaits_are_within_the_workspace(gait, profile):
     control_parameters(gait, steering="mix", profile=profile)

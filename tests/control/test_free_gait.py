@@ -41,7 +41,7 @@ def feet_of(params: ControlParameters, phases: np.ndarray = PHASES) -> np.ndarra
     return np.asarray(start(jnp.asarray(phases)))
 
 
-def gait_with(values: dict[str, Any], gait: str = "trt") -> ControlParameters:
+def gait_with(values: dict[str, Any], gait: str = "trot") -> ControlParameters:
     return control_parameters(gait, frequency=0.8, **values)
 
 
@@ -62,7 +62,7 @@ def test_the_published_gaits_are_points_of_the_space_bit_for_bit() -> None:
 
     Operation by operation: how XLA rounds what it fuses into one is its own affair.
     """
-    gaits = [gait_with({}, gait) for gait in ("trt", "trt1", "lat")]
+    gaits = [gait_with({}, gait) for gait in ("trot", "walking_trot", "lateral_walk")]
     params = jax.tree.map(lambda *leaves: jnp.stack(leaves), *gaits)
     drive, free, published = Drive(jnp.ones(3), jnp.zeros(3)), FreeStepping(), Stepping()
     phase = jnp.full(3, 0.3)
@@ -167,13 +167,15 @@ def test_a_foot_beyond_the_workspace_is_led_back_by_its_derivative() -> None:
 
 
 def test_duty_and_phase_of_a_limb() -> None:
-    params = gait_with({"limb.duty.front": 0.1, "limb.duty.front_left": 0.05, "limb.phase.rear_right": -0.25}, "lat")
+    params = gait_with(
+        {"limb.duty.front": 0.1, "limb.duty.front_left": 0.05, "limb.phase.rear_right": -0.25}, "lateral_walk"
+    )
     stance = np.asarray(STEPPING.limbs(params, jnp.asarray(PHASES)).stance)
     np.testing.assert_allclose(stance.mean(axis=0), [0.83, 0.78, 0.68, 0.68], atol=2 / 400)
     plain = np.asarray(trajectory.limb_states(params.gait, jnp.asarray(PHASES)).stance)
     np.testing.assert_array_equal(stance[:, 3], np.roll(plain[:, 3], -100))
     with pytest.raises(ParameterError, match=r"limb\.duty\.front_left gives the limb a duty factor of 1\.08: allowed"):
-        Setup(trajectory="free").check(Setup(gait="lat").world({"limb.duty.front_left": 0.4}))
+        Setup(trajectory="free").check(Setup(gait="lateral_walk").world({"limb.duty.front_left": 0.4}))
 
 
 def test_the_spines_series_holds_the_published_wave_and_has_a_derivative_at_zero() -> None:

@@ -21,7 +21,7 @@ from nermo_mjx.sweep import Sweep
 pytestmark = pytest.mark.compiles
 
 FREQUENCY, AT = 0.8, 2.0
-PAIRS = list(itertools.permutations(("trt", "trt1", "lat"), 2))
+PAIRS = list(itertools.permutations(("trot", "walking_trot", "lateral_walk"), 2))
 SPINES = list(itertools.permutations(("none", "stride_extension", "balance"), 2))
 #: By how many gait cycles a switch is later.
 PHASES = np.arange(20) / 20
@@ -84,7 +84,7 @@ def test_feet_and_servos_are_continuous(switches):
 
 
 def test_derivatives_through_a_switch_are_those_of_differences():
-    setup = Setup(pilot="open_loop", schedule=(Switch(AT, gait="lat", values={"stride": 0.8}),))
+    setup = Setup(pilot="open_loop", schedule=(Switch(AT, gait="lateral_walk", values={"stride": 0.8}),))
     with jax.enable_x64(True):
         walk, _, (control, schedule) = commanded([setup], 100.0, 4.0)
         control, schedule = jax.tree.map(lambda leaf: leaf[0], (control, schedule))
@@ -102,8 +102,8 @@ def test_derivatives_through_a_switch_are_those_of_differences():
 
 
 def test_a_walk_is_that_without_a_schedule_until_its_first_switch():
-    switched = Setup(pilot="open_loop", schedule=(Switch(1.5, gait="lat", spine="stride_extension"),))
-    lateral = Setup(pilot="open_loop", gait="lat", spine="stride_extension")
+    switched = Setup(pilot="open_loop", schedule=(Switch(1.5, gait="lateral_walk", spine="stride_extension"),))
+    lateral = Setup(pilot="open_loop", gait="lateral_walk", spine="stride_extension")
 
     def walked(setup):
         return Simulator(setup, "c").run({"frequency": 0.8}, Run(duration=4.0), record=True).trace
@@ -118,7 +118,9 @@ def test_a_walk_is_that_without_a_schedule_until_its_first_switch():
 
 def test_the_time_to_the_new_speed_is_half_a_ramp_and_the_constant_of_an_approach():
     """Also the slip: of the transition alone, whatever happens before and after."""
-    schedule = Setup(schedule=(Switch(2.0, blend=2.0, gait="lat"), Switch(5.0, gait="trt"))).world({}).schedule
+    schedule = (
+        Setup(schedule=(Switch(2.0, blend=2.0, gait="lateral_walk"), Switch(5.0, gait="trot"))).world({}).schedule
+    )
     within = transitions.span(schedule, jnp.asarray(1.0))
     assert [float(each) for each in within] == [2.0, 7.0]
     time = (1 + np.arange(1200)) * 0.01
@@ -165,7 +167,7 @@ def falls(setup: Setup, phases: np.ndarray) -> list[str]:
 
 
 def test_no_walk_falls_where_trot_becomes_a_lateral_walk_with_the_spine():
-    assert falls(Setup(schedule=(Switch(AT, gait="lat", spine="stride_extension"),)), PHASES[::4]) == []
+    assert falls(Setup(schedule=(Switch(AT, gait="lateral_walk", spine="stride_extension"),)), PHASES[::4]) == []
 
 
 @pytest.mark.long
@@ -177,7 +179,7 @@ def test_no_walk_falls_at_any_switch():
 
 @pytest.mark.long
 def test_engines_agree_and_the_gradient_through_a_switch_is_that_of_differences():
-    setup, run = Setup(schedule=(Switch(0.5, gait="lat", blend=0.5),)), Run(duration=1.5, warmup=0.2)
+    setup, run = Setup(schedule=(Switch(0.5, gait="lateral_walk", blend=0.5),)), Run(duration=1.5, warmup=0.2)
     values = {"frequency": np.array([0.8, 1.0])}
     c, mjx = (Simulator(setup, engine).run(values, run).metrics for engine in ("c", "mjx"))
     np.testing.assert_allclose(mjx["speed"], c["speed"], rtol=0.02)
@@ -211,6 +213,6 @@ def test_a_sweep_varies_when_a_switch_begins(tmp_path):
     assert set(sweep.varied) == {"schedule.at.1", "spine.amplitude"}
     written = sweep.resolved()["schedule"]
     assert written == [
-        {"at": 1.5, "blend": 1.0, "gait": "lat", "spine": "stride_extension"},
+        {"at": 1.5, "blend": 1.0, "gait": "lateral_walk", "spine": "stride_extension"},
         {"at": 4.0, "blend": 2.0, "set": {"stride": 0.8}},
     ]

@@ -152,7 +152,8 @@ def test_any_phase_offset_and_duty_give_a_state_in_range(phase, offset, duty):
 def test_the_trot_keeps_its_diagonal_pairs_on_the_ground_and_the_lateral_walk_two_feet_at_least():
     """FL with RR, FR with RL. Four legs with a duty of 0.68 stand on 2.72 feet on average."""
     trot, lateral = (
-        np.asarray(trajectory.limb_states(gait_of(name), jnp.asarray(PHASES)).stance) for name in ("trt", "lat")
+        np.asarray(trajectory.limb_states(gait_of(name), jnp.asarray(PHASES)).stance)
+        for name in ("trot", "lateral_walk")
     )
     np.testing.assert_array_equal(trot[:, [0, 1]], trot[:, [3, 2]])
     assert (trot.sum(axis=1) == 2).all()

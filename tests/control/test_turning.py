@@ -34,7 +34,7 @@ def turning_of(exponent=5.0, leg=1.0, spine=0.0) -> Turning:
 
 def test_the_trot_at_0_8_hz_with_the_full_stride_walks_at_the_speed_of_theory():
     """6.2.1: 0.096 m/s without the spine, 0.120 m/s with a stride longer by 0.015 m."""
-    gait = Gait(frequency=np.float32(0.8), gait_factor=np.float32(GAIT_PATTERNS["trt"].gait_factor))
+    gait = Gait(frequency=np.float32(0.8), gait_factor=np.float32(GAIT_PATTERNS["trot"].gait_factor))
     assert turning.body_speed(gait, 0.06) == pytest.approx(0.096, rel=1e-3)
     assert turning.body_speed(gait, 0.075) == pytest.approx(0.120, rel=1e-3)
 

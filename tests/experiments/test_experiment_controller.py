@@ -49,7 +49,7 @@ def settings(where=None):
 @pytest.mark.compiles
 def test_a_policy_that_does_nothing_walks_as_the_published_controller_and_another_does_not(files, monkeypatch):
     """Every case with its own gait, frequency, stride and spine: as without a policy, where its actions are zero."""
-    chosen = (walks._line("trt", 0.8, spine=True), walks._line("lat", 0.5, spine=False))
+    chosen = (walks._line("trot", 0.8, spine=True), walks._line("lateral_walk", 0.5, spine=False))
     monkeypatch.setattr(walks, "line_cases", lambda quick: chosen)
     monkeypatch.setattr(walks, "_record", lambda *_: {})
     published, none, some = (walks.walk_line(settings(files.get(name))).columns for name in (None, "none", "some"))
@@ -63,7 +63,7 @@ def test_a_policy_that_does_nothing_walks_as_the_published_controller_and_anothe
 @pytest.mark.compiles
 def test_full_lock_is_left_out_for_a_policy_that_needs_a_path(files, monkeypatch):
     """Circles are walked, and full lock by a policy that observes no path."""
-    chosen = tuple(walks._turn("trt", 0.67, radius, "leg") for radius in (0.5, walks.FULL_LOCK))
+    chosen = tuple(walks._turn("trot", 0.67, radius, "leg") for radius in (0.5, walks.FULL_LOCK))
     monkeypatch.setattr(walks, "turn_cases", lambda quick: chosen)
     monkeypatch.setattr(walks, "_record", lambda *_: {})
     monkeypatch.setattr(walks, "_LOCK_CYCLES", 3.0)

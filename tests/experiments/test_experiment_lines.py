@@ -25,18 +25,18 @@ from nermo_mjx.rollout import METRICS
 ALL = [(name, figure) for name in EXPERIMENTS for figure in published_figures(name)]
 #: Figures typed again from the thesis: part of a name -> (experiment, value).
 PUBLISHED = {
-    "speed of trt, 0.8 Hz, no spine": ("straight-line", 86.4),
-    "speed of trt, 0.8 Hz, spine over none": ("straight-line", 1.22),
-    "speed of trt over lat, 0.8 Hz, no spine": ("straight-line", 1.27),
-    "roll std, spine over none, trt and trt1 at each frequency": ("straight-line", [1.25, 1.40]),
+    "speed of trot, 0.8 Hz, no spine": ("straight-line", 86.4),
+    "speed of trot, 0.8 Hz, spine over none": ("straight-line", 1.22),
+    "speed of trot over lateral walk, 0.8 Hz, no spine": ("straight-line", 1.27),
+    "roll std, spine over none, trot and walking trot at each frequency": ("straight-line", [1.25, 1.40]),
     "largest pitch std of all cases": ("straight-line", 2.0),
-    "growth of roll std of trt with a frequency step, mean": ("straight-line", 0.20),
-    "hardware: speed of trt, 0.67 Hz, no spine": ("straight-line", 67.0),
-    "time for 0.5 m, trt, 0.67 Hz, leg-based": ("turning", 18.4),
-    "paths not followed": ("turning", "lat, 0.8 Hz, spine, 0.5 m"),
-    "smallest radius of lat by the spine, 0.5 Hz": ("turning", 0.49),
-    "smallest radius of lat by the spine, 0.8 Hz": ("turning", 0.96),
-    "smallest radius of trt, 0.5 Hz, mix- below spine-based": ("turning", 0.625),
+    "growth of roll std of trot with a frequency step, mean": ("straight-line", 0.20),
+    "hardware: speed of trot, 0.67 Hz, no spine": ("straight-line", 67.0),
+    "time for 0.5 m, trot, 0.67 Hz, leg-based": ("turning", 18.4),
+    "paths not followed": ("turning", "lateral walk, 0.8 Hz, spine, 0.5 m"),
+    "smallest radius of lateral walk by the spine, 0.5 Hz": ("turning", 0.49),
+    "smallest radius of lateral walk by the spine, 0.8 Hz": ("turning", 0.96),
+    "smallest radius of trot, 0.5 Hz, mix- below spine-based": ("turning", 0.625),
     "resting pitch reduced by compensation, rear legs": ("balance", 0.73),
     "impact of the rear left foot without compensation": ("balance", 1.75),
     "rear left lifted, without balance compensation": ("balance", "fail"),
@@ -187,26 +187,26 @@ def line_table(**measured) -> CaseRuns:
 def test_speeds_are_in_the_controllers_clock_and_angles_in_degrees():
     outcome = line_table(speed=lambda row: 0.1 * row["frequency"] * (2 if row["spine"] else 1), roll_std=0.1)
     ours, exact = (ProfileOutcome(outcome, profile) for profile in ("as_published", "exact"))
-    assert ours.speed("trt", 0.8) == pytest.approx(1e3 * 0.4 * 0.08)
-    assert exact.speed("trt", 0.8) == pytest.approx(80.0)
-    assert ours.gain("trt", 0.5) == pytest.approx(2.0)
-    assert ours.walk("roll_std", "trt", 0.8) == pytest.approx(np.degrees(0.1))
+    assert ours.speed("trot", 0.8) == pytest.approx(1e3 * 0.4 * 0.08)
+    assert exact.speed("trot", 0.8) == pytest.approx(80.0)
+    assert ours.gain("trot", 0.5) == pytest.approx(2.0)
+    assert ours.walk("roll_std", "trot", 0.8) == pytest.approx(np.degrees(0.1))
     assert [clock(profile) for profile in ("as_published", "exact", "as_built")] == [0.4, 1.0, 1.0]
 
 
 @pytest.mark.parametrize(
     ("measure", "value"),
     [
-        (lambda of: of.speed("trt", 0.8) > 1, True),
-        (lambda of: of.speed("lat", 0.8) > 1, None),
-        (lambda of: of.speed("trt", 0.9), None),
-        (lambda of: every(of.speed(gait, 0.8) < 1 for gait in ("trt", "lat")), None),
+        (lambda of: of.speed("trot", 0.8) > 1, True),
+        (lambda of: of.speed("lateral_walk", 0.8) > 1, None),
+        (lambda of: of.speed("trot", 0.9), None),
+        (lambda of: every(of.speed(gait, 0.8) < 1 for gait in ("trot", "lateral_walk")), None),
         (lambda of: np.mean([]), None),
         (lambda of: "a", "a"),
     ],
 )
 def test_without_a_case_or_a_number_a_figure_is_not_measured(measure, value):
-    outcome = line_table(speed=lambda row: np.nan if row["gait"] == "lat" else 0.1)
+    outcome = line_table(speed=lambda row: np.nan if row["gait"] == "lateral_walk" else 0.1)
     assert Figure("name", "predicted", "number", measure, 1.0).measured(outcome, "as_published") == value
     assert published_figures("straight-line")[0].measured(outcome, "as_built") is None
 
@@ -246,7 +246,7 @@ def test_the_circle_that_is_lost_is_named_and_strategies_are_compared_where_both
         return {"leg": 0.05, "mix": 0.06, "spine": 0.07}[row["strategy"]]
 
     cases = [dict(case.labels) for case in walks.turn_cases() if "as_published" in case.profiles]
-    lost = {"gait": "lat", "frequency": 0.8, "strategy": "spine", "radius": 0.5}
+    lost = {"gait": "lateral_walk", "frequency": 0.8, "strategy": "spine", "radius": 0.5}
     outcome = made_up(
         "turning",
         cases,
@@ -260,27 +260,27 @@ def test_the_circle_that_is_lost_is_named_and_strategies_are_compared_where_both
         },
     )
     turns = ProfileOutcome(outcome, "as_published")
-    assert turns.lost() == "lat, 0.8 Hz, spine, 0.5 m"
+    assert turns.lost() == "lateral walk, 0.8 Hz, spine, 0.5 m"
     assert len(turns.compared("spine", "leg")) == 17, "18 circles, of which one was lost"
     held = {line.figure: line.holds for line in published_lines(outcome)}
     assert held["paths not followed"]
     assert held["spine-based turning fastest wherever it follows the path"]
     assert held["right turns as left turns"]
-    assert not held["smallest radius of trt, 0.5 Hz, mix- below spine-based"], "0.8 for 0.625"
+    assert not held["smallest radius of trot, 0.5 Hz, mix- below spine-based"], "0.8 for 0.625"
 
 
 def test_every_figure_is_measured_where_its_columns_are():
     """Whatever the numbers: no measure names a column or a case that does not exist."""
     three, random = ("exact", "as_published", "as_built"), np.random.default_rng(0)
-    limbs = [Case({"leg": leg, "sbc": sbc}, "trt") for leg in LIMBS for sbc in (False, True)]
+    limbs = [Case({"leg": leg, "sbc": sbc}, "trot") for leg in LIMBS for sbc in (False, True)]
     designs = {
         "straight-line": walks.line_cases(),
         "turning": walks.turn_cases(),
         "maze": walks.maze_cases(),
         "balance": limbs,
-        "body": [Case({}, "trt")],
-        "leg-stand": [Case(case, "trt") for case in stands.LEG_CASES],
-        "spine-stand": [Case(case, "trt") for case in stands.SPINE_CASES],
+        "body": [Case({}, "trot")],
+        "leg-stand": [Case(case, "trot") for case in stands.LEG_CASES],
+        "spine-stand": [Case(case, "trot") for case in stands.SPINE_CASES],
     }
     for name, cases in designs.items():
         columns = (*(METRICS if EXPERIMENTS[name].walks else ()), *texts("columns")[name])

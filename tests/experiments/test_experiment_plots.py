@@ -45,7 +45,7 @@ SWAY |= {f"{angle}_min": -0.1 for angle in ("roll", "pitch", "yaw")}
 def walked(profiles=BOTH, repeats=2, quick=False, **changed):
     runs = {}
     for spine in (False, True):
-        labels = {"profile": profiles[0], "gait": "trt", "frequency": 1.0, "spine": spine}
+        labels = {"profile": profiles[0], "gait": "trot", "frequency": 1.0, "spine": spine}
         runs[f"spine {spine}"] = recorded(5.02, {"labels": labels}, roll=np.radians(6.0 + spine))
     measured = SWAY | {"speed": lambda row: 0.08 + 0.01 * row["repeat"], "theory_speed": 0.1, "status": "ok"} | changed
     cases = [case.labels for case in walks.line_cases(quick) if "exact" in case.profiles]
@@ -57,7 +57,7 @@ def turned(profiles=BOTH, repeats=2, quick=False, **changed):
         angle = time / time[-1] * 1.1 * np.pi / 2
         return np.stack([0.5 - 0.5 * np.cos(angle), -0.5 * np.sin(angle), 0 * time], axis=-1)
 
-    labels = {"profile": profiles[0], "gait": "trt", "frequency": 0.67, "radius": 0.5, "side": "left"}
+    labels = {"profile": profiles[0], "gait": "trot", "frequency": 0.67, "radius": 0.5, "side": "left"}
     runs = {name: recorded(10.0, {"labels": labels | {"strategy": name}}, position=arc) for name in walks.STRATEGIES}
     measured = {
         "speed": 0.05,
@@ -186,7 +186,7 @@ def test_a_picture_of_nothing_is_not_drawn(experiment):
 def test_a_single_case_is_drawn():
     """One trot, and nothing else of the straight line, gives its speed and no picture over the stride."""
     only = walked()
-    keep = only.where(gait="trt", frequency=0.5, spine=False)
+    keep = only.where(gait="trot", frequency=0.5, spine=False)
     drawn = figures_of(dataclasses.replace(only, columns={k: v[keep] for k, v in only.columns.items()}))
     assert "speed" in drawn
     assert not {"speed-over-stride", "offset-compensation"} & set(drawn)
@@ -261,10 +261,10 @@ def test_failed_repeats_are_marked_and_do_not_count():
 
     def status(row):
         fails = row["frequency"] == 0.5 or (row["frequency"] == 0.8 and row["repeat"] == 1)
-        return "fell" if fails and row["gait"] == "trt1" else "ok"
+        return "fell" if fails and row["gait"] == "walking_trot" else "ok"
 
     def speed(row):
-        return np.nan if row["gait"] == "trt1" and row["frequency"] == 0.67 else 0.08 + 0.1 * row["repeat"]
+        return np.nan if row["gait"] == "walking_trot" and row["frequency"] == 0.67 else 0.08 + 0.1 * row["repeat"]
 
     figure = figures_of(walked(profiles=("exact",), status=status, speed=speed))["speed"]
     trot, walking, _ = figure.axes

@@ -22,7 +22,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.release, pytest.mark.usefixtures("sh
 FREQUENCIES = (0.5, 0.67, 0.8)
 #: Frequencies and radii of the quarter circles that are walked with `-m long` only.
 LONG_TURNS = ((0.5, 0.5), (0.5, 1.0), (0.67, 1.0), (0.8, 1.0))
-TROTS = ("trt", "trt1")
+TROTS = ("trot", "walking_trot")
 DAMPED = {"damping.knee": 0.02531, "damping.ankle": 0.02531, "damping.spine": 0.09242}
 #: It stands on stiff soles of 2 mm, and its tendons go taut at once.
 DAMPED |= {"contact.time_constant": 0.008, "contact.damping_ratio": 2.0, "contact.width": 0.0005}
@@ -96,18 +96,18 @@ def test_nobody_falls_on_the_straight_line_and_all_that_stride_arrive(line):
 
 @pytest.mark.parametrize("frequency", FREQUENCIES)
 def test_trot_is_faster_than_walking_trot_and_that_than_the_lateral_walk(line, frequency):
-    speeds = [walk(line, "speed", gait, frequency) for gait in (*TROTS, "lat")]
+    speeds = [walk(line, "speed", gait, frequency) for gait in (*TROTS, "lateral_walk")]
     assert speeds[0] > speeds[1] > speeds[2]
 
 
 def test_the_spine_alone_walks(line):
     """Stride 0: at least 15 mm/s (published: 19, 20 % below theory); no term of the identification."""
-    assert 1e3 * walk(line, "speed", "trt", 0.8, True, stride=0.0) >= 15.0
+    assert 1e3 * walk(line, "speed", "trot", 0.8, True, stride=0.0) >= 15.0
 
 
 def test_trot_and_lateral_walk_are_as_fast_as_published(line):
     """10 % below 96 mm/s, and 27 % slower than that: 80 to 96, and 60 to 76 mm/s; the ratio within 15 to 45 %."""
-    trot, lateral = (1e3 * walk(line, "speed", gait, 0.8) for gait in ("trt", "lat"))
+    trot, lateral = (1e3 * walk(line, "speed", gait, 0.8) for gait in ("trot", "lateral_walk"))
     assert 80.0 <= trot <= 96.0
     assert 60.0 <= lateral <= 76.0
     assert 1.15 <= trot / lateral <= 1.45
@@ -115,10 +115,10 @@ def test_trot_and_lateral_walk_are_as_fast_as_published(line):
 
 def test_four_feet_lift_in_trot(line):
     """Rear feet loaded at most 75 % of the time, slip at most 30 mm/s, at least half of the foot load in front."""
-    assert walk(line, "loaded_rear", "trt", 0.8) <= 0.75
-    assert 1e3 * walk(line, "slip", "trt", 0.8) <= 30.0
-    assert walk(line, "front_load_share", "trt", 0.8) >= 0.5
-    ends = (walk(line, f"roll_{end}", "trt", 0.8, True) for end in ("min", "max"))
+    assert walk(line, "loaded_rear", "trot", 0.8) <= 0.75
+    assert 1e3 * walk(line, "slip", "trot", 0.8) <= 30.0
+    assert walk(line, "front_load_share", "trot", 0.8) >= 0.5
+    ends = (walk(line, f"roll_{end}", "trot", 0.8, True) for end in ("min", "max"))
     assert np.degrees(max(map(abs, ends))) <= 10.0
 
 
@@ -127,7 +127,7 @@ def test_the_cycle_is_looked_into_where_it_was_described(line):
     looked_into = np.isfinite(line.columns["pitch_peaks"])
     assert looked_into.sum() == 4
     assert set(line.columns["stride"][looked_into]) == {0.8, 1.0}
-    assert set(line.columns["gait"][looked_into]) == {"trt"}
+    assert set(line.columns["gait"][looked_into]) == {"trot"}
 
 
 def test_the_best_phase_of_the_spine_is_12_percent_faster_than_none_and_the_worst_slower():
@@ -150,7 +150,7 @@ def test_the_spine_makes_both_trots_faster_and_roll_and_yaw_noisier(line, gait, 
 def test_offset_compensation_lowers_the_roll(line):
     """To 0.95 of its std and 0.79 of its amplitude (published: 0.85 and 0.875, see the report's reasons)."""
     bare, compensated = (
-        [walk(line, f"roll_{end}", "trt", 0.67, True, compensated=on) for end in ("std", "min", "max")]
+        [walk(line, f"roll_{end}", "trot", 0.67, True, compensated=on) for end in ("std", "min", "max")]
         for on in (False, True)
     )
     assert compensated[0] <= 0.97 * bare[0]
@@ -198,7 +198,7 @@ def test_the_paths_that_are_followed_are_the_published_ones(turns):
     too, but by both.
     """
     cases, followed, error = circles(turns)
-    published = ("lat", 0.8, "spine", 0.5)
+    published = ("lateral_walk", 0.8, "spine", 0.5)
     assert [case for case in cases if not followed[case] and case != published] == []
     assert max((case for case in cases if case[3] == 0.5), key=error.__getitem__)[:2] == published[:2]
 
@@ -224,7 +224,7 @@ def circles(turns: CaseRuns) -> tuple[list[tuple], dict[tuple, bool], dict[tuple
 
 
 def test_full_lock_by_the_spine_has_both_theories_beside_it(turns):
-    case = {"gait": "trt", "frequency": 0.67, "radius": walks.FULL_LOCK, "side": "left", "stride": STRIDE}
+    case = {"gait": "trot", "frequency": 0.67, "radius": walks.FULL_LOCK, "side": "left", "stride": STRIDE}
     assert value(turns, "theory_equal_strides", strategy="spine", **case) == pytest.approx(0.441, abs=1e-3)
     assert value(turns, "theory_radius", strategy="spine", **case) == pytest.approx(0.295, abs=2e-3)
     assert np.isnan(value(turns, "theory_equal_strides", strategy="leg", **case))

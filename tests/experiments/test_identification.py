@@ -32,7 +32,7 @@ pytestmark = pytest.mark.draws
 
 def test_a_residual_counts_tolerances_of_the_logarithm():
     """10 % off is about one; inside an interval it is none; an order is missed by 2 % a unit."""
-    value, order = TARGETS["trt, 0.8 Hz, over lat"], TARGETS["trt, 0.8 Hz, over trt1"]
+    value, order = TARGETS["trot, 0.8 Hz, over lateral walk"], TARGETS["trot, 0.8 Hz, over walking trot"]
     assert value.residual(np.array(1.27)) == pytest.approx(0.0)
     assert value.residual(np.array(1.27 * np.exp(0.1))) == pytest.approx(1.0)
     assert value.residual(np.array(1.27 * np.exp(-0.2))) == pytest.approx(-2.0)
@@ -46,7 +46,7 @@ def test_a_robot_that_walks_as_published_costs_nothing_and_a_fallen_one_the_most
     costs = objective(published, np.array([False, True]))
     assert costs[0] == pytest.approx(0.0, abs=1e-12)
     assert costs[1] == 10.0
-    published["trt, 0.8 Hz, over lat"] = np.array([np.nan, 1.27 * np.exp(0.1)])
+    published["trot, 0.8 Hz, over lateral walk"] = np.array([np.nan, 1.27 * np.exp(0.1)])
     costs = objective(published, np.array([False, False]))
     assert costs[0] == 10.0
     assert costs[1] == pytest.approx(1 / np.sqrt(len(TARGETS)))
@@ -91,10 +91,11 @@ def test_figures_are_ratios_of_the_right_speeds():
     speed = {case: 0.05 + 0.01 * i for i, case in enumerate(cases)}
     found = speed_figures(np.array([[speed[case] for case in cases]]))
     expected = {
-        "trt, 0.8 Hz, over theory": speed["trt", 0.8, False] / 0.096,
-        "trt, 0.5 Hz, spine over none": speed["trt", 0.5, True] / speed["trt", 0.5, False],
-        "trt with spine, 0.8 Hz, over lat": speed["trt", 0.8, True] / speed["lat", 0.8, False],
-        "trt1, 0.5 Hz, over lat": speed["trt1", 0.5, False] / speed["lat", 0.5, False],
+        "trot, 0.8 Hz, over theory": speed["trot", 0.8, False] / 0.096,
+        "trot, 0.5 Hz, spine over none": speed["trot", 0.5, True] / speed["trot", 0.5, False],
+        "trot with spine, 0.8 Hz, over lateral walk": speed["trot", 0.8, True] / speed["lateral_walk", 0.8, False],
+        "walking trot, 0.5 Hz, over lateral walk": speed["walking_trot", 0.5, False]
+        / speed["lateral_walk", 0.5, False],
     }
     assert set(found) == set(TARGETS)
     for name, value in expected.items():
@@ -117,8 +118,8 @@ class Pretended:
         away = np.log(values["servo.kp"] / 9.0)
         if "contact.friction" in values:
             away = np.hypot(away, np.log(values["contact.friction"] / 1.4))
-        base = {("trt", 0.5): 0.06, ("trt", 0.8): 0.0864, ("trt1", 0.5): 0.055, ("trt1", 0.8): 0.08}
-        base |= {("lat", 0.5): 0.05, ("lat", 0.8): 0.0864 / 1.27}
+        base = {("trot", 0.5): 0.06, ("trot", 0.8): 0.0864, ("walking_trot", 0.5): 0.055, ("walking_trot", 0.8): 0.08}
+        base |= {("lateral_walk", 0.5): 0.05, ("lateral_walk", 0.8): 0.0864 / 1.27}
         speed = np.empty(len(away))
         for i in range(len(away)):
             case = CASES[i % len(CASES)].labels
@@ -180,7 +181,7 @@ def test_the_set_up_of_the_tests_is_searched_from_the_authors_values_in_the_publ
     first = {name: float(values[0]) for name, values in asked[0].items()}
     assert (first["servo.kp"], first["damping.spine"], first["stance.rear_z"]) == (60.0, 0.01, -0.042)
     assert (first["tracking.clock_ratio"], first["pilot.error_gain"], first["servo.torque_limit"]) == (0.4, 0.0, 0.4)
-    assert found.start_figures["trt, 0.8 Hz, over theory"][0] == pytest.approx(0.36 * 60 / 9, rel=1e-3)
+    assert found.start_figures["trot, 0.8 Hz, over theory"][0] == pytest.approx(0.36 * 60 / 9, rel=1e-3)
     with pytest.raises(ParameterError, match="profile is 'as_built'"):
         IdentificationSearch(profile="as_built")
 

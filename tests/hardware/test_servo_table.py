@@ -29,15 +29,15 @@ pytestmark = pytest.mark.compiles
 
 #: The balancing spine jumps where a leg switches, so that no tick may fall on a switch but for its rounding.
 GAITS = [
-    (Setup(gait="trt", spine="stride_extension"), {"frequency": 0.8, "spine.phase": -0.5}),
-    (Setup(gait="lat", steering="mix"), {"frequency": 0.5, "pilot.turn_rate": -0.4}),
+    (Setup(gait="trot", spine="stride_extension"), {"frequency": 0.8, "spine.phase": -0.5}),
+    (Setup(gait="lateral_walk", steering="mix"), {"frequency": 0.5, "pilot.turn_rate": -0.4}),
     (
-        Setup(gait="trt1", spine="stride_extension+balance"),
+        Setup(gait="walking_trot", spine="stride_extension+balance"),
         {"frequency": 1.0, "spine.offset_compensation": 1.0, "start.phase": 0.004},
     ),
     # In the stance of the tests the rear knees would go beyond the servos' range.
     (
-        Setup(gait="trt", spine="stride_extension", profile="as_published"),
+        Setup(gait="trot", spine="stride_extension", profile="as_published"),
         {"frequency": 0.8, "stance.front_z": -0.045, "stance.rear_z": -0.05, "stance.rear_y": 0.0},
     ),
 ]
@@ -67,7 +67,7 @@ def test_a_table_is_what_the_simulation_commands(setup: Setup, values: dict[str,
 
 def test_a_servo_is_where_the_leg_needs_it_at_the_end_of_stance() -> None:
     """By the closed form alone: at phase 0 of the trot, a front left stance begins half a cycle later at the front."""
-    table = servo_table(Setup(gait="trt"), {"frequency": 1.0}, rate=100.0)
+    table = servo_table(Setup(gait="trot"), {"frequency": 1.0}, rate=100.0)
     half = table.angles[50]
     # The stance of front left begins at phase 0.5: its foot is half a stride ahead of its neutral place.
     place = np.array([-0.005 - 0.03, -0.045])
@@ -81,7 +81,7 @@ def test_a_servo_is_where_the_leg_needs_it_at_the_end_of_stance() -> None:
 @pytest.mark.parametrize("rate", [30.0, 50.0, 120.0])
 def test_whole_cycles_are_whole_rows(frequency: float, rate: float) -> None:
     """The rows divide the cycles evenly, at nearly the rate asked for, and the end leads to the beginning."""
-    table = servo_table(Setup(gait="trt"), {"frequency": frequency}, rate=rate, cycles=3)
+    table = servo_table(Setup(gait="trot"), {"frequency": frequency}, rate=rate, cycles=3)
     assert table.rate == pytest.approx(rate, rel=0.51 / len(table.time))
     assert len(table.time) / table.rate == pytest.approx(3 / frequency, rel=1e-12)
     steps = np.abs(np.diff(np.concatenate([table.angles, table.angles[:1]]), axis=0)).max(axis=1)
@@ -95,7 +95,7 @@ def test_whole_cycles_are_whole_rows(frequency: float, rate: float) -> None:
 def test_left_and_right_turns_mirror_each_other() -> None:
     """A trot's turn to the left is that to the right, half a cycle later on the other side."""
     tables = [
-        servo_table(Setup(gait="trt", steering="mix"), {"frequency": 1.0, "pilot.turn_rate": turn}, rate=100.0)
+        servo_table(Setup(gait="trot", steering="mix"), {"frequency": 1.0, "pilot.turn_rate": turn}, rate=100.0)
         for turn in (0.6, -0.6)
     ]
     left, right = (table.angles for table in tables)
@@ -162,11 +162,11 @@ def test_the_csv_is_read_by_pandas_and_by_hand() -> None:
 def test_the_command_writes_the_table(tmp_path: Path) -> None:
     """The same numbers as from Python, and nothing but JSON on standard output."""
     out = tmp_path / "new" / "gait.csv"
-    words = f"servos --gait lat --frequency 0.5 --turn-rate 0.3 --rate 40 --cycles 2 --out {out} --json"
+    words = f"servos --gait lateral_walk --frequency 0.5 --turn-rate 0.3 --rate 40 --cycles 2 --out {out} --json"
     command = [sys.executable, "-m", "nermo_mjx", *words.split()]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     report = json.loads(done.stdout)
-    table = servo_table(Setup(gait="lat"), {"frequency": 0.5, "pilot.turn_rate": 0.3}, rate=40.0, cycles=2)
+    table = servo_table(Setup(gait="lateral_walk"), {"frequency": 0.5, "pilot.turn_rate": 0.3}, rate=40.0, cycles=2)
     assert report["rows"] == len(table.time) == 160
     assert [servo["servo"] for servo in report["servos"]] == list(table.names)
     np.testing.assert_allclose(pd.read_csv(out, comment="#").to_numpy()[:, 1:], table.angles, atol=5.1e-4)
@@ -193,7 +193,7 @@ def test_a_recorded_walk_gives_what_was_commanded(tmp_path: Path) -> None:
     table = pd.read_csv(out, comment="#")
     np.testing.assert_allclose(table["spine [deg]"], recorded_table(recording, setup.load()).angles[:, 8], atol=6e-4)
     assert "not periodic, to be played once" in out.read_text()
-    refused = call("servos", "--recording", path, "--gait", "lat", "--out", out)
+    refused = call("servos", "--recording", path, "--gait", "lateral_walk", "--out", out)
     assert (refused.exit_code, "--gait has no effect with --recording" in refused.stderr) == (2, True)
     with pytest.raises(ParameterError, match="has one row then"):
         recorded_table(recording, setup.load(), rate=1.0)
@@ -222,6 +222,6 @@ def test_parts_that_would_touch_are_named_with_the_time(side: int, tmp_path: Pat
 
 
 def test_a_cycle_and_three_cycles_are_the_same_gait() -> None:
-    one = servo_table(Setup(gait="lat"), {"frequency": 0.5}, rate=50.0)
-    three = servo_table(Setup(gait="lat"), {"frequency": 0.5}, rate=50.0, cycles=3)
+    one = servo_table(Setup(gait="lateral_walk"), {"frequency": 0.5}, rate=50.0)
+    three = servo_table(Setup(gait="lateral_walk"), {"frequency": 0.5}, rate=50.0, cycles=3)
     np.testing.assert_allclose(np.tile(one.angles, (3, 1)), three.angles, atol=1e-4)

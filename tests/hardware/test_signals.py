@@ -9,7 +9,7 @@ import pytest
 
 from nermo_mjx.hardware import read_log
 from nermo_mjx.hardware.log import Channel, Log
-from nermo_mjx.hardware.signals import differences, findings_of, lag_of
+from nermo_mjx.hardware.signals import channel_differences, findings_of, lag_of
 
 SERVOS = ("hip_1", "hip_2", "hip_3", "front_knee", "spine")
 
@@ -117,12 +117,12 @@ def test_a_track_is_compared_in_its_own_frame():
         ),
         "l",
     )
-    x, y, yaw = differences(log, twin)
+    x, y, yaw = channel_differences(log, twin)
     assert (x.name, y.name, x.unit) == ("mark x", "mark y", "m")
     assert [x.rms, y.rms] == pytest.approx([1e-3, 1e-3], rel=0.1)
     assert yaw.rms < 1e-12
     other = dataclasses.replace(twin.channels[0], values=track * [1.0, -1.0, 1.0])
-    assert differences(log, Log((other,), "mirrored"))[1].rms > 0.005, "a mirrored track is no turned one"
+    assert channel_differences(log, Log((other,), "mirrored"))[1].rms > 0.005, "a mirrored track is no turned one"
 
 
 def test_gaps_are_not_compared():
@@ -130,5 +130,5 @@ def test_gaps_are_not_compared():
     one = Channel("a", "angle", "x", times, sines(times), "rad")
     whole = np.arange(0, 5, 0.01)
     other = Channel("a", "angle", "x", whole, np.where((whole > 2) & (whole < 3), 9.0, sines(whole)), "rad")
-    assert differences(Log((one,), ""), Log((other,), ""))[0].rms < 1e-9
-    assert differences(Log((other,), ""), Log((one,), ""))[0].rms < 1e-9
+    assert channel_differences(Log((one,), ""), Log((other,), ""))[0].rms < 1e-9
+    assert channel_differences(Log((other,), ""), Log((one,), ""))[0].rms < 1e-9

@@ -67,7 +67,7 @@ def test_without_a_command_it_is_a_walk_bit_for_bit():
 
 def test_it_switches_as_a_schedule_does():
     """A gait and a mode that it did not start with; the frequency, on which a blend's length hangs, stays."""
-    switch = Switch(0.8, gait="lat", spine="stride_extension", values={"stride": 0.7})
+    switch = Switch(0.8, gait="lateral_walk", spine="stride_extension", values={"stride": 0.7})
     setup = Setup(pilot="open_loop", schedule=(switch,))
     trace = Simulator(setup, "c").run({"frequency": 0.8}, Run(duration=2.5), record=True).trace
     qpos, ctrl = walked(Driving(setup, {"frequency": 0.8}), 250)
@@ -77,9 +77,9 @@ def test_it_switches_as_a_schedule_does():
 
 def test_commands_within_a_blend_are_continuous_and_make_the_run_again_bit_for_bit(running):
     commands = [
-        (50, Switch(0, gait="lat")),
+        (50, Switch(0, gait="lateral_walk")),
         (80, Switch(0, spine="stride_extension", values={"frequency": 1.1})),
-        (120, Switch(0, gait="trt", values={"pilot.turn_rate": 0.5})),
+        (120, Switch(0, gait="trot", values={"pilot.turn_rate": 0.5})),
         (150, Switch(0, spine="none", blend=0.3)),
     ]
     first = walked(running, 250, commands)
@@ -95,7 +95,7 @@ def test_commands_within_a_blend_are_continuous_and_make_the_run_again_bit_for_b
 
 def test_a_command_beside_a_longer_one_leaves_it_its_length(running):
     """A slider that is moved while the gait changes: the gait is that of the gait's command alone, tick by tick."""
-    gait, stride = Switch(0, gait="lat", blend=1.0), Switch(0, values={"stride": 0.8}, blend=0.1)
+    gait, stride = Switch(0, gait="lateral_walk", blend=1.0), Switch(0, values={"stride": 0.8}, blend=0.1)
 
     def now(driving: Driving) -> list[float]:
         values = dict(values_of(driving.control))
@@ -110,7 +110,7 @@ def test_a_command_beside_a_longer_one_leaves_it_its_length(running):
     assert duty[20] == 0.5 < duty[82] < 0.6 < duty[-1] == pytest.approx(0.68)
     assert stride[49] == 1.0 > stride[56] > stride[-1] == pytest.approx(0.8)
     running.command(gait)
-    running.command(Switch(0, gait="trt"))
+    running.command(Switch(0, gait="trot"))
     with pytest.raises(ParameterError, match="beside the change before"):
         running.command(Switch(0, values={"frequency": 0.1}))
 
@@ -125,8 +125,8 @@ def test_a_command_beside_a_longer_one_leaves_it_its_length(running):
         (Switch(0, values={"contact.friction": 1}), r"'contact.friction'"),
         (Switch(0, values={"stride": 1.2, "stance.max_stride": 0.08}), r"stride is 1.2: .* allowed is \[0, 1.050\]"),
         (Switch(0, spine="pitch_balance"), r"spine is 'pitch_balance'.*allowed"),
-        (Switch(0, gait="lat", blend=0.1), r"blend is 0.1: allowed is more than 0.32 cycles"),
-        (Switch(0, gait="lat", blend=0.0), r"blend is 0: allowed is \[0.05, 100\]"),
+        (Switch(0, gait="lateral_walk", blend=0.1), r"blend is 0.1: allowed is more than 0.32 cycles"),
+        (Switch(0, gait="lateral_walk", blend=0.0), r"blend is 0: allowed is \[0.05, 100\]"),
     ],
 )
 def test_a_command_that_is_refused_changes_nothing(running, switch, sentence):
@@ -268,7 +268,7 @@ def test_a_drive_is_made_again_bit_for_bit(tmp_path):
     driving = Driving(Setup(pilot="open_loop", schedule=(Switch(0.4, values={"stride": 0.8}),)), {"frequency": 0.8})
     for tick in range(150):
         if tick == 50:
-            driving.command(Switch(driving.time, gait="lat", spine="stride_extension"))
+            driving.command(Switch(driving.time, gait="lateral_walk", spine="stride_extension"))
         if tick == 70:
             driving.push(1, (1.5, 0.0, 0.5), 0.2)
         driving.tick()
@@ -293,7 +293,7 @@ def test_a_sweep_walks_as_was_driven(tmp_path):
         if tick == 20:
             driving.command(Switch(driving.time, blend=0.15, values={"stride": 0.8}))
         if tick == 60:
-            driving.command(Switch(driving.time, gait="lat", spine="stride_extension"))
+            driving.command(Switch(driving.time, gait="lateral_walk", spine="stride_extension"))
         driving.tick()
     file, recorded = tmp_path / "drive.npz", driving.recording()
     recorded.save(file)
@@ -469,7 +469,7 @@ def test_what_is_driven_is_in_a_journal_at_every_moment(recorded, tmp_path):
     made, page, thread = recorded
     copies, journal = list[tuple[int, bytes]](), tmp_path / "d.jsonl"
     for k in range(6):
-        page.send(json.dumps({"set": {"stride": 0.9 - 0.05 * k}, "blend": 0.3} if k != 2 else {"gait": "lat"}))
+        page.send(json.dumps({"set": {"stride": 0.9 - 0.05 * k}, "blend": 0.3} if k != 2 else {"gait": "lateral_walk"}))
         push = {"body": 1, "force": [1.0, 0.0, 0.0], "seconds": 0.1}
         page.send(json.dumps({"push": push} if k == 3 else {"speed": 1.0}))
         time.sleep(0.4)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import errno
+import io
 import json
 import re
 import signal
@@ -429,9 +431,38 @@ def test_what_it_was_sent_and_what_it_measured_is_a_log(signed, driving, tmp_pat
     angles = found.of_quantity("angle")["spine"]
     assert len(angles.times) > 390
     np.testing.assert_allclose(angles.values[-1], both.measured.pose[both.body.robot.servos.index("spine")], atol=1e-6)
-    assert [each for each in findings_of(found) if "mirrored" in each or "unit" in each or "clock" in each] == []
+    assert findings_of(found) == ()
     with pytest.raises(FileExistsError):
         LinkLog(tmp_path / "robot.csv", channels, both.body.robot, both.clock)
+
+
+def test_a_log_on_a_full_disk_is_told_and_the_drive_goes_on(driving, monkeypatch, tmp_path) -> None:
+    class Full(io.BytesIO):
+        fileno = staticmethod(lambda: 0)
+
+        def write(self, content: Any) -> int:
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(driving, "needed", set())
+    monkeypatch.setattr(driving, "_url", "print:")
+    monkeypatch.setattr(driving, "_log", tmp_path / "robot.csv")
+    with driving.reach():
+        driving.measured.log._file = Full()
+        driving.run(0.3)
+    assert driving.driven.walked == pytest.approx(0.3)
+    assert driving.failures() == [f"{tmp_path / 'robot.csv'}: the log cannot be written (No space left on device)."]
+
+
+def test_stamps_of_a_robot_are_the_times_of_what_it_measured(driving, tmp_path) -> None:
+    """However late its messages come: what is lost or overtaken is missing, and the others are 10 ms apart."""
+    both = Together(driving, delay=0.05, loss=0.02)
+    log = both.measured.log = LinkLog(tmp_path / "robot.csv", CHANNELS, both.body.robot, both.clock)
+    both.walk(3.0)
+    log.end()
+    times = read_log(log.path, log.about).channel("angle", "spine").times
+    apart = np.diff(times) / both.body.dt
+    np.testing.assert_allclose(apart, np.round(apart), atol=1e-6)
+    assert (np.round(apart) > 1).sum() > 10
 
 
 @pytest.mark.parametrize(

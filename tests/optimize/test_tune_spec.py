@@ -11,7 +11,7 @@ from nermo_mjx.sweep import SpecError
 
 GOOD = """\
 robot: nermo_lite
-gait: trt
+gait: trot
 spine: stride_extension
 pilot: straight
 run: {cycles: 6, warmup_cycles: 2}
@@ -47,10 +47,10 @@ ARC = (ARC[0], ARC[0].replace("straight", "{arc: {radius: 0.5}}").replace("frequ
 SMALL = {"tune": {"duty": {"bounds": [0.4, 0.7]}}, "objective": [{"maximize": "speed"}]}
 #: For each rule: what is replaced by what, and the line and the field of the message.
 WRONG = [
-    ("gait: trt", "gate: trt", 2, "gate"),
+    ("gait: trot", "gate: trot", 2, "gate"),
     ("set:", "duty: 0.5\nset:", 6, "duty"),
     ("seed: 1", "vary: {duty: [0.5]}", 20, "vary"),
-    ("seed: 1", "gait: trt", 20, "gait"),
+    ("seed: 1", "gait: trot", 20, "gait"),
     ("spine.amplitude", "spine.amplitud", 8, "spine.amplitud"),
     (TUNE, "tune: {}\n", 7, "tune"),
     (AMPLITUDE, "0.2", 8, "spine.amplitude"),
@@ -186,7 +186,7 @@ def test_the_digest_tells_tunings_apart():
     others = [
         {"seed": 1},
         {"starts": 2},
-        {"gait": "lat"},
+        {"gait": "lateral_walk"},
         {"optimizer": "sgd"},
         {"set": {"frequency": 0.8}},
         {"run": {"cycles": 9}},

@@ -17,7 +17,7 @@ pytestmark = pytest.mark.compiles
 
 #: The same program as the one in notebooks/03_gradient_tuning.ipynb, so that one of them finds it compiled.
 SPEC = {
-    "gait": "trt",
+    "gait": "trot",
     "spine": "stride_extension",
     "run": {"duration": 0.1, "warmup": 0.02},
     "set": {"frequency": 0.8},

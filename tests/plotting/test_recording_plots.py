@@ -80,7 +80,7 @@ def recording() -> Recording:
         "servo_angle": 0.9 * ctrl,
     }
     qpos = np.tile(model.qpos0, (600, 1))
-    metadata = {"setup": {"gait": "lat"}, "parameters": VALUES}
+    metadata = {"setup": {"gait": "lateral_walk"}, "parameters": VALUES}
     return Recording(time, qpos, np.zeros((600, model.nv)), ctrl, sensors, model_hash(model), metadata)
 
 

@@ -272,12 +272,12 @@ def test_walks_agree_with_the_authors_model_where_nobody_published(
 
 def test_the_profile_is_what_his_repository_held():
     """Dated commits: the stance from 19 July to 2 September 2021, 100 Hz, 0.11 a tick, 0.4 N m; and A.7 elsewhere."""
-    values = published_values("trt", profile="as_published")
+    values = published_values("trot", profile="as_published")
     stance = tuple(values[f"stance.{each}"] for each in ("front_y", "front_z", "rear_y", "rear_z"))
     assert stance == (-0.005, -0.038, 0.01, -0.042)
     assert (values["tracking.clock_ratio"], values["turning.leg"], values["turning.spine"]) == (0.4, 0.0, 1.0)
     assert values["tracking.foot_gain"] == pytest.approx(0.1258, abs=1e-4)
     assert AS_PUBLISHED_BODY["servo.torque_limit"] * AS_PUBLISHED_BODY["servo.spine_torque"] == pytest.approx(0.157)
     assert (FRONT_LEG.neutral_foot, REAR_LEG.neutral_foot) == ((-0.005, -0.045), (0.0, -0.05))
-    assert published_values("trt", profile="as_built")["stride"] == 0.8
+    assert published_values("trot", profile="as_built")["stride"] == 0.8
     assert Setup(steering="leg", profile="as_published").steering == "leg"

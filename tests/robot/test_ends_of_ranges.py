@@ -28,8 +28,14 @@ ALL = {
 LONG_TERRAINS = [pytest.param(scene, marks=pytest.mark.long) for scene in ("ramp", "logs", "stairs", "slalom")]
 COMBINED = (
     {"spine": "stride_extension"},
-    {"gait": "trt1", "spine": "balance", "steering": "spine", "pilot": "open_loop"},
-    {"gait": "lat", "spine": "stride_extension+harmonics", "steering": "mix", "pilot": "arc", "trajectory": "free"},
+    {"gait": "walking_trot", "spine": "balance", "steering": "spine", "pilot": "open_loop"},
+    {
+        "gait": "lateral_walk",
+        "spine": "stride_extension+harmonics",
+        "steering": "mix",
+        "pilot": "arc",
+        "trajectory": "free",
+    },
     {"gait": "bound", "trajectory": "linear", "tail": "articulated", "tail_motion": "counter_yaw"},
     {"gait": "gallop", "spine": "sagittal_extension", "robot": "nermo_41", "head": "gaze"},
     {"spine": "stride_extension+pitch_balance", "robot": "nermo_41", "routing": "type1", "profile": "as_published"},

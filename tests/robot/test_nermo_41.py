@@ -194,7 +194,7 @@ def test_a_bound_walks_forward_with_and_without_the_vertical_spine(simulator, mo
 
 def test_pitch_balance_calms_the_torso_without_costing_speed(simulator):
     """In the lateral walk the pitch's standard deviation is less than half of that with the gain 0."""
-    sim = simulator(robot="nermo_41", gait="lat", spine="pitch_balance")
+    sim = simulator(robot="nermo_41", gait="lateral_walk", spine="pitch_balance")
     result = sim.run({"spine.pitch_gain": np.array([0.0, 2.0])}, Run(cycles=8, warmup_cycles=3))
     free, balanced = result.metrics["pitch_std"]
     assert balanced < 0.5 * free

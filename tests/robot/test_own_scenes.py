@@ -81,7 +81,7 @@ def test_a_file_a_text_and_a_specification_are_one_scene(tmp_path, monkeypatch):
     assert len(set(setups)) == 1
     assert setups[0].load().fingerprint == load_robot(scene=spec).fingerprint
     assert pickle.loads(pickle.dumps(setups[0])) == setups[0]
-    assert dataclasses.replace(setups[0], gait="lat").scene == setups[0].scene
+    assert dataclasses.replace(setups[0], gait="lateral_walk").scene == setups[0].scene
     assert setups[0] != Setup(scene=YARD.replace("0.51", "0.52"))
     assert [geom.contype for geom in spec.geoms] == [1] * 5  # what was given is as it was
 
@@ -220,7 +220,7 @@ def test_a_sweep_finds_a_scene_beside_its_file_and_keeps_it(tmp_path):
 def test_a_file_says_where_a_wrong_scene_stands(wrong):
     """With the line and the field."""
     with pytest.raises(SpecError, match=r"^s\.yaml:2: field 'scene' "):
-        Sweep.from_text(f"gait: trt\nscene: {wrong!r}\nvary: {{frequency: [0.5, 0.8]}}\n", "s.yaml")
+        Sweep.from_text(f"gait: trot\nscene: {wrong!r}\nvary: {{frequency: [0.5, 0.8]}}\n", "s.yaml")
 
 
 # --- where the ground is

@@ -25,7 +25,7 @@ BOUNDS = {"slip": 0.15, "servo_work": 0.065, "cost_of_transport": 0.065, "yaw_st
     f"duty_{limb}": 0.04 for limb in LIMBS
 }
 #: Gaits, and the ends of the published range of frequencies [Hz].
-GAITS, FREQUENCIES = ("trt", "trt1", "lat"), (0.5, 0.8)
+GAITS, FREQUENCIES = ("trot", "walking_trot", "lateral_walk"), (0.5, 0.8)
 GAIT_METRICS = (
     "speed",
     "distance",

@@ -160,7 +160,7 @@ class Nested:
     ("choices", "message"),
     [
         ({"controller": 3}, "controller is of type int, which has no dt and no parameters"),
-        ({"controller": Still(), "gait": "lat"}, "gait is 'lat' beside a custom controller"),
+        ({"controller": Still(), "gait": "lateral_walk"}, "gait is 'lateral_walk' beside a custom controller"),
         ({"controller": Controller(), "spine": "balance"}, "spine is 'balance' beside a custom controller"),
         ({"controller": Still(dt=0.007)}, "timestep is 0.002: allowed is the control period 0.007 s divided by"),
         ({"controller": Still(parameters=Nested())}, "controller has a parameter 'start.x', which is one of the robot"),
@@ -190,7 +190,7 @@ def test_each_part_of_the_published_controller_can_be_replaced() -> None:
     """With the part that it has, it is the same controller; a custom spine is a function."""
     assert Controller(spine=SpineModes("stride_extension")) == published_controller(spine="stride_extension")
     waving = Controller(spine=lambda params, phase, turn_rate, feet, stance: params.spine.amplitude * phase)
-    params = Setup(controller=waving, gait="lat").world({"spine.amplitude": 0.2}).control
+    params = Setup(controller=waving, gait="lateral_walk").world({"spine.amplitude": 0.2}).control
     assert params.gait.duty == pytest.approx(0.68)
     robot = Setup().load()
     state = jax.jit(waving.init)(params, robot.sensors(np.zeros(robot.model.nsensordata)), 0.5)
@@ -241,7 +241,7 @@ def test_a_run_in_cycles_lasts_as_the_controller_says() -> None:
         ({"vary": {"stride": [0.5, 1.0]}}, "'stride' is not a parameter; allowed are frequency, reach, lift, lag"),
         ({"vary": {"reech": [0.01]}}, "did you mean 'reach'?"),
         ({"vary": {"reach": [0.01, 0.1]}}, r"is 0.1: allowed is \[0, 0.06\] m"),
-        ({"gait": "lat"}, "field 'gait' is 'lat' beside a custom controller"),
+        ({"gait": "lateral_walk"}, "field 'gait' is 'lateral_walk' beside a custom controller"),
         ({"controller": "bund.py:Bound"}, "field 'controller' is '.*bund.py:Bound': .* cannot be read"),
         ({"controller": 3}, "field 'controller' is the number 3: expected FILE.py:NAME"),
     ],
@@ -266,10 +266,10 @@ def test_the_gait_of_a_controller_with_other_parts_stands_in_the_file(tmp_path: 
         "stiff = Controller(spine=lambda params, phase, turn_rate, feet, stance: 0.0 * phase)\n"
     )
     sweep = Sweep.from_dict(
-        {"controller": f"{tmp_path / 'stiff.py'}:stiff", "gait": "lat", "vary": {"stride": [0.5, 1]}}
+        {"controller": f"{tmp_path / 'stiff.py'}:stiff", "gait": "lateral_walk", "vary": {"stride": [0.5, 1]}}
     )
     again = Sweep.from_text(sweep.to_yaml())
-    assert (again.setup.gait, again.digest()) == ("lat", sweep.digest())
+    assert (again.setup.gait, again.digest()) == ("lateral_walk", sweep.digest())
     assert again.setup.defaults()["duty"] == 0.68
 
 

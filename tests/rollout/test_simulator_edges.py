@@ -125,5 +125,5 @@ def test_a_profile_chooses_its_robot_unless_one_is_given():
     assert dataclasses.replace(Setup(tail="articulated"), profile="as_built").tail == "articulated"
     assert Setup(profile="as_published", tail="rigid").tail == "rigid"
     assert without_presettings(published) != without_presettings(Setup())
-    assert without_presettings(Setup(profile="as_built")) == without_presettings(Setup(gait="lat"))
+    assert without_presettings(Setup(profile="as_built")) == without_presettings(Setup(gait="lateral_walk"))
     assert type(published.fields()["tail"]) is str

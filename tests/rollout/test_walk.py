@@ -11,7 +11,7 @@ FREQUENCIES = np.array([0.5, 0.67, 0.8])
 LONG = Run(cycles=10, warmup_cycles=2)
 
 
-@pytest.mark.parametrize("gait", ["trt", "trt1", "lat"])
+@pytest.mark.parametrize("gait", ["trot", "walking_trot", "lateral_walk"])
 @pytest.mark.parametrize("spine", ["none", "stride_extension"])
 def test_every_gait_walks_without_falling(simulator, gait, spine):
     """All three gaits cover ground at every published frequency, with and without the spine, and stay upright."""
@@ -23,7 +23,7 @@ def test_every_gait_walks_without_falling(simulator, gait, spine):
 
 def test_trot_speed_without_spine_is_near_the_theory_without_slip(simulator):
     """Ideal trot at 0.8 Hz and full stride: 0.080 to 0.100 m/s; (5.21) gives 0.096."""
-    result = simulator(gait="trt").run({"frequency": 0.8}, LONG)
+    result = simulator(gait="trot").run({"frequency": 0.8}, LONG)
     assert 0.080 <= result.metrics["speed"][0] <= 0.100
 
 
@@ -47,7 +47,7 @@ def test_the_best_spine_phase_gains_and_the_worst_loses(simulator):
 def test_speed_is_linear_in_frequency_and_stride(simulator, name):
     """The speed law (5.21): R^2 of a line through the speeds is at least 0.98."""
     x = {"frequency": np.linspace(0.4, 0.9, 6), "stride": np.linspace(0.25, 1.0, 6)}[name]
-    result = simulator(gait="trt").run({"frequency": np.full(6, 0.8), name: x}, LONG)
+    result = simulator(gait="trot").run({"frequency": np.full(6, 0.8), name: x}, LONG)
     speed = result.metrics["speed"]
     residual = speed - np.polyval(np.polyfit(x, speed, 1), x)
     assert 1 - residual.var() / speed.var() >= 0.98
@@ -56,7 +56,7 @@ def test_speed_is_linear_in_frequency_and_stride(simulator, name):
 
 def test_zero_stride_stays_in_place(simulator):
     """Marching on the spot covers less than a tenth of the ground that walking does."""
-    result = simulator(gait="trt").run({"frequency": 0.8, "stride": np.array([0.0, 1.0])}, LONG)
+    result = simulator(gait="trot").run({"frequency": 0.8, "stride": np.array([0.0, 1.0])}, LONG)
     standing, walking = result.metrics["speed"]
     assert abs(standing) < 0.1 * walking
 
@@ -79,7 +79,7 @@ def test_the_straight_pilot_keeps_the_line(simulator):
 
     In 4 m, for its pilot is slow on purpose (a look-ahead of 0.9 m). Unsteered it would end 0.7 m away.
     """
-    sim = simulator(gait="trt")
+    sim = simulator(gait="trot")
     start = {"start.x": np.array([0.02, -0.02]), "start.yaw": np.radians([10.0, -10.0])}
     result = sim.run({"frequency": 0.8, **start}, Run(cycles=40, warmup_cycles=36), record=True)
     assert np.all(np.abs(result.trace.sensors["position"][:, -200:, 0]) < 0.02)
@@ -87,7 +87,7 @@ def test_the_straight_pilot_keeps_the_line(simulator):
 
 def test_model_parameters_vary_within_a_batch(simulator):
     """Slippery and grippy soles in one batch; light and heavy robots, whose feet and tail carry their weight."""
-    sim = simulator(gait="trt")
+    sim = simulator(gait="trot")
     friction = sim.run({"frequency": 0.8, "contact.friction": np.array([0.1, 1.0])}).metrics
     assert friction["speed"][0] < 0.9 * friction["speed"][1]
     front = np.array([0.1695, 0.25])
@@ -109,7 +109,7 @@ def test_the_articulated_tail_walks_like_the_rigid_one(simulator):
 def test_servos_turn_no_faster_than_their_speed(simulator):
     """No servo's target changes by more than its speed allows, and a slow servo shortens the stride."""
     speed = np.array([1.0, 15.0])
-    result = simulator(gait="trt").run({"frequency": 0.8, "servo.speed": speed}, Run(cycles=4), record=True)
+    result = simulator(gait="trot").run({"frequency": 0.8, "servo.speed": speed}, Run(cycles=4), record=True)
     fastest = np.abs(np.diff(result.trace.ctrl, axis=1)).max(axis=(1, 2)) / 0.01
     assert fastest[0] == pytest.approx(1.0, rel=1e-3)
     assert fastest[1] < 15.0
@@ -118,12 +118,12 @@ def test_servos_turn_no_faster_than_their_speed(simulator):
 
 def test_the_published_lag_shortens_the_stride(simulator):
     """Closing 11 % of the foot error a tick, at one clock, walks slower than exact tracking."""
-    result = simulator(gait="trt").run({"frequency": 0.8, "tracking.foot_gain": np.array([1.0, 0.11])}, LONG)
+    result = simulator(gait="trot").run({"frequency": 0.8, "tracking.foot_gain": np.array([1.0, 0.11])}, LONG)
     assert result.metrics["speed"][1] < 0.97 * result.metrics["speed"][0]
 
 
 def test_as_published_profile_walks(simulator):
     """The published lag and clock ratio together walk upright, and slower than theory: 0.096 m/s on a clock of 0.4."""
-    result = simulator(gait="trt", profile="as_published").run({"frequency": 0.8}, LONG)
+    result = simulator(gait="trot", profile="as_published").run({"frequency": 0.8}, LONG)
     assert result.status[0] == "ok"
     assert 0.05 < result.metrics["speed"][0] < 0.096 / 0.4

@@ -150,7 +150,7 @@ def directories(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[str, Pa
     made.mkdir()
     (made / "own.py").write_text(CANARY.format(log=str(log)))
     vary = {"frequency": {"linspace": [0.5, 1.0, 80]}, "stride": [0.5, 0.7]}
-    for name, gait in (("a", "trt"), ("b", "lat")):
+    for name, gait in (("a", "trot"), ("b", "lateral_walk")):
         spec = own | {"gait": gait, "plots": False, "vary": vary, "compare": {"by": "stride"}}
         (made / f"{name}.yaml").write_text(json.dumps(spec))
         run_sweep(made / f"{name}.yaml", made / name, simulator=Measuring())
@@ -178,7 +178,7 @@ def test_no_code_of_a_directory_is_run(directories: tuple[str, Path, Path, Path]
         assert result.exit_code == 0, result.stderr
     assert "sample is grid, whose variants are not drawn" in call("sensitivity", a).stderr
     assert "80 of 160 runs, not complete" in call("status", half).stdout
-    assert "gait: trt and lat" in call("compare", a, b).stdout
+    assert "gait: trot and lateral walk" in call("compare", a, b).stdout
     assert (a / "plots" / "differences.png").exists()
     merged = call("merge", a, half, "--out", a.with_name("both"))
     if own == "controller":
@@ -414,7 +414,7 @@ def kinds_of_files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[
 
     about = {"setup": Setup().fields(), "driven": {"values": {"frequency": 0.8}}}
     piece = {
-        "commands": [[0, {"at": 0.0, "blend": 1.0, "gait": "lat", "set": {"stride": 0.9}}]],
+        "commands": [[0, {"at": 0.0, "blend": 1.0, "gait": "lateral_walk", "set": {"stride": 0.9}}]],
         "pushes": [{"tick": 1, "ticks": 3, "body": 1, "force": [1, 0, 0]}],
         "samples": [[[0.0], [0.0], [0.0], [None]]],
         "ticks": 3,
@@ -901,7 +901,7 @@ MALFORMED: dict[str, dict[str, Any]] = {
     "unknown key": {"wings": 2},
     "waypoints 3": {"waypoints": 3},
     "waypoints [1, 2]": {"waypoints": [1, 2]},
-    "gait": {"gait": ["trt"]},
+    "gait": {"gait": ["trot"]},
     "scene": {"scene": 3},
     "spine": {"spine": 1},
     "tail": {"tail": ["rigid"]},

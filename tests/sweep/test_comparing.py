@@ -23,9 +23,9 @@ from nermo_mjx.sweep.comparing import figures_of_comparison
 from nermo_mjx.sweep.counting import two_stage
 from nermo_mjx.sweep.table import Columns
 
-GAITS, SPINES, FREQUENCIES = ("trt", "trt1", "lat"), ("none", "stride_extension"), (0.4, 0.6, 0.8)
+GAITS, SPINES, FREQUENCIES = ("trot", "walking_trot", "lateral_walk"), ("none", "stride_extension"), (0.4, 0.6, 0.8)
 #: Share by which the spine makes each gait faster.
-GAIN = {"trt": 0.2, "trt1": 0.0, "lat": -0.1}
+GAIN = {"trot": 0.2, "walking_trot": 0.0, "lateral_walk": -0.1}
 RANDOM = {
     "spine": "stride_extension",
     "plots": False,
@@ -162,8 +162,8 @@ def test_runs_of_one_seed_are_compared_with_each_other() -> None:
 
 def test_runs_that_fell_are_counted_and_compared_but_not_averaged() -> None:
     """One of eight repeats fell with the spine: the speed leaves it out, `fell` has it, and each line counts it."""
-    found = compare(table(fell=("lat",)), by="spine", groups=["gait"])
-    row = speed_of(found, gait="lat")
+    found = compare(table(fell=("lateral_walk",)), by="spine", groups=["gait"])
+    row = speed_of(found, gait="lateral_walk")
     assert (row["failed_base"], row["failed_other"]) == (0, 3)
     assert (row["runs_base"], row["runs_other"]) == (24, 21)
     assert row["difference"] == pytest.approx(-0.1 * 0.06, abs=0.002)
@@ -231,7 +231,7 @@ def test_pairs_are_those_of_common_seeds_and_others_are_said_to_be_none() -> Non
     assert (row["difference"], row["low"], row["left_out"]) == (other["difference"], other["low"], 27)
     assert any("is lost or not there: 27, of" in note for note in longer.notes)
     seed = data.column("seed").to_numpy().copy()
-    alone = (np.array(data.column("gait").to_pylist()) == "lat") & (
+    alone = (np.array(data.column("gait").to_pylist()) == "lateral_walk") & (
         np.array(data.column("spine").to_pylist()) == "none"
     )
     seed[alone] += 10_000
@@ -239,12 +239,14 @@ def test_pairs_are_those_of_common_seeds_and_others_are_said_to_be_none() -> Non
     assert mixed.rows("stride_extension")[0]["paired"] == 6
     assert any("Not paired: 3 of 9 variants" in note for note in mixed.notes)
     speed = data.to_pandas().set_index(["gait", "frequency", "spine"])["speed"]
-    row = speed_of(mixed, gait="lat", frequency=0.4)
-    known = stats.ttest_ind(speed["lat", 0.4, "stride_extension"], speed["lat", 0.4, "none"], equal_var=False)
+    row = speed_of(mixed, gait="lateral_walk", frequency=0.4)
+    known = stats.ttest_ind(
+        speed["lateral_walk", 0.4, "stride_extension"], speed["lateral_walk", 0.4, "none"], equal_var=False
+    )
     assert row["p"] == pytest.approx(known.pvalue)
     assert (row["low"], row["high"]) == pytest.approx(tuple(known.confidence_interval()))
-    row = speed_of(mixed, gait="trt", frequency=0.4)
-    known = stats.ttest_rel(speed["trt", 0.4, "stride_extension"], speed["trt", 0.4, "none"])
+    row = speed_of(mixed, gait="trot", frequency=0.4)
+    known = stats.ttest_rel(speed["trot", 0.4, "stride_extension"], speed["trot", 0.4, "none"])
     assert row["p"] == pytest.approx(known.pvalue)
     assert (row["low"], row["high"]) == pytest.approx(tuple(known.confidence_interval()))
 
@@ -262,11 +264,13 @@ def test_runs_with_the_same_seed_count_once() -> None:
 def test_a_comparison_of_yes_and_no_is_no_surer_than_the_test_of_signs() -> None:
     """All four runs of a variant fell with the spine and none without: p is 1/8, and no interval has width 0."""
     data = table(repeats=4, seeds="shared")
-    chosen = (np.array(data.column("gait").to_pylist()) == "lat") & (data.column("frequency").to_numpy() == 0.4)
+    chosen = (np.array(data.column("gait").to_pylist()) == "lateral_walk") & (
+        data.column("frequency").to_numpy() == 0.4
+    )
     fell = chosen & (np.array(data.column("spine").to_pylist()) != "none")
     data = changed(data, fell=fell.astype(float), status=np.where(fell, "fell", "ok").tolist())
     rows = compare(data, by="spine", groups=["gait", "frequency"]).rows("stride_extension", grouped=True)
-    row = next(row for row in rows if (row["metric"], row["gait"], row["frequency"]) == ("fell", "lat", 0.4))
+    row = next(row for row in rows if (row["metric"], row["gait"], row["frequency"]) == ("fell", "lateral_walk", 0.4))
     assert (row["difference"], row["p"], row["beyond_noise"]) == (1.0, 1 / 8, False)
     assert np.isnan([row["low"], row["high"]]).all()
 
@@ -337,22 +341,22 @@ def test_the_table_fits_the_terminal(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
 def test_several_values_are_each_compared_with_the_base() -> None:
     """Of the gaits, with the trot by name, over the frequencies of one spine."""
-    found = compare(table(), by="gait", base="trt", where={"spine": "none"})
-    assert (found.base, found.others) == ("trt", ("trt1", "lat"))
-    assert [each["other"] for each in found.about()["comparisons"]] == ["trt1", "lat"]
+    found = compare(table(), by="gait", base="trot", where={"spine": "none"})
+    assert (found.base, found.others) == ("trot", ("walking_trot", "lateral_walk"))
+    assert [each["other"] for each in found.about()["comparisons"]] == ["walking_trot", "lateral_walk"]
     assert all(each["metrics"]["speed"]["variants"] == 3 for each in found.about()["comparisons"])
 
 
 def test_without_repeats_there_is_no_interval_and_a_sentence_says_so() -> None:
     """One run of one variant gives no estimate of noise; two variants do."""
     data = table(repeats=1)
-    found = compare(data, by="spine", where={"gait": "trt", "frequency": 0.4})
+    found = compare(data, by="spine", where={"gait": "trot", "frequency": 0.4})
     row = found.rows("stride_extension")[0]
     assert np.isnan(row["low"])
     assert row["beyond_noise"] is None
     assert "give repeats" in found.notes[0]
     assert json.loads(json.dumps(row["difference"])) > 0
-    assert np.isfinite(compare(data, by="spine", where={"gait": "trt"}).rows("stride_extension")[0]["low"])
+    assert np.isfinite(compare(data, by="spine", where={"gait": "trot"}).rows("stride_extension")[0]["low"])
 
 
 def test_two_directories_are_paired_over_what_both_have(tmp_path: Path) -> None:
@@ -430,7 +434,7 @@ def test_the_command_prints_and_writes(tmp_path: Path, monkeypatch: pytest.Monke
 
 def test_figures_mark_what_is_beyond_noise(drawing) -> None:
     """Filled marks as many as the table has findings, for each gait a line, and the runs that fell below."""
-    found = compare(table(fell=("lat",)), by="spine", groups=["gait", "frequency"])
+    found = compare(table(fell=("lateral_walk",)), by="spine", groups=["gait", "frequency"])
     figures = dict(figures_of_comparison(found.table))
     assert list(figures) == ["differences", "speed-gain-by-gait-and-frequency"]
     figure = figures["speed-gain-by-gait-and-frequency"]
@@ -494,7 +498,7 @@ def test_a_gain_in_speed_stands_beside_both_costs(drawing) -> None:
 def test_a_panel_may_lack_a_line_of_the_others(drawing) -> None:
     """The lateral walk is on flat ground alone: the panel of the other scene has the lines of the trots."""
     data = table(repeats=4)
-    there = (data.column("repeat").to_numpy() % 2 == 1) & (np.array(data.column("gait").to_pylist()) != "lat")
+    there = (data.column("repeat").to_numpy() % 2 == 1) & (np.array(data.column("gait").to_pylist()) != "lateral_walk")
     about = {"role": "varied", "unit": "1", "description": "scene", "scale": "structure"}
     scene = pa.array(np.where(there, "planks", "flat").tolist())
     data = data.append_column(pa.field("scene", pa.string(), metadata=about), scene)

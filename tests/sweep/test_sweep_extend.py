@@ -50,8 +50,8 @@ EXTENSIONS = {
         0,  # its draws are others
     ),
     "another structure": (
-        changed(gait="lat", randomize={"repeats": 2}),
-        changed(vary={"gait": ["trt", "lat"], **SMALL["vary"]}, randomize={"repeats": 2}),
+        changed(gait="lateral_walk", randomize={"repeats": 2}),
+        changed(vary={"gait": ["trot", "lateral_walk"], **SMALL["vary"]}, randomize={"repeats": 2}),
         12,
     ),
     "a parameter of one structure": (
@@ -62,13 +62,16 @@ EXTENSIONS = {
     "another model": (changed(tail="rigid"), changed(vary={"tail": ["articulated", "rigid"], **SMALL["vary"]}), 6),
     "Sobol points": (changed(vary=UNIFORM, sample={"sobol": 5}), changed(vary=UNIFORM, sample={"sobol": 23}), 5),
     "structures of a sample": (
-        changed(vary=UNIFORM, sample={"sobol": 5}, gait="trt1"),
-        changed(vary=UNIFORM | {"gait": ["trt", "trt1"]}, sample={"sobol": 5}),
+        changed(vary=UNIFORM, sample={"sobol": 5}, gait="walking_trot"),
+        changed(vary=UNIFORM | {"gait": ["trot", "walking_trot"]}, sample={"sobol": 5}),
         5,
     ),
     "rows": (
-        {"plots": False, "rows": [{"gait": "trt", "frequency": 0.5}, {"gait": "lat", "frequency": 0.7}]},
-        {"plots": False, "rows": [{"gait": "lat", "frequency": 0.7}, {"gait": "lat", "frequency": 0.9}]},
+        {"plots": False, "rows": [{"gait": "trot", "frequency": 0.5}, {"gait": "lateral_walk", "frequency": 0.7}]},
+        {
+            "plots": False,
+            "rows": [{"gait": "lateral_walk", "frequency": 0.7}, {"gait": "lateral_walk", "frequency": 0.9}],
+        },
         1,
     ),
     "a row of a grid": (
@@ -257,9 +260,9 @@ def test_rows_are_taken_from_another_directory(tmp_path):
 def test_directories_merge_into_one(tmp_path):
     """The union of their rows, each once, as in a single sweep of these rows; nothing is simulated."""
     sources = [tmp_path / name for name in ("a", "b")]
-    plain = {"plots": False, "gait": "lat", "vary": {"frequency": [0.5, 0.7], **FRICTION}}
+    plain = {"plots": False, "gait": "lateral_walk", "vary": {"frequency": [0.5, 0.7], **FRICTION}}
     run_sweep(plain, sources[0], simulator=FakeSimulator())
-    other = {"plots": False, "vary": {"gait": ["trt", "lat"], "frequency": [0.7, 0.9]}}
+    other = {"plots": False, "vary": {"gait": ["trot", "lateral_walk"], "frequency": [0.7, 0.9]}}
     run_sweep(other | {"set": {"contact.friction": 1.2}}, sources[1], simulator=FakeSimulator())
     before = contents(*sources)
     result = merge_sweeps(sources, tmp_path / "both")
@@ -267,8 +270,8 @@ def test_directories_merge_into_one(tmp_path):
     assert result.chunks_run == 0
     kept = ["gait", "frequency", "contact.friction"]
     rows = list(zip(*(result.table.column(name).to_pylist() for name in kept), strict=True))
-    expected = {("lat", f, x) for f in (0.5, 0.7) for x in (1.0, 1.2)}
-    expected |= {(g, f, 1.2) for g in ("trt", "lat") for f in (0.7, 0.9)}
+    expected = {("lateral_walk", f, x) for f in (0.5, 0.7) for x in (1.0, 1.2)}
+    expected |= {(g, f, 1.2) for g in ("trot", "lateral_walk") for f in (0.7, 0.9)}
     assert sorted(rows) == sorted(expected)
     assert before == contents(*sources)
     assert find_row(tmp_path / "both", 6).values["frequency"] == rows[6][1]
@@ -289,10 +292,12 @@ def test_draws_of_a_row_are_the_same_whatever_else_is_varied(tmp_path):
 
 def test_what_does_not_go_together_is_not_merged(tmp_path):
     run_sweep(SMALL, tmp_path / "a", simulator=FakeSimulator())
-    run_sweep(SMALL | {"gait": "lat"}, tmp_path / "b", simulator=FakeSimulator())
+    run_sweep(SMALL | {"gait": "lateral_walk"}, tmp_path / "b", simulator=FakeSimulator())
     run_sweep(changed(vary={"frequency": [0.5]}), tmp_path / "c", simulator=FakeSimulator())
     run_sweep(SMALL, tmp_path / "d", simulator=FakeSimulator(engine="other"))
-    with pytest.raises(DirectoryError, match=r"a and .*b cannot be merged: gait is trt there and lat here\.$"):
+    with pytest.raises(
+        DirectoryError, match=r"a and .*b cannot be merged: gait is trot there and lateral_walk here\.$"
+    ):
         merge_sweeps([tmp_path / "a", tmp_path / "b"], tmp_path / "out")
     with pytest.raises(DirectoryError, match=r"c cannot be merged: only one of them varies contact.friction, on which"):
         merge_sweeps([tmp_path / "a", tmp_path / "c"], tmp_path / "out")

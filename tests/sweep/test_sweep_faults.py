@@ -175,8 +175,8 @@ def test_a_full_disk_is_one_sentence_wherever_it_strikes(tmp_path, monkeypatch, 
         (lambda out: (out / "sweep.yaml").unlink(), "results of an unknown sweep"),
         (lambda out: SPEC | {"seed": 5}, "the results of another sweep: seed is 0 there and 5 here; choose"),
         (
-            lambda out: SPEC | {"run": {"cycles": 5, "warmup_cycles": 1}, "gait": "lat"},
-            "the results of another sweep: gait is trt there and lat here; run.cycles is 4",
+            lambda out: SPEC | {"run": {"cycles": 5, "warmup_cycles": 1}, "gait": "lateral_walk"},
+            "the results of another sweep: gait is trot there and lateral_walk here; run.cycles is 4",
         ),
         (
             lambda out: SPEC | {"vary": SPEC["vary"] | {"duty": [0.5]}},

@@ -17,20 +17,20 @@ from nermo_mjx.sweep import SpecError, Sweep, read_table, run_sweep, simulating
 from nermo_mjx.sweep.replay import find_row
 
 LIST = [
-    {"gait": "trt", "spine": "none", "frequency": 0.8},
-    {"gait": "lat", "spine": "stride_extension", "frequency": 0.6, "spine.amplitude": 0.3},
-    {"gait": "trt", "spine": "stride_extension", "frequency": 1.1, "spine.amplitude": 0.2},
-    {"gait": "trt", "spine": "stride_extension", "frequency": 0.9},
+    {"gait": "trot", "spine": "none", "frequency": 0.8},
+    {"gait": "lateral_walk", "spine": "stride_extension", "frequency": 0.6, "spine.amplitude": 0.3},
+    {"gait": "trot", "spine": "stride_extension", "frequency": 1.1, "spine.amplitude": 0.2},
+    {"gait": "trot", "spine": "stride_extension", "frequency": 0.9},
 ]
 CSV = """gait,spine,frequency,spine.amplitude
-trt,none,0.8,
-lat,stride_extension,0.6,0.3
+trot,none,0.8,
+lateral_walk,stride_extension,0.6,0.3
 
-trt, stride_extension, 1.1, 0.2
-trt,stride_extension,0.9,
+trot, stride_extension, 1.1, 0.2
+trot,stride_extension,0.9,
 """
 EXPECTED = {
-    "gait": ["trt", "lat", "trt", "trt"],
+    "gait": ["trot", "lateral_walk", "trot", "trot"],
     "spine": ["none", *["stride_extension"] * 3],
     "frequency": [0.8, 0.6, 1.1, 0.9],
     "spine.amplitude": [None, 0.3, 0.2, 0.25],
@@ -149,13 +149,13 @@ def test_a_wrong_table_is_refused_with_its_line(tmp_path, text, sentence):
 WRONG_FILES = {
     "beside vary": ("rows: [{frequency: 0.5}]\nvary: {stride: [0.5]}", 2, "'vary' is given beside 'rows'"),
     "beside sample": ("rows: [{frequency: 0.5}]\nsample: {sobol: 4}", 2, "'sample' is given beside 'rows'"),
-    "no file": ("gait: trt\nrows: nowhere.csv", 2, "'rows' is 'nowhere.csv': there is no such file"),
+    "no file": ("gait: trot\nrows: nowhere.csv", 2, "'rows' is 'nowhere.csv': there is no such file"),
     "no table": ("rows: design.txt", 1, "expected the path of a .csv or .parquet file"),
     "a row is a list": ("rows:\n  - {frequency: 0.5}\n  - [0.5]", 3, "is the list [0.5]: expected"),
     "a value": ("rows:\n  - {frequency: 0.5}\n  - {frequency: -1}", 3, "'frequency' is -1: allowed is [0.001, 5] Hz"),
     "a truth value": ("rows: [{frequency: true}]", 1, "'frequency' is the truth value true: expected a number"),
     "two sources": ("set: {frequency: 0.5}\nrows: [{frequency: 0.6}]", 2, "also fixed under 'set'"),
-    "two sources of a structure": ("gait: trt\nrows:\n  - {gait: lat}", 3, "varied and also given as 'gait'"),
+    "two sources of a structure": ("gait: trot\nrows:\n  - {gait: lateral_walk}", 3, "varied and also given as 'gait'"),
     "the pilot": ("rows:\n  - {pilot: {arc: {radius: 1}}}\n  - {pilot: {ark: {radius: 1}}}", 3, "did you mean 'arc'?"),
     "none": ("rows: []", 1, "holds no rows"),
 }

@@ -9,7 +9,7 @@ from nermo_mjx.sweep import SpecError, Sweep, run_sweep
 GOOD = """\
 robot: nermo_lite
 scene: flat
-gait: trt
+gait: trot
 spine: stride_extension
 pilot: {straight: {distance: 2.0}}
 run: {cycles: 8, warmup_cycles: 2}
@@ -30,7 +30,7 @@ STRAIGHT = "straight: {distance: 2.0}"
 
 #: What is replaced by what, the line of the message, and what it must say.
 WRONG = {
-    "unknown field": ("gait: trt", "gate: trt", 3, ["'gate' is not a field", "robot, scene", "did you mean 'gait'?"]),
+    "unknown field": ("gait: trot", "gate: trot", 3, ["'gate' is not a field", "robot, scene", "did you mean 'gait'?"]),
     "parameter as field": ("set:", "duty: 0.5\nset:", 7, ["'duty' is a parameter", "'vary', 'set'"]),
     "unknown parameter": (
         "spine.amplitude",
@@ -64,10 +64,10 @@ WRONG = {
     "uniform on a grid": (FREQUENCY, "{uniform: [0.4, 1.2]}", 9, ["a grid cannot list", "sobol"]),
     "nothing varied": (GOOD[GOOD.index("vary:") :], "vary: {}\n", 8, ["nothing to sweep"]),
     "too many": ("1.2, 9]", "1.2, 900000]", 8, ["105,300,000 runs", "a sampler"]),
-    "unknown gait": ("gait: trt", "gait: trtt", 3, ["'gait' is 'trtt'", "did you mean 'trt'?", "lat"]),
+    "unknown gait": ("gait: trot", "gait: trtt", 3, ["'gait' is 'trtt'", "did you mean 'trot'?", "lateral_walk"]),
     "unknown pilot": (STRAIGHT, "strait: {distance: 2.0}", 5, ["'pilot' is 'strait'", "did you mean 'straight'?"]),
     "pilot from Python": (f"{{{STRAIGHT}}}", "external", 5, ["from Python"]),
-    "gait is a number": ("gait: trt", "gait: 3", 3, ["'gait' is the number 3: expected a name"]),
+    "gait is a number": ("gait: trot", "gait: 3", 3, ["'gait' is the number 3: expected a name"]),
     "time step": ("scene: flat", "timestep: 0.0", 2, ["'timestep' is 0.0"]),
     "pilot's option": ("distance: 2.0", "distanc: 2.0", 5, ["not an option of the pilot 'straight'", "'distance'?"]),
     "pilot's distance": ("distance: 2.0", "distance: -2.0", 5, ["distance' is -2.0"]),
@@ -119,7 +119,7 @@ WRONG = {
     "seed": ("sample: grid", "seed: -1", 12, ["'seed' is -1"]),
     "chunk": ("sample: grid", "chunk: 0", 12, ["'chunk' is 0"]),
     "plots": ("sample: grid", "plots: 3", 12, ["'plots' is the number 3: expected true or false"]),
-    "duplicate key": ("sample: grid", "gait: trt", 12, ["'gait' stands twice"]),
+    "duplicate key": ("sample: grid", "gait: trot", 12, ["'gait' stands twice"]),
     "YAML syntax": ("[0.4, 1.2, 9]", "[0.4, 1.2, 9", 9, ["not valid YAML"]),
     "not a mapping": (GOOD, "- 1\n- 2\n", 1, ["mapping of fields", "the list [1, 2]"]),
     "empty file": (GOOD, "", 1, ["mapping of fields", "nothing"]),
@@ -173,7 +173,7 @@ def test_spec_errors_are_parameter_errors():
 def test_the_example_of_the_interface_is_read():
     """All sections arrive: choices, run, fixed values, axes in the order of the file, draws and repeats."""
     sweep = Sweep.from_text(GOOD)
-    assert (sweep.setup.gait, sweep.setup.spine, sweep.setup.pilot) == ("trt", "stride_extension", "straight")
+    assert (sweep.setup.gait, sweep.setup.spine, sweep.setup.pilot) == ("trot", "stride_extension", "straight")
     assert (sweep.run.cycles, sweep.run.warmup_cycles, sweep.run.distance) == (8, 2, 2.0)
     assert [axis.name for axis in sweep.axes] == ["frequency", "spine.amplitude", "spine.phase"]
     np.testing.assert_array_equal(sweep.axes[0].listed(), [0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.2])
@@ -202,7 +202,13 @@ def test_repeats_perturb_the_start_and_a_single_run_does_not():
         {"randomize": {"repeats": 2, "mass.front": {"normal": [0.16, 0.01]}}},
         {"randomize": {"repeats": 3, "from": "identified", "mass.front": {"normal": [0.16, 0.01]}}},
         {"vary": {"contact.friction": {"logspace": [0.1, 1.0, 4]}, "contact.width": [1e-5, 1e-4]}},
-        {"vary": {"gait": ["trt", "lat"], "spine": ["none", "stride_extension"], "spine.amplitude": [0.1, 0.2]}},
+        {
+            "vary": {
+                "gait": ["trot", "lateral_walk"],
+                "spine": ["none", "stride_extension"],
+                "spine.amplitude": [0.1, 0.2],
+            }
+        },
         {"vary": {"scene": ["flat", SCENE], "frequency": [0.5]}},
         {"vary": {"pilot": ["straight", {"waypoints": {"points": WAY}}, ARC], "robot": ["nermo_lite"]}},
         {"vary": {"physics": ["reference", "fast"], "steering": {"values": ["leg", "spine"]}}},
@@ -224,7 +230,7 @@ def test_the_digest_tells_sweeps_apart():
     assert Sweep.from_dict(base | {"chunk": 3, "plots": False}).digest() == digest
     others = [
         {"seed": 1},
-        {"gait": "lat"},
+        {"gait": "lateral_walk"},
         {"run": {"cycles": 9}},
         {"vary": {"duty": [0.5, 0.6], "frequency": [0.5, 0.6]}},
     ]

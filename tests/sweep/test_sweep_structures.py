@@ -8,6 +8,7 @@ import pickle
 from typing import ClassVar
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from command import call, json_of
@@ -15,12 +16,15 @@ from sweep_fake import FakeSimulator, part_of
 
 from nermo_mjx.plotting.shown import spoken
 from nermo_mjx.runs import codes_of
+from nermo_mjx.runs.rows import part_files
 from nermo_mjx.sweep import Results, SpecError, Sweep, read_table, run_sweep, sample, simulating
+from nermo_mjx.sweep.comparing import compare
 from nermo_mjx.sweep.plots import sweep_figures
 from nermo_mjx.sweep.replay import find_row
 from nermo_mjx.sweep.table import columns_of, meta
 
-GAITS, SPINES, ARC = ["trt", "trt1", "lat"], ["none", "stride_extension"], {"arc": {"radius": 0.5, "direction": "left"}}
+GAITS, SPINES = ["trot", "walking_trot", "lateral_walk"], ["none", "stride_extension"]
+ARC = {"arc": {"radius": 0.5, "direction": "left"}}
 SCENE = """<mujoco model="step"><worldbody><geom name="floor" type="plane" size="5 5 1"/>
 <geom type="box" size="0.1 0.1 0.005" pos="0 -1 0"/></worldbody></mujoco>"""
 SPEC = {
@@ -122,7 +126,7 @@ def test_chunks_have_one_structure_and_each_gets_its_own_setup_run_and_values(tm
 
 def test_the_simulator_of_all_structures_travels_and_reuses_programs(asked):
     """To a worker it goes cold, after it was warm here; gaits share one, and each batch has its structure's setup."""
-    sweep = Sweep.from_dict({"vary": {"gait": ["trt", "lat"], "spine": SPINES}})
+    sweep = Sweep.from_dict({"vary": {"gait": ["trot", "lateral_walk"], "spine": SPINES}})
     here = simulating.SweepSimulator(sweep.structures, "c", notify=print)
     here.warm()
     there = pickle.loads(pickle.dumps(here))
@@ -130,8 +134,8 @@ def test_the_simulator_of_all_structures_travels_and_reuses_programs(asked):
     for structure in (0, 1, 2, 3, 0):
         there((structure, {"frequency": np.full(2, 0.7)}))
     assert [(setup.gait, setup.spine) for setup, _, _ in asked] == [
-        *itertools.product(["trt", "lat"], SPINES),
-        ("trt", "none"),
+        *itertools.product(["trot", "lateral_walk"], SPINES),
+        ("trot", "none"),
     ]
     assert len(there._kept) == 2
     assert {here.stamp(k).id for k in range(4)} == {there.stamp().id}
@@ -170,15 +174,15 @@ def test_a_scene_of_ones_own_is_told_by_its_name_and_content(tmp_path):
 
 #: What stands under `vary`, and what is said of it.
 WRONG = {
-    "unknown value": ("gait: [trt, trott]", "sweep.yaml:3: field 'gait' is 'trott'"),
-    "misspelt structure": ("gate: [trt, lat]", "'gate' is not a parameter; "),
-    "nearest structure": ("gate: [trt, lat]", "did you mean 'gait'?"),
-    "a number": ("gait: [trt, 3]", "sweep.yaml:3: field 'gait' is the number 3: expected a name"),
-    "no list": ("gait: trt", "'gait' is the text 'trt': expected the list [a, b, ...]"),
+    "unknown value": ("gait: [trot, trott]", "sweep.yaml:3: field 'gait' is 'trott'"),
+    "misspelt structure": ("gate: [trot, lateral_walk]", "'gate' is not a parameter; "),
+    "nearest structure": ("gate: [trot, lateral_walk]", "did you mean 'gait'?"),
+    "a number": ("gait: [trot, 3]", "sweep.yaml:3: field 'gait' is the number 3: expected a name"),
+    "no list": ("gait: trot", "'gait' is the text 'trot': expected the list [a, b, ...]"),
     "empty": ("gait: []", "is an empty list"),
     "empty values": ("gait: {values: []}", "is an empty list"),
     "a form": ("gait: {linspace: [1, 2, 3]}", "is a mapping of linspace: expected the list"),
-    "twice": ("gait: [trt, lat, trt]", "lists trt twice"),
+    "twice": ("gait: [trot, lateral_walk, trot]", "lists trot twice"),
     "the same pilot": ("pilot: [{arc: {radius: 1, direction: left}}, {arc: {direction: 1, radius: 1.0}}]", "twice"),
     "pilot's option": ("pilot: [straight, {arc: {radus: 1}}]", "did you mean 'radius'?"),
     "two sources": ("profile: [exact, as_published]", "is varied and also given as 'profile': give it one source"),
@@ -187,7 +191,7 @@ WRONG = {
         "has no effect: it is read only with spine: stride_extension, and spine is none or balance",
     ),
     "pilot's own number": ("pilot: [straight, {arc: {radius: 1}}]\n  pilot.radius: [1, 2]", "set by 'pilot.arc"),
-    "beyond the legs": ("gait: [trt, lat]\n  stance.swing_amplitude: [0.01, 0.04]", "'stance.swing_"),
+    "beyond the legs": ("gait: [trot, lateral_walk]\n  stance.swing_amplitude: [0.01, 0.04]", "'stance.swing_"),
     "too many": (
         "\n  ".join(f"{name}: [{', '.join('abcdefghijk')}]" for name in ("gait", "spine", "tail")),
         "makes 1,331 combinations of structures; allowed are 1,000",
@@ -225,6 +229,29 @@ def test_the_summary_names_structures(tmp_path):
     assert slowest["variants"] == 3
 
 
+def test_the_authors_codes_of_gaits_are_accepted_and_shown_nowhere(tmp_path):
+    """In a file, where a column is chosen, and in tables of former versions, which had them."""
+    codes = dict(zip(GAITS, ("trt", "trt1", "lat"), strict=True))
+    written = SPEC | {"vary": SPEC["vary"] | {"gait": [*codes.values()]}}
+    run_sweep(written, tmp_path, simulator=FakeSimulator())
+    table = read_table(tmp_path)
+    assert {*table.column("gait").to_pylist()} == {*GAITS}
+    for part in part_files(tmp_path):
+        rows = pq.read_table(part)
+        former = pa.array([codes[gait] for gait in rows.column("gait").to_pylist()])
+        place = rows.column_names.index("gait")
+        pq.write_table(rows.set_column(place, rows.schema.field(place), former), part)
+    assert read_table(tmp_path).equals(table)
+    found, named = (compare(tmp_path, by="spine", where={"gait": gait}) for gait in ("lat", "lateral_walk"))
+    assert found.table.column("base_mean").equals(named.table.column("base_mean"))
+    shown = call(
+        "compare", tmp_path, "--by", "spine", "--for", "gait", "--where", "gait=trt1", "--metric", "speed"
+    ).stdout
+    assert "walking_trot" in shown
+    assert "trt1" not in shown
+    assert "roll_std" not in shown
+
+
 @pytest.mark.draws
 def test_figures_put_structures_side_by_side(tmp_path):
     """A line and a panel for each; one without the parameter is a level line; two axes may be any columns."""
@@ -245,7 +272,7 @@ def test_figures_put_structures_side_by_side(tmp_path):
     assert sorted(len(line.get_xdata()) for line in over.get_lines()) == [2] * 6
     level = [line for line in over.get_lines() if list(line.get_xdata()) == [0, 1]]
     well = Results(read_table(tmp_path))
-    stiff = (well.column("gait") == "trt") & (well.column("spine") == "none")
+    stiff = (well.column("gait") == "trot") & (well.column("spine") == "none")
     assert level[0].get_ydata()[0] == pytest.approx(1000 * well.column("speed")[stiff].mean())
     panels = drawn["speed-over-frequency-and-spine.amplitude-by-structure"].axes
     assert [ax.get_title() for ax in panels if ax.get_title()] == [
@@ -269,7 +296,7 @@ def test_on_the_engine_c_an_extended_directory_is_that_of_one_go_bit_for_bit(tmp
         "randomize": {"repeats": 2, "contact.friction": {"uniform": [1.0, 1.6]}},
     }
     large = small | {
-        "vary": {"gait": ["lat", "trt"], "frequency": [0.7, 0.8, 0.9]},
+        "vary": {"gait": ["lateral_walk", "trot"], "frequency": [0.7, 0.8, 0.9]},
         "randomize": small["randomize"] | {"repeats": 3},
     }
     run_sweep(small, tmp_path / "extended", engine="c", chunk=3)
@@ -283,13 +310,13 @@ def test_on_the_engine_c_an_extended_directory_is_that_of_one_go_bit_for_bit(tmp
     assert set(before.column("speed").to_pylist()) < set(whole.table.column("speed").to_pylist())
     report = json_of("replay", tmp_path / "extended", "--row", "10")
     assert report["comparison"]["equal"]
-    assert report["setup"]["gait"] == "trt"
+    assert report["setup"]["gait"] == "trot"
 
 
 def test_parameters_and_structures_are_listed():
     listed = json_of("sweep", "--list-parameters")
     assert listed["structures"]["gait"]["allowed"][:5] == [*GAITS, "bound", "gallop"]
-    assert "trt, trt1, lat, bound, gallop" in call("sweep", "--list-parameters").stdout
+    assert "trot, walking_trot, lateral_walk, bound, gallop" in call("sweep", "--list-parameters").stdout
 
 
 def test_the_command_says_where_a_parameter_is_not_varied(tmp_path, asked):

@@ -210,7 +210,7 @@ def spec_of(path: Path, **changes: Any) -> Path:
 def test_the_walk_command_does_what_the_row_did(swept: Path, tmp_path: Path) -> None:
     path = spec_of(
         Path(shutil.copytree(swept, tmp_path / "sweep")),
-        gait="lat",
+        gait="lateral_walk",
         pilot="{arc: {radius: 0.5, direction: right}}",
         set="{duty: 0.7}",
         run="{duration: 4.0, warmup: 1.5}",
@@ -229,7 +229,7 @@ def test_the_walk_command_does_what_the_row_did(swept: Path, tmp_path: Path) -> 
     wanted = planned_walk(**{name: value for name, value in context.params.items() if name not in other})
     assert wanted.run == Run(duration=4.0, warmup=1.5)
     setup = wanted.setup
-    assert (setup.gait, setup.spine, setup.steering) == ("lat", "stride_extension", "mix")
+    assert (setup.gait, setup.spine, setup.steering) == ("lateral_walk", "stride_extension", "mix")
     assert (setup.pilot, setup.physics) == ("arc", "fast")
     assert wanted.values == {
         "duty": 0.7,
@@ -252,7 +252,7 @@ def test_what_walk_cannot_do_gets_no_walk_command(swept: Path, tmp_path: Path, c
 
 def test_structures_of_a_row_are_options_of_its_command(tmp_path: Path) -> None:
     path = many(tmp_path / "many sweeps", 20)
-    (path / "sweep.yaml").write_text("spine: stride_extension\ngait: trt\n")
+    (path / "sweep.yaml").write_text("spine: stride_extension\ngait: trot\n")
     commands = commands_of(path, runs_of(path))
     assert commands["walk"]["options"] == [["--gait", "gait"]]
     assert "--gait" not in commands["walk"]["words"]

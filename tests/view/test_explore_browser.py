@@ -173,7 +173,7 @@ def test_an_atlas_shows_its_cells_where_its_measures_are(tab: Any, tmp_path: Pat
     again, walk = commands
     assert again.startswith("nermo-mjx replay ")
     assert again.endswith(f" --row {values['row'][0]}")
-    assert walk == f"nermo-mjx walk --gait lat --cycles 8 --warmup 2 --set frequency={values['frequency'][0]}"
+    assert walk == f"nermo-mjx walk --gait lateral_walk --cycles 8 --warmup 2 --set frequency={values['frequency'][0]}"
 
 
 # --- pointer and keys

@@ -30,7 +30,7 @@ def some_recording(**changes: object) -> Recording:
         "ctrl": rng.normal(size=(5, 3)),
         "sensors": {"foot_position": rng.normal(size=(5, 4, 3))},
         "model_hash": model_hash(ball()),
-        "metadata": {"setup": {"gait": "trt"}, "parameters": {"frequency": 0.8}},
+        "metadata": {"setup": {"gait": "trot"}, "parameters": {"frequency": 0.8}},
     }
     return Recording(**(values | changes))
 
@@ -47,7 +47,7 @@ def test_a_saved_recording_is_loaded_as_it_was_and_read_by_numpy_alone(tmp_path:
     assert [file.name for file in (tmp_path / "new").iterdir()] == ["walk.npz"], "no temporary file stays behind"
     with np.load(path, allow_pickle=False) as file:
         assert file["qpos"].shape == (5, 7)
-        assert json.loads(str(file["header"]))["metadata"]["setup"] == {"gait": "trt"}
+        assert json.loads(str(file["header"]))["metadata"]["setup"] == {"gait": "trot"}
 
 
 def test_a_part_of_a_recording_is_one_too() -> None:

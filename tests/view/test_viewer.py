@@ -260,13 +260,13 @@ def test_vendored_libraries_have_licence_and_version(name: str, version: str, fi
 
 def test_an_experiments_recording_has_its_cases_name_and_figures(walk: Recording) -> None:
     about = {
-        "case": "trt, 0.67 Hz, with spine",
+        "case": "trot, 0.67 Hz, with spine",
         "labels": {"profile": "exact", "spine": True},
         "metrics": {"speed": 0.0791, "status": "ok"},
         "parameters": {"frequency": 0.67},
     }
     recording = dataclasses.replace(walk, metadata=about)
-    assert title_of(recording) == "trt, 0.67 Hz, with spine"
+    assert title_of(recording) == "trot, 0.67 Hz, with spine"
     assert headline_of(recording) == [["speed", "79.1 mm/s"], ["profile", "exact"]]
     assert details_of(recording)[0] == {"title": "Case", "rows": [["profile", "exact"], ["spine", "yes"]]}
 

@@ -159,7 +159,7 @@ class Ground:
         self.steers, self.bodies = stage.steers, stage.bodies
         self.simulators = {
             place: Simulator(
-                Setup(scene=place.scene, gait="trt", trajectory="free", spine=mode, physics="fast", **place.pilot),
+                Setup(scene=place.scene, gait="trot", trajectory="free", spine=mode, physics="fast", **place.pilot),
                 engine="c",
             )
             for place in stage.places
