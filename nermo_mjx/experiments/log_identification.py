@@ -24,12 +24,12 @@ from nermo_mjx.robot import ParameterError
 #: Share of a log that is fitted where no other log judges.
 FITTED: Final = 0.75
 #: Piece on which starts are compared: share of a log, but no less than this [s].
-PIECE: Final = (0.25, 4.0)
+PIECE: Final = (0.2, 2.5)
 #: Starts, and Gauss-Newton steps of each on its piece.
 STARTS: Final = 3
 #: Points of a Sobol sequence, of which the best are starts beside the default: a delay has local minima.
 SCANNED: Final = 96
-STEPS: Final = 8
+STEPS: Final = 14
 #: A class is within noise of a larger one if its error on seconds that were not fitted is larger by less.
 WITHIN: Final = 0.02
 #: A class that leaves out a kind which would remove this share of the residuals is wrong.
