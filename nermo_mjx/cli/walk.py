@@ -132,6 +132,8 @@ LINES = (
     ("duration", "measured time", "s", 1.0),
     ("lateral_drift", "lateral drift", "mm", 1e3),
     ("slip", "slip of loaded feet", "mm/s", 1e3),
+    ("stride_length", "length of a stride", "mm", 1e3),
+    ("stride_length_cv", "its variability", "%", 1e2),
     ("servo_work", "servo work", "J", 1.0),
     ("cost_of_transport", "cost of transport, mechanical", "", 1.0),
     ("electrical_cost_of_transport", "cost of transport, electrical", "", 1.0),
@@ -143,6 +145,7 @@ def print_walk(report: dict[str, Any]) -> None:
     import numpy as np
 
     from nermo_mjx.experiments import theory
+    from nermo_mjx.rollout.stride_metrics import SPREAD_STRIDES
 
     metrics, setup, parameters = report["metrics"], report["setup"], report["parameters"]
     lines = [("speed", metrics.get("speed"), "mm/s", 1e3)]
@@ -174,6 +177,11 @@ def print_walk(report: dict[str, Any]) -> None:
         for angle in ("roll", "pitch", "yaw")
     ]
     print_table("Orientation [degrees]", ", mean>, std>, min>, max>", angles)
+    if (strides := metrics.get("strides", math.nan)) < SPREAD_STRIDES:
+        click.echo(
+            f"A foot made {strides:g} whole strides: feet with fewer than {SPREAD_STRIDES} are left out of the "
+            "variability. Walk more --cycles; a foot that does not leave the ground makes none."
+        )
     print_ending(metrics)
 
 

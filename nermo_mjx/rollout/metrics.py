@@ -27,7 +27,7 @@ from nermo_mjx.control.path import PathPoint
 from nermo_mjx.kinematics.body import attitude, uprightness
 from nermo_mjx.robot import LIMBS, ModelParameters, Sensors
 from nermo_mjx.robot.model_parameters import Servo
-from nermo_mjx.rollout import electrical, eye_metrics, path_metrics, reduction, transitions
+from nermo_mjx.rollout import electrical, eye_metrics, path_metrics, reduction, stride_metrics, transitions
 from nermo_mjx.rollout.own_metrics import ANGLES, METRICS, PAIRS, OwnMetric
 from nermo_mjx.rollout.path_metrics import MeasuredPart, begins_in_run, measured_part, root
 from nermo_mjx.rollout.setup import Window
@@ -104,7 +104,8 @@ class MetricState:
         eyes: motion of the eyes.
         penetration: depth of the deepest contact since the start [m].
         driven: how servos and compliant joints moved in the last step.
-        own: accumulators of custom metrics; None without any.
+        own: accumulators of custom metrics of the run; None without any.
+        strides: of the feet, with the custom metrics of a stride.
         switching_roll: largest roll while switches act [rad]; None without a schedule.
         on_path: whether the pilot has a path.
         lost: whether the readings have become invalid, including after the run's end.
@@ -132,6 +133,7 @@ class MetricState:
     penetration: Scalar
     driven: electrical.Driven
     own: reduction.OwnState | None
+    strides: stride_metrics.StrideState
     switching_roll: Scalar | None
     on_path: Truth
     lost: Truth
@@ -172,7 +174,8 @@ def init(sensors: Sensors, own: tuple[OwnMetric, ...] = (), switches: bool = Fal
         eyes=eye_metrics.init_eye(sensors),
         penetration=zero,
         driven=_driven(sensors),
-        own=reduction.init_own(own, sensors) if own else None,
+        own=reduction.init_own(runs, sensors) if (runs := per(own, "run")) else None,
+        strides=stride_metrics.init_strides(per(own, "stride"), sensors),
         switching_roll=zero if switches else None,
         on_path=no,
         lost=no,
@@ -280,6 +283,7 @@ def update(
         **electrical.power_sums(torque, sensors.servo_velocity, servo or ModelParameters().servo),
         **electrical.spent(state.driven, _driven(sensors), servo or ModelParameters().servo),
     }
+    meant = ~lost & (time > 0.0)
     measured = {name: part.weight * value for name, value in integrands.items()}
     measured["swing_loaded"] = swing * measured["loaded"]
     roll = state.switching_roll
@@ -313,7 +317,10 @@ def update(
         driven=_driven(last),
         own=None
         if state.own is None
-        else reduction.update_own(own, state.own, sensors, part, share, ~lost & (time > 0.0)),
+        else reduction.update_own(per(own, "run"), state.own, sensors, part, share, meant),
+        strides=stride_metrics.update_strides(
+            per(own, "stride"), state.strides, sensors, loaded, step / dt, part, cycle_rate, meant
+        ),
         switching_roll=roll,
         on_path=jnp.asarray(path is not None),
         lost=lost,
@@ -323,6 +330,11 @@ def update(
         begun=state.begun | part.inside,
         finished=state.finished | part.arrived,
     )
+
+
+def per(own: tuple[OwnMetric, ...], what: str) -> tuple[OwnMetric, ...]:
+    """The custom metrics of a `run`, or of a `stride`."""
+    return tuple(each for each in own if each.per == what)
 
 
 def _extremes(state: MetricState, readings: Array, part: MeasuredPart) -> tuple[Array, Array]:
@@ -436,5 +448,7 @@ def result(
         "diverged": state.diverged.astype(time.dtype),
         "failure_time": jnp.where(state.fell | state.diverged, state.failure_time, jnp.nan),
     }
-    found = {name: metrics[name] for name in (*METRICS, *transitions.TRANSITION) if name in metrics}
-    return found if state.own is None else found | reduction.own_result(own, state.own, begun, time)
+    metrics |= stride_metrics.stride_result(state.strides, per(own, "stride"))
+    metrics |= {} if state.own is None else reduction.own_result(per(own, "run"), state.own, begun, time)
+    names = (*METRICS, *transitions.TRANSITION, *(each.name for each in own))
+    return {name: metrics[name] for name in names if name in metrics}

@@ -70,6 +70,12 @@ METRICS: Final[dict[str, Metric]] = {
         f"swing_loaded_{pair}": Metric("1", f"share of its commanded swing with a {pair} foot loaded, mean of the pair")
         for pair in PAIRS
     },
+    "strides": Metric("1", "whole strides measured, touch-down to touch-down, of the foot that made the fewest"),
+    "stride_length": Metric("m", "way of the torso in a stride, mean of all feet's"),
+    "stride_length_cv": Metric("1", "standard deviation over mean of a foot's strides, of three or more", "low"),
+    "stride_time": Metric("s", "from touch-down to touch-down, mean of all feet's strides"),
+    "stance_time": Metric("s", "time of a stride with its foot loaded, mean of all feet's strides"),
+    "duty_factor": Metric("1", "as walked: stance time over stride time"),
     **{f"load_{limb}": Metric("N", f"mean force on the {limb.replace('_', ' ')} foot") for limb in LIMBS},
     "front_load_share": Metric("1", "share of the front feet in the load of all feet"),
     "tail_time": Metric("1", "share of time with the tail loaded"),
@@ -125,9 +131,12 @@ def headed() -> dict[str, str]:
     return found
 
 
-#: Reductions of a function's values, with their explanations for messages.
+#: Reductions of a function's values.
 REDUCTIONS: Final = ("mean", "rms", "std", "min", "max", "peak", "range", "last", "integral")
 SIDES: Final = ("high", "low")
+#: What a value is of, and how the values of strides become one number.
+PER: Final = ("run", "stride")
+ACROSS: Final = ("mean", "std", "cv")
 #: How a text names metrics; without a name, all in the file or module.
 FORM: Final = "FILE.py, FILE.py:NAME, MODULE or MODULE:NAME"
 
@@ -140,11 +149,16 @@ class OwnMetric(Metric):
         name: of the function, and of the column.
         function: from `Sensors` at one time to a number; pure JAX.
         reduce: one of `REDUCTIONS`.
+        per: one of `PER`; limb: whose strides, one of `LIMBS`.
+        across: one of `ACROSS`, for the values of strides.
     """
 
     name: str = ""
     function: Callable[[Sensors], Any] = lambda sensors: 0.0
     reduce: str = "mean"
+    per: str = "run"
+    limb: str = LIMBS[0]
+    across: str = "mean"
 
     def __call__(self, sensors: Sensors) -> Any:
         return self.function(sensors)
@@ -157,7 +171,13 @@ class OwnMetric(Metric):
 
 
 def metric(
-    *, unit: str, better: str | None = None, reduce: str = "mean"
+    *,
+    unit: str,
+    better: str | None = None,
+    reduce: str = "mean",
+    per: str = "run",
+    limb: str = LIMBS[0],
+    across: str = "mean",
 ) -> Callable[[Callable[[Sensors], Any]], OwnMetric]:
     """Turn a pure function of the sensors into a metric, for simulators, rollouts, sweeps, tunings and searches.
 
@@ -177,9 +197,13 @@ def metric(
         better: `high`, `low`, or None if neither is.
         reduce: `mean`, `rms` (root mean square), `std`, `min`, `max`, `peak` (largest magnitude), `range` (between the
             extremes), `last` (where measuring ends), or `integral` (over the measured seconds).
+        per: `run`, or `stride`: the reduction is that of each stride, from a touch-down of `limb` to its next one.
+        limb: whose strides: `front_left`, `front_right`, `rear_left` or `rear_right`.
+        across: what of the strides' values is the metric: `mean`, `std` (sample standard deviation), or `cv`
+            (coefficient of variation); NaN with fewer than one, and three strides.
 
     Raises:
-        ParameterError: no unit, or an unknown side or reduction.
+        ParameterError: no unit, or an unknown side, reduction, limb...
     """
 
     def made(function: Callable[[Sensors], Any]) -> OwnMetric:
@@ -187,10 +211,13 @@ def metric(
         if not callable(function) or not name.isidentifier():
             raise ParameterError(f"metrics has {name}: expected a function with a name, which the column gets.")
         doc = (getattr(function, "__doc__", None) or "").strip().partition("\n")[0].rstrip(".")
-        found = OwnMetric(unit, doc or f"{reduce} of {name}", better, name, function, reduce)
+        found = OwnMetric(unit, doc or f"{reduce} of {name}", better, name, function, reduce, per, limb, across)
         if not isinstance(unit, str) or not unit:
             raise ParameterError(f"metrics has {found.place} with the unit {unit!r}: expected a text, such as 'rad/s'.")
-        for field, value, allowed in (("better", better, (None, *SIDES)), ("reduce", reduce, REDUCTIONS)):
+        choices: dict[str, tuple[str | None, ...]] = {"better": (None, *SIDES), "reduce": REDUCTIONS}
+        choices |= {"per": PER, "limb": LIMBS, "across": ACROSS}
+        for field, allowed in choices.items():
+            value = getattr(found, field)
             if value not in allowed:
                 hint = did_you_mean(str(value), filter(None, allowed))
                 listed = ", ".join(map(str, allowed))

@@ -49,7 +49,12 @@ def init_own(metrics: tuple[OwnMetric, ...], sensors: Sensors) -> OwnState:
 
 
 def update_own(
-    metrics: tuple[OwnMetric, ...], state: OwnState, sensors: Sensors, part: MeasuredPart, share: Scalar, meant: Truth
+    metrics: tuple[OwnMetric, ...],
+    state: OwnState,
+    sensors: Sensors,
+    part: MeasuredPart,
+    share: Scalar | Float[Array, " k"],
+    meant: Truth,
 ) -> OwnState:
     """Add one control tick.
 
@@ -58,7 +63,7 @@ def update_own(
         state: accumulators so far.
         sensors: readings of the tick's physics steps, leading axis (steps,).
         part: the measured part of the tick.
-        share: of this part in the time measured so far.
+        share: of this part in the time measured so far, of all or of each.
         meant: whether the readings are those of a tick; others do not contribute to derivatives.
     """
     sensors = jax.tree.map(lambda leaf: jnp.where(meant, leaf, jax.lax.stop_gradient(leaf)), sensors)
@@ -80,8 +85,11 @@ def update_own(
     return jax.tree.map(lambda new, old: jnp.where(part.inside, new, old), measured, passed)
 
 
-def own_result(metrics: tuple[OwnMetric, ...], state: OwnState, begun: Truth, time: Scalar) -> dict[str, Scalar]:
-    """The metrics of one world by name; NaN if nothing was measured. `time` is the measured one [s], never 0."""
+def own_result(
+    metrics: tuple[OwnMetric, ...], state: OwnState, begun: Truth, time: Scalar | Float[Array, " k"]
+) -> dict[str, Scalar]:
+    """The metrics of one world by name; NaN if nothing was measured. `time` is the measured one [s], never 0; of all or
+    of each."""
     variance = state.square / time
     reduced = {
         "mean": state.mean,

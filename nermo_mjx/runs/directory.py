@@ -15,6 +15,7 @@ import filecmp
 import hashlib
 import json
 import os
+import warnings
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any, Final
@@ -168,9 +169,21 @@ class RunDirectory:
                 codes[stamp.id] = stamp.fields()
 
     def note_session(self, session: dict[str, Any]) -> None:
-        """Add this session (`code.session`)."""
+        """Add this session (`code.session`); warn if Python or a package beside it is not the former session's.
+
+        The stamp of the code decides which rows are not mixed; Python, NumPy and others may change last digits.
+        """
         with self.record() as record:
-            record.setdefault("sessions", []).append(session)
+            sessions = record.setdefault("sessions", [])
+            then, now = ((each or {}).get("versions") or {} for each in (sessions[-1] if sessions else None, session))
+            beside = [name for name in now if name in then and name not in ("nermo-mjx", "mujoco", "mujoco-mjx", "jax")]
+            apart = [f"{name} {now[name]}, not {then[name]}" for name in beside if now[name] != then[name]]
+            sessions.append(session)
+        if apart:
+            warnings.warn(
+                f"{self.out} goes on with {', '.join(apart)}: points and metrics may differ in their last digits.",
+                stacklevel=2,
+            )
 
     @contextlib.contextmanager
     def record(self) -> Iterator[dict[str, Any]]:

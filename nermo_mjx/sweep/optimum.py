@@ -145,6 +145,7 @@ def judged(values: np.ndarray, there: np.ndarray, asked: SoughtOptimum, repeats:
         best = int(np.flatnonzero(alive)[used.mean(axis=0).argmax()])
         if few or spent + price > asked.budget:
             region = early if few else last
+            few |= bool(asked.budget) and region.sum() <= asked.until
             return Judged(best, region, contenders, len(block), spent, none, "few" if few else "budget")
         alive, spent = early, spent + price
         begin = asked.fresh + look * repeats
@@ -279,7 +280,21 @@ class FoundOptimum:
             )
             fresh = ", no run of the base" if math.isnan(answer.base_mean) else fresh
             said.append(f"{name}: {found.runs} runs a point{fresh}; {why}{lost}.")
+            for column, ends in self.ends(answer).items():
+                said.append(f"{name}: the best {spoken(column)} is the {ends} that was tried.")
         return said
+
+    def ends(self, answer: OptimumAnswer) -> dict[str, str]:
+        """Columns in which the best point is the `largest` or `smallest` of all; angles all around have no ends."""
+        found = dict[str, str]()
+        for name, values in answer.points.items():
+            if not answer.at or values.dtype.kind != "f":
+                continue
+            low, high = np.nanmin(values), np.nanmax(values)
+            around_all = meta(self.results.schema.field(name))["unit"] == "rad" and high - low > 1.5 * np.pi
+            if low < high and not around_all and answer.at[name] in (low, high):
+                found[name] = "largest" if answer.at[name] == high else "smallest"
+        return found
 
     def shown_rows(self) -> dict[int, str]:
         """A typical fresh run of each best point and its partner in the base, and what each is."""

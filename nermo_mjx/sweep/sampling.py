@@ -78,8 +78,9 @@ class Axis(_Values):
             return np.asarray(self.numbers, dtype=float)
         space = np.linspace if self.form == "linspace" else np.geomspace
         steps = space(self.numbers[0], self.numbers[1], int(self.numbers[2]))
-        # 0.88 and not 0.8799999999999999: users filter tables by such values. The ends stay as given.
+        # 0.88 and not 0.8799999999999999, 0 and not 4e-16: users filter tables by such values. The ends stay as given.
         steps[1:-1] = [float(f"{step:.12g}") for step in steps[1:-1]]
+        steps[1:-1][np.abs(steps[1:-1]) < 1e-12 * np.abs(steps).max()] = 0.0
         return np.asarray(steps, dtype=float)
 
     def at(self, share: np.ndarray) -> np.ndarray:

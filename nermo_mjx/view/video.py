@@ -9,6 +9,7 @@ import contextlib
 import copy
 import dataclasses
 import itertools
+import math
 import os
 import shutil
 import textwrap
@@ -334,6 +335,8 @@ FASTEST_GIF: Final = 50
 
 #: Height of a line of text, of the strip below the pictures, and of the gap between them [pixels].
 _LINE, _FOOTER, _GAP = 18, 40, 4
+#: Robots in one row of a video.
+MOST_BESIDE = 3
 _BAR, _TRACK = (35, 100, 143), (226, 226, 226)
 
 
@@ -370,10 +373,11 @@ def render(
     """Render a recording, or several side by side, into a video; the suffix chooses `.mp4`, `.gif` or `.webp`.
 
     Side by side, each robot has its own camera, its captions above, and a bar for its distance since the beginning
-    below, on the same scale for all; the video is as long as the shortest recording.
+    below, on the same scale for all; the video is as long as the shortest recording. More than `MOST_BESIDE` stand in
+    pairs below one another.
 
     Args:
-        recording: what to show, truncated where its state is no longer finite; or panes from left to right.
+        recording: what to show, truncated where its state is no longer finite; or panes from left to right, row by row.
         model: the simulated model, one for all.
         path: the file; it appears only when it is complete.
         fps: frames per second of the video.
@@ -407,7 +411,8 @@ def render(
     pictures, height = drawn[0]
     if isinstance(recording, Recording):
         return write_video(path, pictures, count, fps=fps, width=width, height=height, progress=progress)
-    header = _header(panes, width)
+    beside = len(panes) if len(panes) <= MOST_BESIDE else 2
+    headers = _header(panes, width)
     # Each robot's distance from its start, without the sway of the steps [m].
     data, ways = mujoco.MjData(model), np.empty((len(panes), count))
     for i, (pane, each) in enumerate(zip(panes, samples, strict=True)):
@@ -416,11 +421,14 @@ def render(
 
     def frames() -> Iterator[UInt8[np.ndarray, "height width 3"]]:
         for i, row in enumerate(zip(*(pictures for pictures, _ in drawn), strict=True)):
-            footer = _footer(i * speed / fps, speed, ways[:, i], ways.max(), width)
-            yield np.concatenate([header, _beside(list(row)), footer])
+            footers = _footer(i * speed / fps, speed, ways[:, i], ways.max(), width)
+            each = [np.concatenate(parts) for parts in zip(headers, row, footers, strict=True)]
+            each += [np.full_like(each[0], PAPER)] * (-len(each) % beside)
+            yield np.concatenate([_beside(each[start : start + beside]) for start in range(0, len(each), beside)])
 
-    height += len(header) + _FOOTER
-    return write_video(path, frames(), count, fps=fps, width=header.shape[1], height=height, progress=progress)
+    height = (height + len(headers[0]) + _FOOTER) * math.ceil(len(panes) / beside)
+    wide = beside * (width + _GAP) - _GAP
+    return write_video(path, frames(), count, fps=fps, width=wide, height=height, progress=progress)
 
 
 def check_video(
@@ -565,8 +573,8 @@ def _renderer(model: mujoco.MjModel, width: int, height: int) -> mujoco.Renderer
         ) from error
 
 
-def _header(panes: Sequence[Pane], width: int) -> UInt8[np.ndarray, "height width 3"]:
-    """The captions above the pictures, all with the height of the longest."""
+def _header(panes: Sequence[Pane], width: int) -> list[UInt8[np.ndarray, "height width 3"]]:
+    """The captions above each picture, all with the height of the longest."""
     most = int(width / CHARACTER)
     texts = [[part for line in pane.caption for part in textwrap.wrap(line, most)] for pane in panes]
     height = _LINE * (1 + max(map(len, texts))) + 10
@@ -577,12 +585,12 @@ def _header(panes: Sequence[Pane], width: int) -> UInt8[np.ndarray, "height widt
         for i, line in enumerate(lines, start=1):
             write_text(figure, 8, 5 + i * _LINE, line, fontsize=8.5)
         strips.append(pixels(figure))
-    return _beside(strips)
+    return strips
 
 
 def _footer(
     seconds: float, speed: float, ways: Float[np.ndarray, " panes"], furthest: float, width: int
-) -> UInt8[np.ndarray, "height width 3"]:
+) -> list[UInt8[np.ndarray, "height width 3"]]:
     """A bar for each robot's distance, with its value in millimetres, and the time."""
     strips = []
     room = width - 16
@@ -595,7 +603,7 @@ def _footer(
         strip[7:15, 8 : 8 + room] = _TRACK
         strip[7:15, 8 : 8 + round(room * way / max(furthest, 1e-6))] = _BAR
         strips.append(strip)
-    return _beside(strips)
+    return strips
 
 
 def _beside(pictures: list[np.ndarray]) -> UInt8[np.ndarray, "height width 3"]:

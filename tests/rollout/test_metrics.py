@@ -609,7 +609,15 @@ def test_a_window_shorter_than_a_tick_has_numbers(late):
 
 
 #: Metrics without a number in a run as it should be: without a failure, a path, a bend.
-MAY_BE_NAN = {"failure_time", "turning_radius"} | {f"cross_track_{what}" for what in ("peak", "rms", "walked", "noise")}
+MAY_BE_NAN = {
+    "failure_time",
+    "turning_radius",
+    "stride_length",
+    "stride_length_cv",
+    "stride_time",
+    "stance_time",
+    "duty_factor",
+} | {f"cross_track_{what}" for what in ("peak", "rms", "walked", "noise")}
 
 
 @functools.cache
@@ -822,3 +830,51 @@ def test_every_metric_has_a_unit_and_a_meaning():
     result, _ = measure(stream(11))
     assert set(result) == set(METRICS)
     assert all(metric.unit and metric.doc for metric in METRICS.values())
+
+
+# --- strides
+
+
+def steps(lands: dict[str, list[float]], lifts: dict[str, list[float]]) -> np.ndarray:
+    """Loads of the feet (ticks, 1, 4) that land and lift at these times; each is up at first."""
+    down = np.zeros((len(TIME), 4))
+    for i, limb in enumerate(LIMBS):
+        for land, lift in zip(lands[limb], lifts[limb], strict=True):
+            down[(land - 1e-9 < TIME) & (lift - 1e-9 > TIME), i] = 0.66
+    return every_step(down)
+
+
+def test_strides_go_from_touch_down_to_touch_down():
+    """At 100 mm/s: lengths, times and stances as they were made up, with one spread of a population of four feet.
+
+    A bounce at landing, a scrape in mid-swing and a short lift in mid-stance of less than a tenth of a cycle are none.
+    """
+    lands = {limb: [0.3, 1.2, 2.3, 3.2] for limb in LIMBS}
+    lifts = {limb: [0.9, 1.8, 2.9, 3.8] for limb in LIMBS}
+    bounced = {limb: sorted([*lands[limb], 0.36, 1.05, 2.6]) for limb in LIMBS}
+    left = {limb: sorted([*lifts[limb], 0.33, 1.09, 2.54]) for limb in LIMBS}
+    walked = {"position": path(np.zeros_like(TIME), -0.1 * TIME), "linear_velocity": np.array([0.0, -0.1, 0.0])}
+    for these, those, stance in ((lands, lifts, 0.6), (bounced, left, np.mean([0.57 + 0.04, 0.6, 0.54]))):
+        found, _ = measure(stream(len(TIME), foot_force=steps(these, those), **walked), 1.0)
+        assert found["strides"] == 3
+        assert found["stride_time"] == pytest.approx(2.9 / 3, abs=1e-6)
+        assert found["stride_length"] == pytest.approx(0.1 * 2.9 / 3, rel=1e-3)
+        assert found["stride_length_cv"] == pytest.approx(np.std([0.9, 1.1, 0.9], ddof=1) / (2.9 / 3), rel=1e-2)
+        assert found["stance_time"] == pytest.approx(stance, abs=0.011)
+        assert found["duty_factor"] == pytest.approx(found["stance_time"] / found["stride_time"])
+
+
+def test_only_whole_strides_count_and_too_few_have_no_spread():
+    """A stride that began before measuring does not count; of two there is no variability, of none no number at all."""
+    lands = {limb: [0.3, 1.3, 2.3, 3.3] for limb in LIMBS}
+    lifts = {limb: [0.9, 1.9, 2.9, 3.9] for limb in LIMBS}
+    readings = stream(len(TIME), foot_force=steps(lands, lifts))
+    two, _ = measure(readings, 1.0, begin=0.6)
+    assert two["strides"] == 2
+    assert two["stride_time"] == pytest.approx(1.0, abs=1e-6)
+    assert np.isnan(two["stride_length_cv"])
+    none, _ = measure(readings, 1.0, begin=0.6, end=2.2)
+    assert none["strides"] == 0
+    assert np.isnan([none[name] for name in ("stride_time", "stride_length", "duty_factor", "stance_time")]).all()
+    standing, _ = measure(stream(len(TIME)), 1.0)
+    assert standing["strides"] == 0

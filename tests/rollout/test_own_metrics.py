@@ -23,7 +23,7 @@ from nermo_mjx.cli import main
 from nermo_mjx.optimize import Tuning
 from nermo_mjx.optimize.directory import history_columns as columns
 from nermo_mjx.rollout import metrics as measures
-from nermo_mjx.rollout.own_metrics import REDUCTIONS, OwnMetric, load_metrics
+from nermo_mjx.rollout.own_metrics import ACROSS, REDUCTIONS, OwnMetric, load_metrics
 from nermo_mjx.rollout.setup import Window
 from nermo_mjx.sweep import Sweep, read_table, run_sweep
 from nermo_mjx.sweep.plots import sweep_figures
@@ -108,6 +108,40 @@ def test_reductions_are_those_of_numpy() -> None:
         "integral": values.mean() * 8 * DT,
     }
     assert found == pytest.approx({name: float(value) for name, value in expected.items()}, rel=1e-5, abs=1e-6)
+
+
+@pytest.mark.compiles
+def test_a_metric_of_a_stride_is_reduced_from_touch_down_to_touch_down() -> None:
+    """Mean, deviation and coefficient of variation over the strides of the foot that is named, by NumPy."""
+    ticks, period, stance = 401, 100, 60
+    down = (np.arange(ticks)[:, None] - [30, 55, 30, 55]) % period < stance
+    random = np.random.default_rng(1).normal(2.0, 1.0, (ticks, STEPS)).astype(np.float32)
+    gyro = np.zeros((ticks, STEPS, 3))
+    gyro[..., 2] = random
+    seen = stream(ticks, gyro=gyro, foot_force=0.66 * down[:, None])
+    chosen = tuple(
+        dataclasses.replace(own(reduce), name=f"{reduce}_{across}", per="stride", limb="front_right", across=across)
+        for reduce in ("mean", "range", "integral")
+        for across in ACROSS
+    )
+
+    def tick(state: Any, now: Any) -> tuple[Any, None]:
+        return measures.update(
+            Window(begin=0.0, end=1e6, distance=1e6), state, now[1], now[0], DT, 0.95, own=chosen
+        ), None
+
+    start = measures.init(jax.tree.map(lambda leaf: jnp.asarray(leaf[0, -1], jnp.float32), seen), chosen)
+    state, _ = jax.lax.scan(tick, start, (DT * np.arange(ticks), seen))
+    found = measures.result(state, jnp.asarray(0.27), own=chosen)
+    # The front right foot is down from ticks 55, 155, 255 and 355 on, and settles in the eleventh tick.
+    strides = [random[begin : begin + period] for begin in (66, 166, 266)]
+    ranges = [np.ptp(random[begin - 1 : begin + period].ravel()[STEPS - 1 :]) for begin in (66, 166, 266)]
+    values = {"mean": [each.mean() for each in strides], "range": ranges, "integral": [each.mean() for each in strides]}
+    for reduce, each in values.items():
+        std = np.std(each, ddof=1)
+        expected = {"mean": np.mean(each), "std": std, "cv": std / np.mean(each)}
+        for across, value in expected.items():
+            assert float(found[f"{reduce}_{across}"]) == pytest.approx(value, rel=2e-3), (reduce, across)
 
 
 @pytest.mark.compiles
@@ -345,6 +379,9 @@ def test_a_misspelled_name_gets_the_nearest(shake: Path) -> None:
         ({"unit": ""}, "with the unit '': expected a text"),
         ({"unit": "1", "better": "lower"}, "better='lower': allowed is None, high, low; did you mean 'low'"),
         ({"unit": "1", "reduce": "maximum"}, "reduce='maximum': allowed is mean, rms"),
+        ({"unit": "1", "per": "step"}, "per='step': allowed is run, stride"),
+        ({"unit": "1", "per": "stride", "limb": "left_front"}, "limb='left_front': allowed is front_left"),
+        ({"unit": "1", "per": "stride", "across": "sd"}, "across='sd': allowed is mean, std, cv; did you mean 'std'"),
     ],
 )
 def test_what_a_metric_is_declared_with_is_checked(how: Any, message: str) -> None:

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import warnings
 
 import pytest
 
@@ -52,6 +53,19 @@ def test_rows_of_other_code_are_refused_until_they_are_accepted(tmp_path):
         held.take_code(other, holds_rows=True, accept=True)
         held.take_code(HERE, holds_rows=True)
     assert codes_of(tmp_path) == {HERE.id: HERE, other.id: other}
+
+
+def test_who_goes_on_under_another_python_or_numpy_is_told(tmp_path):
+    """Not of what the stamp of the code decides, and not where nothing is known of the former session."""
+    first = {"versions": {"python": "3.11.7", "numpy": "2.4.6", "jax": "0.10.2"}}
+    then = {"versions": {"python": "3.12.1", "numpy": "2.3.0", "jax": "0.9.0", "scipy": "1.17.1"}}
+    with RunDirectory(tmp_path, "sweep") as held, warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for session in ({}, first, first, {"versions": {"jax": "0.9.0"}}, {"versions": {}}, first):
+            held.note_session(session)
+        with pytest.raises(UserWarning, match=r"with python 3\.12\.1, not 3\.11\.7, numpy 2\.3\.0, not 2\.4\.6: "):
+            held.note_session(then)
+        held.note_session(then)
 
 
 def test_a_directory_without_rows_is_begun_anew_by_who_holds_it_alone(tmp_path):
