@@ -23,7 +23,16 @@ from nermo_mjx.robot.quantity import ParameterError, did_you_mean
 from nermo_mjx.sweep.comparing import Source, opened_table
 from nermo_mjx.sweep.counting import Variants, counts
 from nermo_mjx.sweep.sampling import saltelli_size, unit_problem
-from nermo_mjx.sweep.table import LEADING, Columns, Results, columns_of, labelled, report_table
+from nermo_mjx.sweep.table import (
+    LEADING,
+    Columns,
+    Results,
+    columns_of,
+    labelled,
+    profile_text,
+    profiles_of,
+    report_table,
+)
 
 #: Resamples of SALib's bootstrap, the same ones in each call; SALib takes a seed of 0 for none.
 _BOOTSTRAP: Final[dict[str, Any]] = {"num_resamples": 1000, "seed": 1}
@@ -126,7 +135,8 @@ def sensitivity(source: Source, metric: str = LEADING) -> Sensitivity:
             rest = rest if method == "sobol" else "which no parameter explains"
             about_noise = f", {noise:.1%} of the variance: {rest}".replace("%", " %")
         notes.append(f"What is randomized counts as noise{about_noise}.")
-    notes, columns = list(dict.fromkeys(notes)), Columns()
+    said = profile_text(profiles_of(results))
+    notes, columns = [*dict.fromkeys(notes), f"{said[:1].upper()}{said[1:]}."], Columns()
     for name in structures:
         columns.add(name, np.array([line[name] for line in lines]), "varied", "1", name, scale="structure")
     for name, role, text in (

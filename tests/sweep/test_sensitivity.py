@@ -102,7 +102,8 @@ def test_noise_is_in_the_total_indices_and_is_told(tmp_path: Path) -> None:
     run_sweep(spec, tmp_path, simulator=Ishigami())
     found, half = sensitivity(tmp_path), 100 / 12 / 2
     assert found.noise == pytest.approx(half / (WHOLE + half), abs=0.03)
-    assert "of the variance" in found.notes[-1]
+    assert "of the variance" in found.notes[-2]
+    assert found.notes[-1] == "Profile exact."
     for (name, order), line in indices(found).items():
         noise = half if order == "total" else 0.0
         assert line["index"] == pytest.approx((KNOWN[name, order] * WHOLE + noise) / (WHOLE + half), abs=0.07)
