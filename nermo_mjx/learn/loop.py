@@ -167,7 +167,7 @@ class EpisodeLoop:
             arrived=status == _code(Outcome.arrived),
         )
         begun = state.loop.tick > 0
-        values = {term.name: jnp.where(begun, term.value(moment), 0.0) for term in self.terms}
+        values = {term.name: jnp.where(begun, term.of(moment), 0.0) for term in self.terms}
         # A world that diverged gives none; it is restarted.
         values = {name: jnp.where(now.lost & (name != "failed"), 0.0, value) for name, value in values.items()}
         reward = sum((weight * values[term.name] for term, weight in self.terms.items()), jnp.zeros(()))

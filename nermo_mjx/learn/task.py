@@ -23,7 +23,7 @@ from pydantic_core.core_schema import CoreSchema
 from nermo_mjx.control import turning
 from nermo_mjx.control.controller import Controller
 from nermo_mjx.control.pilot import OpenLoop
-from nermo_mjx.control.protocol import ControllerLike
+from nermo_mjx.control.protocol import ControllerLike, user_code
 from nermo_mjx.learn.acting import Acted, Acting, ActionField, ActionKind, Residual
 from nermo_mjx.learn.observing import OBSERVED, SENSED, TOLD, Sensing
 from nermo_mjx.robot import ModelParameters, ParameterError, Quantity, Robot, Sensors, identified
@@ -40,6 +40,7 @@ from nermo_mjx.robot.quantity import (
 from nermo_mjx.robot.terrains import terrain_values
 from nermo_mjx.rollout.loop import LoopParameters, loop_parameters
 from nermo_mjx.rollout.metrics import Ending, MetricState
+from nermo_mjx.rollout.own_metrics import described
 from nermo_mjx.rollout.run import StartPose
 from nermo_mjx.rollout.setup import Setup, Window, all_parameters
 from nermo_mjx.shapes import Array, Count, Scalar, Truth
@@ -94,6 +95,18 @@ class Term:
     doc: str
     value: Callable[[Moment], Scalar]
     needs: str | None = None
+
+    def of(self, moment: Moment) -> Scalar:
+        """Its value.
+
+        Raises:
+            ParameterError: the function fails, cannot be compiled, or gives something else than one number.
+        """
+        with user_code(f"rewards has {self.name}, which fails"):
+            given = self.value(moment)
+        if not isinstance(given, (int, float, jax.Array)) or jnp.shape(given) or jnp.iscomplexobj(given):
+            raise ParameterError(f"rewards has {self.name}, which gives {described(given)}: expected one number.")
+        return jnp.asarray(given)
 
 
 def _kernel(error: Scalar, width: float) -> Scalar:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import hashlib
 import json
 import logging
+import os
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, Final
@@ -66,15 +68,18 @@ class Checkpoints:
         about["seal"] = _seal(about)
         saved = ocp.args.StandardSave(dict(parts))
         items = ocp.args.Composite(**{self._item: saved, "about": ocp.args.JsonSave(about)})
-        with _quiet():
-            try:
+        try:
+            with _quiet():
                 self._manager.save(number, args=items, force=True)
-            except OSError:
-                raise
-            except Exception as error:  # a failed write can raise any exception in its thread
-                raise DirectoryError(
-                    f"cannot write a checkpoint in {self.folder}: {' '.join(str(error).split())}."
-                ) from error
+        except OSError:
+            raise
+        except Exception as error:  # a failed write can raise any exception in its thread
+            logging.getLogger("absl").setLevel(logging.CRITICAL)  # other threads of Orbax fail later, and would print
+            if (full := os.strerror(errno.ENOSPC)) in str(error):  # another program took the room meanwhile
+                raise OSError(errno.ENOSPC, full) from error
+            raise DirectoryError(
+                f"cannot write a checkpoint in {self.folder}: {' '.join(str(error).split())}."
+            ) from error
 
     def restore(
         self, like: Callable[[About], Parts], warn: Callable[[str], None] = lambda _: None

@@ -263,6 +263,24 @@ def test_a_step_refuses_actions_of_another_shape_and_states_that_are_gone(enviro
         environment.step(old, np.zeros((3, 9)))
 
 
+@pytest.mark.parametrize(
+    ("value", "message"),
+    [
+        (
+            lambda m: m.sensors.servo_velocity,
+            r"has own, which gives an array of shape \(\d+,\): expected one number",
+        ),
+        (lambda m: m.sensors.servo_speed[8], "own, which fails at .*: AttributeError.* Sensors are position"),
+        (lambda m: 1.0 if m.speed > 0.1 else 0.0, "own, which fails at .*: it cannot be compiled"),
+        (lambda m: None, "own, which gives NoneType: expected one number"),
+    ],
+)
+def test_a_term_that_gives_no_number_is_refused_before_anything_runs(value, message):
+    """An array of ten would make the reward one, in silence."""
+    with pytest.raises(ParameterError, match=message):
+        Environment(SETUP, worlds=1, task=Task(rewards={Term("own", "1", "a mistake", value): 1.0})).reset(0)
+
+
 def test_headway_saturates_so_that_being_stuck_costs_more_than_haste_earns():
     """Of a second: nothing at rest, nearly all of it at 0.15 m/s, and a loss of the same size backward."""
     (term,) = chosen_terms({"headway": 1.0}, ())
