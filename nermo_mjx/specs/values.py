@@ -103,8 +103,9 @@ class Bodies(Checked):
     def check(self, value: Any) -> str:
         if isinstance(value, bool):
             return identified.IDENTIFIED if value else ""
-        if not isinstance(value, str):
-            raise Refused(f"is {describe(value)}: allowed is identified, or DIR of an identification.")
+        if not isinstance(value, str) or ("/" not in value and value not in ("", identified.IDENTIFIED)):
+            meant = did_you_mean(str(value), (identified.IDENTIFIED,))
+            raise Refused(f"is {describe(value)}: allowed is identified, or DIR such as runs/mine{meant}")
         try:
             identified.bodies(value) if value else None
         except ParameterError as error:
@@ -112,7 +113,7 @@ class Bodies(Checked):
         return value
 
     def schema(self, own: JsonSchema) -> JsonSchema:
-        return {"type": ["string", "boolean"]}
+        return {"anyOf": [{"type": "string", "pattern": "^$|^identified$|/"}, {"type": "boolean"}]}
 
 
 @dataclasses.dataclass(frozen=True)
