@@ -147,6 +147,10 @@ def test_a_command_is_valid(line: str, tmp_path: Path, monkeypatch: pytest.Monke
         if re.fullmatch(r"[\w/.-]+\.(yaml|npz|csv)", word):
             Path(word).parent.mkdir(parents=True, exist_ok=True)
             Path(word).touch()
+    if "--body" in words:
+        folder = Path(words[words.index("--body") + 1])
+        folder.mkdir(parents=True)
+        (folder / "ensemble.csv").write_text("servo.kp,objective,weight\n19,1,1\n")
     words = ["maze" if (name, word) == ("experiment", "NAME") else word for word in words]
     assert main.commands[name].make_context(name, words) is not None
 

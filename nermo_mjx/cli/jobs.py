@@ -7,7 +7,9 @@ import dataclasses
 import functools
 import importlib.util
 import math
-from collections.abc import Callable, Iterator
+import shlex
+import sys
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -697,6 +699,20 @@ def _counted(summary: dict[str, Any]) -> str:
 
 @command("identify")
 @options.out
+@options.text(
+    "--log", "FILE", "A log of the robot, CSV or Parquet; repeatable.", multiple=True, type=FileKind(".csv", ".parquet")
+)
+@options.text("--channels", "FILE.yaml", "What the columns of the logs are; see nermo-mjx log.", type=options.SPEC)
+@options.text(
+    "--check",
+    "FILE",
+    "A log that judges; by default the last quarter of each.",
+    multiple=True,
+    type=FileKind(".csv", ".parquet"),
+)
+@options.text("--model", "FILE.xml", "The MJCF of another robot.", type=FileKind(".xml"))
+@options.text("--free", "KINDS", "With --log: kinds of parameters, separated by commas; by default all but play.")
+@options.text("--range", "NAME=LOW:HIGH", "With --log: range of a parameter or kind; repeatable.", multiple=True)
 @number("--samples", "Candidates of the first, space-filling search.", click.IntRange(1), default=64)
 @number("--generations", "Generations of the second search, from its best.", click.IntRange(1), default=25)
 @number("--population", "Candidates per generation.", click.IntRange(4), default=12)
@@ -705,29 +721,87 @@ def _counted(summary: dict[str, Any]) -> str:
 @number("--tolerance", "Largest objective of a body of the ensemble.", options.POSITIVE, default=0.5)
 @number("--seed", "Seed of all searches.", click.IntRange(0), default=0)
 @options.choice_option("--profile", ("exact", "as_published"), "Set-up of the walks.")
+@options.robot
 @_on_engine
 def identify_command(out: Path, **how: Any) -> Output:
-    """Identify the body's parameters that the publication does not give.
+    """Identify a robot's body from its logs, or from the published speeds.
 
-    Fits servo gain and damping, and damping of the joints, within physical
-    bounds to the published speeds on the straight line, and nothing else. The
-    result is printed as options of `experiment` and `walk`, and as the `set`
-    line of a sweep. Then samples an ensemble of bodies that also fit, with the
-    friction of soles and tail free as well: ensemble.csv. The same command
-    resumes an interrupted identification.
+    With --log, fits a model that is driven by the logged commands to what the
+    robot measured, and says which parameters the log determines, which only
+    together, whether this kind of model explains it, and what to measure next.
+    The model is Nermo, or with --model any MJCF.
 
-    --workers ray distributes the batches of the space-filling search and of
-    the ensemble over a cluster's machines, which need no access to DIR.
+    Without, fits servo gain and damping, and damping of the joints, within
+    physical bounds to the published speeds on the straight line, and nothing
+    else. The result is printed as options of `experiment` and `walk`, and as
+    the `set` line of a sweep. Then samples an ensemble of bodies that also
+    fit, with the friction of soles and tail free as well: ensemble.csv. The
+    same command resumes it. --workers ray distributes its batches over a
+    cluster's machines, which need no access to DIR.
 
     Examples:
+      nermo-mjx identify --log robot.csv --channels robot.yaml --out runs/mine
+      nermo-mjx identify --log arm.csv --channels arm.yaml --model arm.xml --out runs/arm
       nermo-mjx identify --out runs/identified
       nermo-mjx identify --samples 8 --generations 2 --bodies 0 --out runs/look
     """
+    own = {name: how.pop(name) for name in ("log", "channels", "check", "model", "free", "range", "robot")}
+    if own["log"]:
+        return _identify_log(out, seed=how["seed"], **own)
+    given = [f"--{name}" for name in ("channels", "check", "model", "free", "range") if own[name]]
+    if given:
+        raise WrongUse(f"{given[0]} is for logs: give --log FILE.")
     from nermo_mjx.experiments.identification import run_identification
 
-    with _working("", how) as given:
-        content = run_identification(out, **given)
+    with _working("", how) as given_how:
+        content = run_identification(out, **given_how)
     return Output({"out": out, **content}, lambda: _print_identification(content, out))
+
+
+def _identify_log(
+    out: Path,
+    *,
+    log: tuple[Path, ...],
+    channels: Path | None,
+    check: tuple[Path, ...],
+    model: Path | None,
+    free: str | None,
+    range: tuple[str, ...],
+    robot: str,
+    seed: int,
+) -> Output:
+    from nermo_mjx.experiments import log_identification, log_report, log_twin
+    from nermo_mjx.hardware.log import read_log
+
+    if channels is None:
+        raise WrongUse("--log needs --channels FILE.yaml, which says what the columns are.")
+    ranges = dict[str, tuple[float, float]]()
+    for each in range:
+        name, _, ends = each.partition("=")
+        try:
+            low, high = map(float, ends.split(":"))
+        except ValueError:
+            raise WrongUse(f"--range {each}: expected NAME=LOW:HIGH, such as kp=1:3.") from None
+        ranges[name] = (low, high)
+    logs, judges = ([read_log(file, channels) for file in files] for files in (log, check))
+    kinds = tuple(free.split(",")) if free else log_identification.FREE
+    wanted = log_identification.Wanted(kinds, ranges, seed=seed)
+
+    def make(kinds: Sequence[str]) -> log_twin.Body:
+        if model is None:
+            return log_twin.nermo_body(robot, kinds)
+        return log_twin.MjcfBody(model, [*logs, *judges], kinds)
+
+    found = log_identification.identify_log(make, logs, wanted, judges)
+    content = log_report.write_identification(found, out, shlex.join(["nermo-mjx", *sys.argv[1:]]))
+
+    def show() -> None:
+        print_table("Parameters", log_report.HEADINGS, log_report.parameter_rows(found))
+        for sentence in content["sentences"]:
+            click.echo(sentence)
+        print_places(out, report="report.html", body=content["files"][0], next=content["next"]["file"] or None)
+
+    return Output({"out": out, **content}, show)
 
 
 def _print_identification(content: dict[str, Any], out: Path) -> None:

@@ -174,10 +174,36 @@ def column(name: str, about: str, *, among: tuple[str, ...] = (), **more: Any) -
     return click.option(name, metavar="NAME", shell_complete=complete, help=about, **more)
 
 
+#: Where the parameters of `--body` are kept in a command's context.
+_BODY = "nermo_mjx.body"
+
+
 def set_option(about: str) -> Callable[[F], F]:
     """`--set`; see `assigned`."""
-    complete = names(*choices.PARAMETERS, end="=")
-    return click.option("--set", "assignments", multiple=True, metavar="NAME=X", help=about, shell_complete=complete)
+    return click.option(
+        "--set",
+        "assignments",
+        multiple=True,
+        metavar="NAME=X",
+        help=about,
+        shell_complete=names(*choices.PARAMETERS, end="="),
+        callback=lambda ctx, parameter, given: _with_body(ctx, given),
+    )
+
+
+def _best_body(ctx: click.Context, parameter: click.Parameter, source: str | None) -> None:
+    """Read the parameters of the best body, as assignments."""
+    if source is not None:
+        from nermo_mjx.robot import identified
+
+        best = {name: column[0] for name, column in identified.bodies(source).values.items()}
+        ctx.meta[_BODY] = tuple(f"{name}={value:.12g}" for name, value in best.items())
+
+
+def _with_body(ctx: click.Context, given: tuple[str, ...]) -> tuple[str, ...]:
+    """Assignments of `--body` that are not given by `--set`, and those that are."""
+    named = {each.split("=")[0] for each in given}
+    return (*(each for each in ctx.meta.get(_BODY, ()) if each.split("=")[0] not in named), *given)
 
 
 def grouped(*listed: Callable[[Any], Any]) -> Callable[[F], F]:
@@ -251,7 +277,17 @@ produced = grouped(
     file("--record", ".npz", "Save the whole run."), file("--video", ".mp4", "Render it; MP4, GIF or WebP."), camera
 )
 controller = text("--controller", "FILE", "Custom controller: FILE.py:NAME, or a policy FILE.npz.")
-set_any = set_option("Any parameter that `sweep --list-parameters` prints; repeatable.")
+set_any = grouped(
+    set_option("Any parameter that `sweep --list-parameters` prints; repeatable."),
+    text(
+        "--body",
+        "DIR",
+        "The best body of an identification's directory; --set goes before it.",
+        is_eager=True,
+        expose_value=False,
+        callback=_best_body,
+    ),
+)
 #: What decides how the robot steps.
 gait = grouped(
     click.option(

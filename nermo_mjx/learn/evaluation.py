@@ -117,7 +117,7 @@ def unseen_bodies(training: Training, task: Task, draws: Draws) -> dict[str, np.
         name: low + share * (high - low) for (name, (low, high)), share in zip(ranges.items(), shares, strict=True)
     }
     if task.bodies:
-        ensemble = identified.bodies()
+        ensemble = identified.bodies(task.bodies)
         drawn |= ensemble.take(ensemble.at(body))
     return drawn
 

@@ -46,7 +46,7 @@ from nermo_mjx.rollout.setup import Setup, Window, all_parameters
 from nermo_mjx.shapes import Array, Count, Scalar, Truth
 from nermo_mjx.specs.fields import JsonSchema, Refused
 from nermo_mjx.specs.model import Spec
-from nermo_mjx.specs.values import Checked, Choice, Ends, Finite, Positive, Whole
+from nermo_mjx.specs.values import Bodies, Checked, Choice, Ends, Finite, Positive, Whole
 
 #: Errors at which the terms that track a command have fallen to 1/e: speed [m/s], yaw rate [rad/s].
 SPEED_WIDTH: Final = 0.05
@@ -310,8 +310,8 @@ class Task(Spec):
     """value in all episodes of parameters, commands and sensors: command.speed, sensing.delay, ..."""
     randomize: dict[str, Ends] = dataclasses.field(default_factory=lambda: dict(RANDOMIZED))
     """range (low, high) of each parameter that is drawn, uniformly, for each episode"""
-    bodies: bool = False
-    """whether each episode draws one of the identified bodies"""
+    bodies: Annotated[str, Bodies()] = ""
+    """identified or true, or the directory of an identification: each episode draws one of its bodies"""
     decimation: Annotated[int, Whole(1, 100)] = 1
     """control ticks for which an action is held. The residual learners on this robot act at each one, and a policy
     costs a tenth of a tick's physics"""
@@ -352,7 +352,7 @@ class Task(Spec):
         if setup.schedule:
             raise ParameterError("schedule is of a walk, not of a training: vary what a policy should cope with.")
         known = task_parameters(setup)
-        body = set(identified.bodies().values) if self.bodies else set()
+        body = set(identified.bodies(self.bodies).values) if self.bodies else set()
         for section in ("set", "randomize"):
             for name in getattr(self, section):
                 if name not in known:
@@ -419,7 +419,7 @@ class Episodes:
     @property
     def drawn(self) -> tuple[str, ...]:
         """Names of what differs between episodes."""
-        return (*self.task.randomize, *(identified.bodies().values if self.task.bodies else ()))
+        return (*self.task.randomize, *(identified.bodies(self.task.bodies).values if self.task.bodies else ()))
 
     @property
     def reached(self) -> tuple[str, ...]:
@@ -439,7 +439,7 @@ class Episodes:
         for share, (name, (low, high)) in zip(shares, self.task.randomize.items(), strict=True):
             values[name] = 0.5 * (low + high) + 0.5 * share * (high - low)
         if self.task.bodies:
-            ensemble = identified.bodies()
+            ensemble = identified.bodies(self.task.bodies)
             one = jax.random.choice(body, len(ensemble), p=jnp.asarray(ensemble.weights, float))
             members = {name: jnp.asarray(column, float) for name, column in ensemble.values.items()}
             values |= {name: column[one] for name, column in members.items()}

@@ -22,6 +22,8 @@ import numpy as np
 
 from nermo_mjx.robot.quantity import ParameterError
 
+#: The ensemble that comes with the package.
+IDENTIFIED: Final = "identified"
 PATH: Final = Path(__file__).with_suffix(".csv")
 #: Columns that are not parameters.
 _ABOUT: Final = ("objective", "weight")
@@ -56,9 +58,21 @@ class Ensemble:
 
 
 @functools.lru_cache
-def bodies() -> Ensemble:
-    """The ensemble that comes with the package."""
-    return read_ensemble(PATH.read_text(encoding="utf-8").splitlines())
+def bodies(source: str = IDENTIFIED) -> Ensemble:
+    """The ensemble that comes with the package, or that of an identification's directory, read once.
+
+    Raises:
+        ParameterError: the directory has none, or a damaged one.
+    """
+    path = PATH if source == IDENTIFIED else Path(source) / "ensemble.csv"
+    try:
+        return read_ensemble(path.read_text(encoding="utf-8").splitlines())
+    except OSError:
+        raise ParameterError(
+            f"{source} is no directory of an identification with bodies: {path} cannot be read."
+        ) from None
+    except (ValueError, KeyError, IndexError):
+        raise ParameterError(f"{path} is damaged: expected names of columns, and then a body in each line.") from None
 
 
 def choose(n: int, seed: int) -> dict[str, np.ndarray]:

@@ -12,6 +12,7 @@ from pydantic import Field, GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic_core import core_schema
 from pydantic_core.core_schema import CoreSchema
 
+from nermo_mjx.robot import identified
 from nermo_mjx.robot.quantity import ParameterError, Quantity, did_you_mean, quantities
 from nermo_mjx.rollout.own_metrics import METRICS, Metric
 from nermo_mjx.rollout.setup import WorldParameters
@@ -91,6 +92,28 @@ class Choice(Checked):
 
     def schema(self, own: JsonSchema) -> JsonSchema:
         return {"enum": list(self.names)}
+
+
+class Bodies(Checked):
+    """Where bodies are drawn from: identified, or the directory of an identification; true and false in a task."""
+
+    def inner(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        return core_schema.any_schema()
+
+    def check(self, value: Any) -> str:
+        if isinstance(value, bool):
+            return identified.IDENTIFIED if value else ""
+        if not isinstance(value, str) or ("/" not in value and value not in ("", identified.IDENTIFIED)):
+            meant = did_you_mean(str(value), (identified.IDENTIFIED,))
+            raise Refused(f"is {describe(value)}: allowed is identified, or DIR such as runs/mine{meant}")
+        try:
+            identified.bodies(value) if value else None
+        except ParameterError as error:
+            raise Refused(f"is {value!r}: {error}") from None
+        return value
+
+    def schema(self, own: JsonSchema) -> JsonSchema:
+        return {"anyOf": [{"type": "string", "pattern": "^$|^identified$|/"}, {"type": "boolean"}]}
 
 
 @dataclasses.dataclass(frozen=True)

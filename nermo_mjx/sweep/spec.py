@@ -28,7 +28,7 @@ from nermo_mjx.specs.controllers import code_identity, known_names
 from nermo_mjx.specs.described import Described, digest_of
 from nermo_mjx.specs.fields import Fields, OneOf, Refused, documented, optional, read
 from nermo_mjx.specs.reading import Document, FieldPath, describe, read_file, read_mapping, read_text
-from nermo_mjx.specs.values import Choice, Positive, Whole, refuse_parameter
+from nermo_mjx.specs.values import Bodies, Positive, Whole, refuse_parameter
 from nermo_mjx.specs.walk import WalkFields, WalkSpec, check_reach, check_sources, unread, written_out
 from nermo_mjx.sweep.sampling import Axis, Draw, Saltelli, read_axis, read_draw, saltelli_points, saltelli_size
 from nermo_mjx.sweep.structures import (
@@ -250,7 +250,9 @@ class Randomized(Fields):
     __pydantic_extra__: dict[str, Draw]
     model_config = ConfigDict(extra="allow", json_schema_extra=also_parameters)
     repeats: Annotated[int, Whole(1, 100_000)] = Field(1, description="how often each variant is drawn and run")
-    bodies: Annotated[str, Choice(("identified",))] = optional("draw whole bodies", alias="from")
+    bodies: Annotated[str, Bodies()] = optional(
+        "draw whole bodies: identified, or DIR of an identification", alias="from"
+    )
     paired: Annotated[list[str], BeforeValidator(_names)] = Field(
         [],
         description="varied parameters whose values have the same draws in each repeat, so that their runs are pairs",
@@ -427,7 +429,7 @@ class Sweep(WalkSpec, Described):
         draws, repeats: randomized parameters; each variant is drawn and run `repeats` times.
         structures: each combination of the varied structures, at least one; see `Structure`.
         rows: the variants, where they are given one by one.
-        bodies: "identified", if each run has a body of that ensemble; else None.
+        bodies: "identified" or the directory of an identification, if each run has a body of its ensemble; else None.
         second_order: whether a design of Saltelli's has the variants for indices of pairs.
         save: which time series are kept, and how often.
         paired: varied parameters that the draws of a repeat do not depend on.
@@ -567,7 +569,7 @@ class Sweep(WalkSpec, Described):
     @property
     def body_parameters(self) -> tuple[str, ...]:
         """Parameters that a run's body decides."""
-        return tuple(identified.bodies().values) if self.bodies else ()
+        return tuple(identified.bodies(self.bodies).values) if self.bodies else ()
 
     def resolved(self, folder: Path | None = None) -> dict[str, Any]:
         data = {name: value for name, value in self.walk_fields(folder).items() if name not in self.labelled}
@@ -618,7 +620,7 @@ class Sweep(WalkSpec, Described):
         defaults: Any = {name: about.default for name, about in self.parameters.items()}
         if self.labelled:
             defaults = [[each.setup.defaults(), each.walk_fields()] for each in self.structures]
-        bodies = [identified.bodies().fingerprint] if self.bodies else []
+        bodies = [identified.bodies(self.bodies).fingerprint] if self.bodies else []
         implied = [{draw.name: draw.numbers for draw in self.draws if draw.implied}]
         return digest_of(self.decisive(), defaults, *bodies, *filter(None, implied))
 
@@ -765,7 +767,7 @@ class Sample:
                 value = np.where(repeat == 0, 0.0, draw.at(column)) if draw.implied else draw.at(column)
                 values[draw.name] = self._masked(draw.name, value, structure)
             if sweep.bodies:  # after the others, which are the same with and without it
-                ensemble = identified.bodies()
+                ensemble = identified.bodies(sweep.bodies)
                 body = ensemble.at(columns[-1])
                 values |= ensemble.take(body)
         return Rows(variant, repeat, seed, values, structure, body)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import html
 import io
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -15,7 +16,7 @@ from nermo_mjx.learn.evaluation import POLICY, recorded, summary_of
 from nermo_mjx.learn.plots import training_figures
 from nermo_mjx.learn.policy import judged_in, load_policy
 from nermo_mjx.learn.spec import Training
-from nermo_mjx.plotting.files import lay_out
+from nermo_mjx.plotting.files import Figures, lay_out
 from nermo_mjx.plotting.style import STYLE
 from nermo_mjx.robot.scene import scene_name
 from nermo_mjx.runs.files import content_of, parquet_table
@@ -56,18 +57,28 @@ def trained(path: Path, *, engine: str = "c") -> Page:
         where = f"On {training.evaluation.bodies:,} unseen bodies and starts, in physics {judged['physics']}; medians."
         table = _table(summary_of(parquet_table(content)))
         parts.append(f'<h2>Evaluation</h2><p>{where}</p><div class="wide"><table>{table}</table></div>')
+    return Page(document(name, "a training", parts, drawn), 680, samples)
+
+
+def document(name: str, what: str, parts: Sequence[str], figures: Figures) -> str:
+    """A self-contained page of a directory: its parts, HTML each, and then its figures by name.
+
+    Args:
+        name: of the directory, escaped.
+        what: is in it.
+    """
+    parts = list(parts)
     with rc_context(STYLE):
-        for title, figure in drawn:
+        for title, figure in figures:
             lay_out(figure)
             file = io.BytesIO()
             figure.savefig(file, format="svg")
             source = f"data:image/svg+xml;base64,{base64.b64encode(file.getvalue()).decode('ascii')}"
             parts.append(f'<h2>{title.capitalize()}</h2><img alt="{html.escape(title)}" src="{source}">')
     head = '<meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">'
-    head += f"<title>Nermo: {name}, a training</title><style>{web_file('trained.css')}</style>"
+    head += f"<title>Nermo: {name}, {what}</title><style>{web_file('trained.css')}</style>"
     body = f"<header><h1>{name}</h1></header><main>{''.join(parts)}</main>"
-    whole = f'<!doctype html><html lang="en"><head>{head}</head><body>{body}</body></html>'
-    return Page(whole, 680, samples)
+    return f'<!doctype html><html lang="en"><head>{head}</head><body>{body}</body></html>'
 
 
 def _table(found: dict[str, Any]) -> str:

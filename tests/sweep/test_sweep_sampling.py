@@ -126,7 +126,7 @@ def test_a_wide_normal_distribution_stays_within_the_parameters_range():
 def test_bodies_are_drawn_whole_by_weight_and_leave_other_draws_alone(monkeypatch):
     """All parameters of a row are of one body; bodies come as often as they weigh; other draws stay as they were."""
     text = ["servo.kp,contact.friction,objective,weight", "5,1.1,0,1", "6,1.2,0,2", "7,1.3,0,5"]
-    monkeypatch.setattr(identified, "bodies", lambda: identified.read_ensemble(text))
+    monkeypatch.setattr(identified, "bodies", lambda source="identified": identified.read_ensemble(text))
     other = {"repeats": 2000, "mass.front": {"uniform": [0.15, 0.17]}}
     spec = {"vary": {"frequency": [0.5, 0.6]}}
     plain, drawn = rows_of(**spec, randomize=other), rows_of(**spec, randomize={"from": "identified", **other})

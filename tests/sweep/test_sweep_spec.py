@@ -248,7 +248,7 @@ def test_bodies_are_part_of_what_a_sweep_is(monkeypatch):
     digests = [without.digest(), drawn.digest()]
     assert digests[0] != digests[1]
     other = identified.read_ensemble(["servo.kp,objective,weight", "5.0,0.1,1"])
-    monkeypatch.setattr(identified, "bodies", lambda: other)
+    monkeypatch.setattr(identified, "bodies", lambda source="identified": other)
     assert without.digest() == digests[0]
     assert drawn.digest() != digests[1]
 

@@ -1,0 +1,497 @@
+"""What data determine of named parameters: values by Gauss-Newton, intervals, and determined directions in words.
+
+Coordinates are logarithms of positive parameters and values of others, over the standard deviation of a uniform
+distribution over the range; 0 is the default. The prior is normal with that deviation, so directions that the data do
+not determine stay at the default. With the Jacobian J of the whitened residuals, a direction's share of the prior's
+width is 1 / sqrt(1 + s^2), with the singular values s of J.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Sequence
+from typing import Any, Final
+
+import numpy as np
+from mujoco import minimize
+from scipy.stats import qmc
+
+#: A parameter is determined if its 90 % interval is narrower than this share of its range.
+DETERMINED: Final = 0.1
+#: A ratio or a product is determined if it is known this much better than each of its parameters.
+BETTER: Final = 3.0
+#: Draws of the posterior, and replicates of the bootstrap.
+DRAWS: Final = 1000
+#: Ends of a 90 % interval.
+ENDS: Final = (0.05, 0.95)
+#: Fewest blocks of a bootstrap.
+BLOCKS: Final = 10
+#: Width of the differences in Gauss-Newton steps, and half-width of those at the result [standard deviations of the
+#: prior]: wide enough for commands that are held and for contacts.
+WIDTH: Final = 1e-4
+CENTRAL: Final = 1e-3
+#: Exponents of products that are tried.
+_EXPONENTS: Final = (-2.0, -1.0, -0.5, 0.5, 1.0, 2.0)
+
+
+@dataclasses.dataclass(frozen=True)
+class Parameter:
+    """A parameter that is estimated.
+
+    Attributes:
+        name, unit: what it is called, and its unit.
+        kind: those of one kind are one part of a model class.
+        value: default, and centre of the prior.
+        low, high: its range; positive ranges are logarithmic.
+        why: reason for the range.
+        neutral: value of a model class without this kind.
+    """
+
+    name: str
+    kind: str
+    unit: str
+    value: float
+    low: float
+    high: float
+    why: str
+    neutral: float
+
+    @property
+    def logarithmic(self) -> bool:
+        """Whether its coordinate is a logarithm."""
+        return self.low > 0
+
+
+class Space:
+    """Coordinates of parameters."""
+
+    def __init__(self, parameters: Sequence[Parameter]) -> None:
+        self.parameters = tuple(parameters)
+        self.log = np.array([each.logarithmic for each in parameters], bool)
+        self._centre = self._scaled(np.array([each.value for each in parameters], float))
+        ends = [self._scaled(np.array([getattr(each, end) for each in parameters], float)) for end in ("low", "high")]
+        self.width = ends[1] - ends[0]
+        self.deviation = self.width / math.sqrt(12)
+        self.low, self.high = [(end - self._centre) / self.deviation for end in ends]
+
+    def __len__(self) -> int:
+        return len(self.parameters)
+
+    def _scaled(self, values: np.ndarray) -> np.ndarray:
+        return np.where(self.log, np.log(np.where(self.log, values, 1.0)), values)
+
+    def values(self, x: np.ndarray) -> np.ndarray:
+        """Values of the parameters at coordinates (..., p)."""
+        scaled = self._centre + np.clip(x, self.low, self.high) * self.deviation
+        return np.where(self.log, np.exp(np.where(self.log, scaled, 0.0)), scaled)
+
+    def coordinates(self, values: np.ndarray) -> np.ndarray:
+        """Inverse of `values`."""
+        return (self._scaled(np.asarray(values, float)) - self._centre) / self.deviation
+
+
+@dataclasses.dataclass(frozen=True)
+class Measured:
+    """Numbers that a model predicts, of all logs one after the other.
+
+    Attributes:
+        values: (n,), in the units of their channels.
+        channel: index of each one's channel (n,).
+        time: of each [s], growing over all logs, so that a block of time is a part of one log.
+        quantum: smallest step of each channel's values; 0 if they are fine.
+    """
+
+    values: np.ndarray
+    channel: np.ndarray
+    time: np.ndarray
+    quantum: np.ndarray
+
+    def by_channel(self, of: Callable[[np.ndarray, int], float], residual: np.ndarray) -> np.ndarray:
+        """A number for each channel from its residuals and its index (channels,)."""
+        return np.array([of(residual[self.channel == i], i) for i in range(len(self.quantum))])
+
+    def part(self, rows: np.ndarray) -> Measured:
+        """Some of the numbers; every channel stays."""
+        return Measured(self.values[rows], self.channel[rows], self.time[rows], self.quantum)
+
+
+def rms(residual: np.ndarray) -> float:
+    """Root mean square; 0 of nothing."""
+    return float(np.sqrt(np.mean(residual**2))) if len(residual) else 0.0
+
+
+def floor(residual: np.ndarray, quantum: float = 0.0) -> float:
+    """The white part of residuals: from their changes, which smooth errors hardly have (von Neumann, 1941)."""
+    return max(rms(np.diff(residual)) / math.sqrt(2), quantum / math.sqrt(12))
+
+
+@dataclasses.dataclass(frozen=True)
+class Fit:
+    """The estimate.
+
+    Attributes:
+        space: of the parameters.
+        x: their coordinates (p,).
+        residual: prediction minus measurement (n,), without what `project` removes.
+        sigma: standard deviation of each channel's residuals (channels,).
+        jacobian: of the whitened residuals to the coordinates (n, p).
+        share: standard deviation of the posterior along each of the directions, as a share of the prior's (p,).
+        directions: orthonormal columns (p, p), the best determined one first.
+        draws: of the posterior (draws, p), in coordinates.
+        cost: mean square of the whitened residuals.
+        same: how many of the starts came to this cost, and of how many.
+    """
+
+    space: Space
+    x: np.ndarray
+    residual: np.ndarray
+    sigma: np.ndarray
+    jacobian: np.ndarray
+    share: np.ndarray
+    directions: np.ndarray
+    draws: np.ndarray
+    cost: float
+    same: tuple[int, int]
+
+    @property
+    def values(self) -> np.ndarray:
+        """Of the parameters (p,)."""
+        return self.space.values(self.x)
+
+    @property
+    def intervals(self) -> np.ndarray:
+        """Ends of the 90 % intervals of the values (p, 2)."""
+        return self.space.values(np.quantile(self.draws, ENDS, axis=0)).T
+
+    @property
+    def determined(self) -> np.ndarray:
+        """Whether each parameter is (p,)."""
+        low, high = np.quantile(self.draws, ENDS, axis=0) * self.space.deviation
+        return (high - low) < DETERMINED * self.space.width
+
+    @property
+    def at_bound(self) -> list[str]:
+        """`lower`, `upper` or nothing for each parameter."""
+        near = 1e-3 * (self.space.high - self.space.low)
+        low, high = self.x < self.space.low + near, self.x > self.space.high - near
+        return ["lower" if one else "upper" if other else "" for one, other in zip(low, high, strict=True)]
+
+
+class Estimation:
+    """Fits parameters to measured numbers.
+
+    Args:
+        space: of the parameters.
+        problem: with `measured`; `predict(values)` (k, p) -> (k, n), NaN where the model fails; and `renew` and
+            `project`, which remove from whitened residuals what unknown starts explain, see `without`.
+    """
+
+    def __init__(self, space: Space, problem: Any) -> None:
+        self.space, self.problem, self.measured = space, problem, problem.measured
+
+    def residual(self, x: np.ndarray, sigma: np.ndarray) -> np.ndarray:
+        """Whitened residuals (n, k) at coordinates (p, k)."""
+        away = self.problem.predict(self.space.values(x.T)) - self.measured.values
+        # A model that fails is far away, but not so far that the derivatives beside it are lost.
+        white = np.nan_to_num(away / sigma[self.measured.channel], nan=1e3, posinf=1e3, neginf=-1e3)
+        return self.problem.project(np.clip(white, -1e3, 1e3).T, sigma)
+
+    def minimum(self, x: np.ndarray, sigma: np.ndarray, iterations: int) -> np.ndarray:
+        """Coordinates (p,) of the least squares from a start, by `mujoco.minimize`, as `mujoco.sysid` does."""
+
+        def posterior(x: np.ndarray) -> np.ndarray:
+            return np.concatenate([self.residual(x, sigma), x])
+
+        found, _ = minimize.least_squares(
+            np.clip(x, self.space.low, self.space.high),
+            posterior,
+            [self.space.low, self.space.high],
+            eps=WIDTH,
+            xtol=1e-4,
+            max_iter=iterations,
+            verbose=minimize.Verbosity.SILENT,
+        )
+        return np.asarray(found).ravel()
+
+    def spread(self) -> np.ndarray:
+        """Of each channel, a start for the weights: a tenth of its standard deviation (channels,)."""
+        values = self.measured.values
+        wide = self.measured.by_channel(lambda each, i: 0.1 * float(np.std(each)) if len(each) else 1.0, values)
+        return np.maximum(wide, 1e-9)
+
+    def scanned(self, number: int, seed: int) -> np.ndarray:
+        """Coordinates (number, p) of a Sobol sequence in the ranges, the best first."""
+        space, of = self.space, self.measured
+        shares = qmc.Sobol(len(space), rng=seed).random_base2((number - 1).bit_length())[:number]
+        points = space.low + shares * (space.high - space.low)
+        away = np.nan_to_num(self.problem.predict(space.values(points)) - of.values, nan=1e6)
+        cost = [np.sum(np.log(self.spread() * 1e-6 + of.by_channel(lambda each, i: rms(each), each))) for each in away]
+        return points[np.argsort(cost)]
+
+    def weights(self, x: np.ndarray, sigma: np.ndarray) -> np.ndarray:
+        """Each channel's residuals, but no less than what its values can tell (channels,)."""
+        away = self.residual(x[:, None], sigma)[:, 0] * sigma[self.measured.channel]
+        coarse = self.measured.quantum / math.sqrt(12)
+        return np.maximum(
+            self.measured.by_channel(lambda each, i: rms(each), away), np.maximum(coarse, 1e-3 * self.spread())
+        )
+
+    def search(
+        self, start: np.ndarray, sigma: np.ndarray | None = None, iterations: int = 15, rounds: int = 3
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Coordinates (p,) and weights (channels,) from a start, with each channel weighted by its own residuals.
+
+        Args:
+            start: coordinates (p,).
+            sigma: first weights (channels,).
+            iterations: of Gauss-Newton, at most, in each of the rounds; weights are renewed after each.
+        """
+        x, sigma = start, self.spread() if sigma is None else sigma
+        for _ in range(rounds):
+            self.problem.renew(self.space.values(x))
+            before, x = sigma, self.minimum(x, sigma, iterations)
+            sigma = self.weights(x, sigma)
+            if np.all(np.abs(np.log(sigma / before)) < 0.02):
+                break
+        return x, sigma
+
+    def fit(
+        self,
+        start: np.ndarray | None = None,
+        sigma: np.ndarray | None = None,
+        iterations: int = 15,
+        rounds: int = 3,
+        same: tuple[int, int] = (1, 1),
+        seed: int = 0,
+    ) -> Fit:
+        """The estimate from a start, by default the defaults; see `search` and `Fit`."""
+        x, sigma = self.search(np.zeros(len(self.space)) if start is None else start, sigma, iterations, rounds)
+        return self.described(x, sigma, same, seed)
+
+    def jacobian(self, x: np.ndarray, sigma: np.ndarray) -> np.ndarray:
+        """Of the whitened residuals (n, p), by central differences within the bounds, in one batch."""
+        steps = np.eye(len(x)) * CENTRAL
+        up = np.minimum(x[:, None] + steps, self.space.high[:, None])
+        down = np.maximum(x[:, None] - steps, self.space.low[:, None])
+        both = self.residual(np.concatenate([up, down], axis=1), sigma)
+        return (both[:, : len(x)] - both[:, len(x) :]) / np.diag(up - down)
+
+    def described(self, x: np.ndarray, sigma: np.ndarray, same: tuple[int, int], seed: int) -> Fit:
+        """The estimate at coordinates, with its uncertainty."""
+        jacobian, white = self.jacobian(x, sigma), self.residual(x[:, None], sigma)[:, 0]
+        values, vectors = np.linalg.eigh(jacobian.T @ jacobian)
+        values, vectors = np.maximum(values[::-1], 0.0), vectors[:, ::-1]
+        share = self._shares(jacobian @ vectors, white, values, seed)
+        random = np.random.default_rng(seed)
+        draws = x + (random.standard_normal((DRAWS, len(x))) * share) @ vectors.T
+        residual = white * sigma[self.measured.channel]
+        return Fit(self.space, x, residual, sigma, jacobian, share, vectors, draws, float(np.mean(white**2)), same)
+
+    def _shares(self, along: np.ndarray, white: np.ndarray, values: np.ndarray, seed: int) -> np.ndarray:
+        """Standard deviation of the posterior along each direction (p,).
+
+        The white residuals' one and that of a bootstrap over blocks of time are compared, and the larger taken: with
+        few blocks the bootstrap alone would call what it cannot see certain.
+        """
+        number = self.blocks(white)
+        scores, whole = np.zeros((number.max() + 1, along.shape[1])), np.diag(values + 1.0)
+        for block in range(len(scores)):
+            # Of a fit without this block: what it has fitted itself does not tell how much it scatters (CR3).
+            own = along[number == block]
+            scores[block] = whole @ np.linalg.solve(whole - own.T @ own, own.T @ white[number == block])
+        scores -= scores.mean(axis=0)
+        blocks = len(scores)
+        random = np.random.default_rng((seed, 1))
+        times = random.multinomial(blocks, np.full(blocks, 1 / blocks), DRAWS)
+        moved = (times - 1) @ scores * math.sqrt(blocks / max(blocks - 1, 1))
+        bootstrap = moved.var(axis=0)
+        small = 1.0 + 2.0 / max(blocks - 3, 1)  # variance of Student's t
+        return np.sqrt(small * np.maximum(bootstrap, values) / (1.0 + values) ** 2 + 1.0 / (1.0 + values) ** 2)
+
+    def blocks(self, white: np.ndarray) -> np.ndarray:
+        """Number of the block of time that each residual is in (n,): blocks are long against their correlation."""
+        time, channel = self.measured.time, self.measured.channel
+        span = float(np.ptp(time)) or 1.0
+        memory = 0.0
+        for i in range(len(self.measured.quantum)):
+            own = white[channel == i]
+            if len(own) > 8 and own.std() > 0:
+                lags = min(len(own) // 4, 400)
+                product = np.correlate(own, own, "full")[len(own) - 1 :][: lags + 1] / (own @ own)
+                until = np.flatnonzero(product < 0.05)
+                reach = until[0] if len(until) else lags
+                step = float(np.median(np.diff(time[channel == i])))
+                memory = max(memory, step * float(1 + 2 * product[1 : reach + 1].sum()))
+        length = min(max(0.1, 4 * memory), span / BLOCKS)
+        return np.minimum(((time - time.min()) / length).astype(int), math.ceil(span / length) - 1)
+
+
+def without(jacobian: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+    """What removes from residuals (n, k) all that a linear change of unknown starts explains, jacobian (n, m)."""
+    left, singular, _ = np.linalg.svd(jacobian, full_matrices=False)
+    basis = left[:, singular > 1e-9 * max(singular.max(initial=0.0), 1e-30)]
+    return lambda residual: residual - basis @ (basis.T @ residual)
+
+
+# --- in words
+
+
+def combinations(fit: Fit) -> list[tuple[str, float, tuple[str, ...]]]:
+    """Ratios and products that are determined though their parameters are not.
+
+    Returns:
+        Formula, relative standard deviation, and the names in it; the best known first.
+    """
+    space, found = fit.space, list[tuple[str, float, tuple[str, ...]]]()
+    logs = fit.draws * space.deviation
+    loose = [i for i in range(len(space)) if space.log[i] and not fit.determined[i]]
+    group = {i: i for i in loose}
+    pairs = []
+    for a, i in enumerate(loose):
+        for j in loose[a + 1 :]:
+            for exponent in _EXPONENTS:
+                deviation = float(np.std(logs[:, i] + exponent * logs[:, j]))
+                alone = min(float(np.std(logs[:, i])), abs(exponent) * float(np.std(logs[:, j])))
+                narrow = 3.29 * deviation < DETERMINED * space.width[i]
+                if narrow and deviation * BETTER < alone:
+                    pairs.append((deviation, i, j, exponent))
+    for deviation, i, j, exponent in sorted(pairs):  # the best known ones, each of which says something new
+        if group[i] == group[j]:
+            continue
+        group = {k: group[i] if g == group[j] else g for k, g in group.items()}
+        one, other = space.parameters[i].name, space.parameters[j].name
+        found.append((_formula(one, other, exponent), deviation, (one, other)))
+    return found
+
+
+def _formula(one: str, other: str, exponent: float) -> str:
+    power = "" if abs(exponent) == 1 else f"^{abs(exponent):g}"
+    return f"{one} {'/' if exponent < 0 else '*'} {other}{power}"
+
+
+def directions(fit: Fit, most: int = 8) -> list[tuple[float, str]]:
+    """The least known directions: share of the prior's width that is left, and its main parts, the worst first."""
+    names, rows = [each.name for each in fit.space.parameters], list[tuple[float, str]]()
+    for k in range(len(names) - 1, max(len(names) - 1 - most, -1), -1):
+        parts = fit.directions[:, k]
+        main = [i for i in np.argsort(-np.abs(parts))[:3] if abs(parts[i]) > 0.2]
+        sign = math.copysign(1.0, parts[main[0]])
+        rows.append((float(fit.share[k]), " ".join(f"{sign * parts[i]:+.2f} {names[i]}" for i in main)))
+    return rows
+
+
+def percent(share: float) -> str:
+    """A share as per cent with two digits."""
+    return f"{100 * share:.2g} %"
+
+
+def sentences(fit: Fit) -> list[str]:
+    """What the data determine, in words."""
+    space, said = fit.space, list[str]()
+    names = np.array([each.name for each in space.parameters])
+    bound = fit.at_bound
+    known = [names[i] for i in range(len(names)) if fit.determined[i]]
+    loose = [names[i] for i in range(len(names)) if not fit.determined[i]]
+    products = combinations(fit)
+    if known:
+        said.append(f"Determined: {', '.join(known)}.")
+    if products:
+        listed = ", ".join(f"{formula} to {percent(deviation)}" for formula, deviation, _ in products)
+        said.append(f"Determined only together: {listed}; each of these parameters alone could be another.")
+    if loose:
+        said.append(
+            f"Not determined by these data: {', '.join(loose)}. Where they stay near the default, that is no result."
+        )
+    if not known and not products:
+        said.append("These data determine none of the parameters.")
+    for name, end in zip(names, bound, strict=True):
+        if end:
+            said.append(f"{name} is at its {end} bound.")
+    return said
+
+
+# --- model classes
+
+
+@dataclasses.dataclass(frozen=True)
+class Judgement:
+    """Whether residuals are noise.
+
+    Attributes:
+        rms, noise: of each channel (channels,): residuals, and their white part.
+        white: the ratio of von Neumann of each channel (channels,): 1 if residuals are white, 0 if they are smooth.
+        right: whether the model explains the data to the noise.
+    """
+
+    rms: np.ndarray
+    noise: np.ndarray
+    white: np.ndarray
+    right: bool
+
+
+#: Residuals that exceed their white part by this share are no noise, if that is not chance.
+EXCESS: Final = 0.05
+#: Standard deviations beyond which it is not chance, in any channel.
+CHANCE: Final = 4.0
+
+
+def judge(measured: Measured, residual: np.ndarray) -> Judgement:
+    """Compare residuals (n,) with their white part, channel by channel."""
+    size = measured.by_channel(lambda each, i: rms(each), residual)
+    noise = measured.by_channel(lambda each, i: floor(each, measured.quantum[i]), residual)
+    counts = np.bincount(measured.channel, minlength=len(measured.quantum))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        white = np.where(size > 0, np.minimum((noise / size) ** 2, 1.0), 1.0)
+    beyond = (size > (1 + EXCESS) * noise) & (1 - white > CHANCE / np.sqrt(np.maximum(counts, 1)))
+    return Judgement(size, noise, white, not bool(beyond.any()))
+
+
+def dispensable(fit: Fit) -> list[str]:
+    """Kinds of parameters that the data do not ask for, those that matter least first.
+
+    A kind is left out if the mean square rises by less than chance lets it (Wald, with the posterior's covariance).
+    """
+    space, left = fit.space, list[str]()
+    kinds = list(dict.fromkeys(each.kind for each in space.parameters))
+    optional = [k for k in kinds if all(math.isfinite(p.neutral) for p in space.parameters if p.kind == k)]
+    covariance = (fit.directions * fit.share**2) @ fit.directions.T
+    neutral = np.array(
+        [np.clip(p.neutral, p.low, p.high) if math.isfinite(p.neutral) else p.value for p in space.parameters]
+    )
+    away = fit.x - space.coordinates(neutral)
+    while optional:
+
+        def rise(kind: str) -> float:
+            chosen = [i for i, p in enumerate(space.parameters) if p.kind in (*left, kind)]
+            block = covariance[np.ix_(chosen, chosen)]
+            return float(away[chosen] @ np.linalg.solve(block, away[chosen])) / (
+                len(chosen) + 2 * math.sqrt(2 * len(chosen))
+            )
+
+        least = min(optional, key=rise)
+        if rise(least) > 1.0:
+            break
+        left.append(least)
+        optional.remove(least)
+    return left
+
+
+def gain_of(fit: Fit, extra: np.ndarray, white: np.ndarray) -> float:
+    """The share of the squares that further parameters would remove, by one linear step.
+
+    Args:
+        extra: derivatives of the whitened residuals to them (n, q).
+        white: the residuals (n,).
+    """
+    columns = np.concatenate([fit.jacobian, extra], axis=1)
+    step, *_ = np.linalg.lstsq(columns, white, rcond=1e-8)
+    return float(1 - np.sum((white - columns @ step) ** 2) / np.sum(white**2))
+
+
+def contribution(jacobian: np.ndarray, fit: Fit) -> float:
+    """Share of the least known direction's deviation that is left after another experiment, jacobian (n, p)."""
+    before = (fit.directions * fit.share**2) @ fit.directions.T
+    after = np.linalg.inv(np.linalg.inv(before) + jacobian.T @ jacobian)
+    worst: Any = fit.directions[:, int(np.argmax(fit.share))]
+    return math.sqrt(float(worst @ after @ worst) / float(worst @ before @ worst))

@@ -1,0 +1,316 @@
+"""Identification of a robot from its own logs: `nermo-mjx identify --log`, its directory and its report.
+
+The first three quarters of each log are fitted, from several starts of which the best on a short piece goes on; the
+rest, or another log, is the judge. Other classes are one without the kinds of parameters that the data do not ask for,
+and those with one more kind.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import time
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Final
+
+import numpy as np
+
+from nermo_mjx.experiments import determinacy
+from nermo_mjx.experiments.determinacy import Estimation, Fit, Judgement, Parameter, Space, judge, percent, rms
+from nermo_mjx.experiments.log_twin import KINDS, Body, LoggedTwin, until
+from nermo_mjx.hardware.log import Log
+from nermo_mjx.robot import ParameterError
+
+#: Share of a log that is fitted where no other log judges.
+FITTED: Final = 0.75
+#: Piece on which starts are compared: share of a log, but no less than this [s].
+PIECE: Final = (0.2, 2.5)
+#: Starts, and Gauss-Newton steps of each on its piece.
+STARTS: Final = 3
+#: Points of a Sobol sequence, of which the best are starts beside the default: a delay has local minima.
+SCANNED: Final = 96
+STEPS: Final = 14
+#: A class is within noise of a larger one if its error on seconds that were not fitted is larger by less.
+WITHIN: Final = 0.02
+#: A class that leaves out a kind which would remove this share of the residuals is wrong.
+MISSING: Final = 0.1
+#: Coordinate that a kind which was left out is tried at [standard deviations of its prior].
+_TRIED: Final = 0.5
+#: What is estimated by default: every kind but the play of servos, which makes simulations slow.
+FREE: Final = tuple(kind for kind in KINDS if kind not in ("dead_band", "backlash"))
+
+
+@dataclasses.dataclass(frozen=True)
+class Wanted:
+    """What to identify.
+
+    Attributes:
+        free: kinds of parameters.
+        ranges: name or kind -> (low, high), inside which it is searched.
+        window: see `LoggedTwin`.
+        starts: of Gauss-Newton.
+        seed: of starts and draws.
+    """
+
+    free: tuple[str, ...] = FREE
+    ranges: Mapping[str, tuple[float, float]] = dataclasses.field(default_factory=dict)
+    window: float | None = None
+    starts: int = STARTS
+    seed: int = 0
+
+
+@dataclasses.dataclass(frozen=True)
+class Verdict:
+    """A body beside samples.
+
+    Attributes:
+        twin: of the samples.
+        residual: prediction minus measurement (n,), without what unknown starts explain.
+        judgement: on them.
+    """
+
+    twin: LoggedTwin
+    residual: np.ndarray
+    judgement: Judgement
+
+    def error(self, sigma: np.ndarray) -> float:
+        """Root mean square over the channels in their noise."""
+        return rms(self.residual / sigma[self.twin.measured.channel])
+
+
+@dataclasses.dataclass(frozen=True)
+class Identification:
+    """The result.
+
+    Attributes:
+        body, wanted: that were fitted.
+        fit: of the whole class.
+        simplest: of the simplest class within noise; the whole class if none is simpler.
+        left_out: kinds that it leaves out.
+        missing: kind that was left out -> share of the squared residuals that it would remove.
+        before, after, fitted: the default and the identified body on what was not fitted, and the latter on what was.
+        errors: name of a body -> its error on what was not fitted [noise].
+        repeatability: of two logs with one command, by channel; empty if there are none.
+        seconds: wall time.
+    """
+
+    body: Body
+    wanted: Wanted
+    fit: Fit
+    simplest: Fit
+    left_out: tuple[str, ...]
+    missing: Mapping[str, float]
+    before: Verdict
+    after: Verdict
+    fitted: Verdict
+    errors: Mapping[str, float]
+    repeatability: Mapping[str, float]
+    seconds: float
+
+    @property
+    def right(self) -> bool:
+        """Whether the class explains the data to the noise."""
+        return self.fitted.judgement.right or (not self.missing and self.after.judgement.right)
+
+    @property
+    def draws(self) -> np.ndarray:
+        """Values drawn from the posterior of both classes (draws, p)."""
+        names = [each.name for each in self.fit.space.parameters]
+        drawn = self.fit.space.values(self.fit.draws)
+        if self.simplest is not self.fit:
+            own = [names.index(each.name) for each in self.simplest.space.parameters]
+            half = len(drawn) // 2
+            drawn[half:, own] = self.simplest.space.values(self.simplest.draws)[half:]
+        return drawn
+
+    @property
+    def intervals(self) -> np.ndarray:
+        """Ends of the 90 % intervals over both classes (p, 2)."""
+        return np.quantile(self.draws, determinacy.ENDS, axis=0).T
+
+    def sentences(self) -> list[str]:
+        """The verdict in words."""
+        said = list(self.body.notes)
+        worst = int(np.argmax(self.fitted.judgement.rms / self.fitted.judgement.noise))
+        label, of = self.fitted.twin.labels[worst], self.fitted.judgement
+        if self.right:
+            said.append("The model explains the log to its noise: what is left is white.")
+        else:
+            said.append(
+                f"This class of models is wrong: residuals of {label} are "
+                f"{of.rms[worst] / of.noise[worst]:.2g} times their noise and smooth "
+                f"(von Neumann's ratio {of.white[worst]:.2f}, of white noise 1)."
+            )
+            most = max(self.missing.values(), default=0.0)
+            likely = sorted((k for k, v in self.missing.items() if v > 0.8 * most), key=lambda k: -self.missing[k])
+            if most > MISSING:
+                shares = ", ".join(f"{kind} {percent(self.missing[kind])}" for kind in likely)
+                said.append(f"What was left out and would remove most of them, each by itself: {shares}.")
+            else:
+                said.append("No kind of parameters that is known here removes them.")
+        said += determinacy.sentences(self.fit)
+        if self.left_out:
+            said.append(f"The simplest class within noise leaves out {', '.join(self.left_out)}.")
+        errors = ", ".join(f"{name} {value:.3g}" for name, value in self.errors.items())
+        said.append(f"Error on what was not fitted, in noise: {errors}.")
+        if self.repeatability:
+            own = ", ".join(f"{name} {value:.3g}" for name, value in self.repeatability.items())
+            said.append(f"Two logs of one command differ by, in noise: {own}.")
+        return said
+
+
+def identify_log(
+    make: Callable[[Sequence[str]], Body],
+    logs: Sequence[Log],
+    wanted: Wanted,
+    judges: Sequence[Log] = (),
+    report: Callable[[float], None] = lambda share: None,
+) -> Identification:
+    """Fit a body to logs.
+
+    Args:
+        make: a body with these kinds of parameters.
+        logs: to fit.
+        wanted: parameters, ranges, and effort.
+        judges: other logs that judge; by default the last quarter of each.
+        report: is told the share done.
+
+    Raises:
+        ParameterError: the log and the model do not fit together, or no parameter is free.
+    """
+    began = time.monotonic()
+    unknown = [kind for kind in wanted.free if kind not in KINDS and kind != "torque"]
+    if unknown:
+        raise ParameterError(f"{unknown[0]!r} is no kind of parameters: allowed is {', '.join(KINDS)}.")
+    body = make(wanted.free)
+    space = Space(_narrowed(list(body.parameters.values()), wanted.ranges))
+    if not len(space):
+        raise ParameterError(f"the model has no parameter of {', '.join(wanted.free)}: nothing is free.")
+    names = [each.name for each in space.parameters]
+    heads = list(logs) if judges else [until(log, FITTED * log.duration) for log in logs]
+
+    def twin(of: Sequence[Log], names: Sequence[str], own: Body = body, only: Any = None) -> LoggedTwin:
+        return LoggedTwin(own, of, names, wanted.window, only=only)
+
+    # Starts are compared on a piece, where wrong ones are told from right ones as well.
+    pieces = [until(log, min(log.duration, max(PIECE[0] * log.duration, PIECE[1]))) for log in heads]
+    rough, tried = Estimation(space, twin(pieces, names)), []
+    for i, start in enumerate([np.zeros(len(space)), *rough.scanned(SCANNED, wanted.seed)[: wanted.starts - 1]]):
+        x, sigma = rough.search(start, iterations=STEPS, rounds=1)
+        tried.append((float(np.sum(np.log(sigma))), x, sigma))
+        report((i + 1) / (wanted.starts + 3))
+    cost, x, sigma = min(tried, key=lambda each: each[0])
+    same = (sum(each[0] < cost + 0.05 * len(sigma) for each in tried), len(tried))
+    whole = Estimation(space, twin(heads, names))
+    fit = whole.fit(x, sigma, iterations=STEPS, same=same, seed=wanted.seed)
+    report(1 - 2 / (wanted.starts + 3))
+
+    def verdict(own: Body, names: Sequence[str], values: np.ndarray, of: Sequence[Log], only: Any = None) -> Verdict:
+        seen = twin(of, names, own, only)
+        seen.renew(values)
+        away = seen.predict(values[None])[0] - seen.measured.values
+        white = seen.project((away / fit.sigma[seen.measured.channel])[:, None], fit.sigma)[:, 0]
+        residual = white * fit.sigma[seen.measured.channel]
+        return Verdict(seen, residual, judge(seen.measured, residual))
+
+    rest = (judges, None) if judges else (logs, lambda times, duration: times >= FITTED * duration)
+    fitted = Verdict(whole.problem, fit.residual, judge(whole.measured, fit.residual))
+    after = verdict(body, names, fit.values, *rest)
+    default = [each.neutral if math.isfinite(each.neutral) else each.low for each in space.parameters]
+    before = verdict(body, names, np.array(default), *rest)
+    sigma = after.judgement.noise
+    errors = {"default body": before.error(sigma), "identified": after.error(sigma)}
+    # A class without kinds that the data do not ask for, if the seconds that were not fitted do not miss them.
+    left, simplest = determinacy.dispensable(fit), fit
+    kept = [each for each in space.parameters if each.kind not in left]
+    if left and kept:
+        lean = _without(body, space, left)
+        smaller = Space(kept)
+        start = smaller.coordinates(np.array([fit.values[names.index(each.name)] for each in kept]))
+        own = [each.name for each in kept]
+        candidate = Estimation(smaller, twin(heads, own, lean)).fit(start, fit.sigma, STEPS, 1, same, wanted.seed)
+        error = verdict(lean, own, candidate.values, *rest).error(sigma)
+        if error < (1 + WITHIN) * errors["identified"]:
+            simplest, errors["simplest class"] = candidate, error
+        else:
+            left = []
+    missing = {} if fitted.judgement.right else _missing(make, wanted, fit, whole, heads, twin)
+    report(1.0)
+    return Identification(
+        body, wanted, fit, simplest, tuple(left if simplest is not fit else ()), missing, before, after, fitted, errors,
+        _repeatability(logs, fit.sigma, whole.problem.labels), time.monotonic() - began,
+    )  # fmt: skip
+
+
+def _narrowed(parameters: list[Parameter], ranges: Mapping[str, tuple[float, float]]) -> list[Parameter]:
+    """Parameters inside the ranges that were given.
+
+    Raises:
+        ParameterError: a range of no parameter, or an empty one.
+    """
+    for name, (low, high) in ranges.items():
+        own = [i for i, each in enumerate(parameters) if name in (each.name, each.kind)]
+        if not own:
+            raise ParameterError(f"--range names {name!r}, which is no free parameter.")
+        if not low < high:
+            raise ParameterError(f"--range {name}: {low:g} to {high:g} is empty.")
+        for i in own:
+            each = parameters[i]
+            value = min(max(each.value, low), high)
+            parameters[i] = dataclasses.replace(each, low=low, high=high, value=value, why="as given")
+    return parameters
+
+
+def _without(body: Body, space: Space, kinds: Sequence[str]) -> Body:
+    """A body whose parameters of some kinds have their neutral values: a class that is smaller."""
+    fixed = [each for each in space.parameters if each.kind in kinds]
+    return body.at({each.name: float(np.clip(each.neutral, each.low, each.high)) for each in fixed})
+
+
+def _missing(
+    make: Callable[[Sequence[str]], Body], wanted: Wanted, fit: Fit, whole: Estimation, heads: Sequence[Log], twin: Any
+) -> dict[str, float]:
+    """Share of the squared residuals that each kind that was left out would remove, together with all that is free."""
+    others = tuple(kind for kind in (*KINDS, "torque") if kind not in wanted.free)
+    wider, found = make((*wanted.free, *others)), dict[str, float]()
+    own = [each.name for each in fit.space.parameters]
+    whole.problem.renew(fit.values)
+    white = whole.residual(fit.x[:, None], fit.sigma)[:, 0]
+    for kind in others:
+        more = [each for each in wider.parameters.values() if each.kind == kind]
+        if not more:
+            continue
+        base = np.array([each.neutral if math.isfinite(each.neutral) else each.value for each in more])
+        space = Space(more)
+        start = np.clip(space.coordinates(base), space.low, space.high)
+        away = np.where(start + _TRIED > space.high, -_TRIED, _TRIED)
+        moved = space.values(start + np.diag(away))
+        rows = np.concatenate([np.tile(fit.values, (len(more), 1)), moved], axis=1)
+        still = np.concatenate([fit.values, space.values(start)])[None]
+        tried = twin(heads, [*own, *(each.name for each in more)], wider)
+        tried.renew(still[0])
+        change = (tried.predict(np.concatenate([still, rows])) / fit.sigma[tried.measured.channel]).T
+        change = tried.project(np.nan_to_num(change), fit.sigma)
+        found[kind] = determinacy.gain_of(fit, (change[:, 1:] - change[:, :1]) / away, white)
+    return found
+
+
+def _repeatability(logs: Sequence[Log], sigma: np.ndarray, labels: Sequence[str]) -> dict[str, float]:
+    """How much the robot itself differs between two logs of one command, by channel [noise]."""
+    if len(logs) < 2:
+        return {}
+    one, other = ({(each.quantity, each.of): each for each in log.channels} for log in logs[:2])
+
+    def difference(key: Any) -> float:
+        a, b = one[key], other[key]
+        end = min(a.times[-1], b.times[-1])
+        at = a.times[a.times <= end]
+        columns = [np.interp(at, b.times, c) for c in b.values.reshape(len(b.times), -1).T]
+        return rms((a.values[: len(at)].reshape(len(at), -1) - np.stack(columns, axis=1)).ravel()) / math.sqrt(2)
+
+    common = [key for key in one if key in other]
+    commands = [key for key in common if key[0] == "command"]
+    if not commands or max(difference(key) for key in commands) > 0.01:
+        return {}
+    seen = [key for key in common if one[key].name in labels]
+    return {one[key].name: difference(key) / sigma[labels.index(one[key].name)] for key in seen}

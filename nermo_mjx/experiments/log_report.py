@@ -1,0 +1,301 @@
+"""The directory of an identification from logs, its report, and what to measure next.
+
+It holds identification.json, report.html, plots, the identified model, for Nermo as ensemble.csv for `--body` and
+`randomize: {from: DIR}`, and the commands of the experiment that would tell most.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import html
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from nermo_mjx.experiments import determinacy
+from nermo_mjx.experiments.determinacy import Estimation, percent
+from nermo_mjx.experiments.log_identification import Identification
+from nermo_mjx.experiments.log_twin import LoggedTwin, MjcfBody, NermoBody
+from nermo_mjx.hardware.log import Channel, Log
+from nermo_mjx.plotting.charts import page as blank_page
+from nermo_mjx.plotting.files import write_figures
+from nermo_mjx.plotting.style import BAND, BEST, INK, LINE, MUTED
+from nermo_mjx.recording import Recording
+from nermo_mjx.robot import ModelParameters
+from nermo_mjx.robot.quantity import quantities
+from nermo_mjx.runs.files import make_writable, replace_file, to_json
+
+RESULT: Final = "identification.json"
+#: Bodies in ensemble.csv, and draws in the posterior predictive check.
+BODIES: Final = 64
+SHOWN: Final = 24
+
+# --- what to measure next
+
+#: Duration of an experiment that is proposed, and its rate of commands [s, Hz].
+LASTS: Final = 6.0
+RATE: Final = 50.0
+#: An experiment that leaves more of the least known direction is not worth its time.
+USEFUL: Final = 0.9
+#: Amplitude and range of frequencies of a chirp [rad, Hz].
+SWING: Final = 0.2
+SWEPT: Final = (0.2, 4.0)
+
+
+def _excitations(found: Identification) -> dict[str, dict[str, np.ndarray]]:
+    """Experiments by name: commands of each servo at `RATE`."""
+    body, log = found.body, found.after.twin.logs[0]
+    names = [each.of for each in log.channels if each.quantity == "command"]
+    rest = {name: np.asarray(log.channel("command", name).values) for name in names}  # type: ignore[union-attr]
+    time = np.arange(round(LASTS * RATE)) / RATE
+    begun = np.clip(time / 0.5, 0.0, 1.0) * np.clip((LASTS - time) / 0.5, 0.0, 1.0)
+    middle = {name: float(np.median(values)) for name, values in rest.items()}
+
+    def chirp(chosen: Sequence[str], factor: float = 1.0) -> dict[str, np.ndarray]:
+        """Of these servos, one after the other in phase; the others stand."""
+        turned = 2 * np.pi * factor * (SWEPT[0] * time + (SWEPT[1] - SWEPT[0]) * time**2 / (2 * LASTS))
+        made = {name: np.full(len(time), middle[name]) for name in names}
+        for i, name in enumerate(chosen):
+            limits = body.model.actuator_ctrlrange[body.actuator(name)]
+            swing = middle[name] + SWING * begun * np.sin(turned + 2.4 * i)
+            made[name] = np.clip(swing, *limits) if limits[1] > limits[0] else swing
+        return made
+
+    worst = np.abs(found.fit.directions[:, int(np.argmax(found.fit.share))])
+    parts = [found.fit.space.parameters[int(i)].name.split(".")[-1] for i in np.argsort(-worst)[:3]]
+    near = [name for name in names if any(part in (name, f"{name}_servo") for part in parts)] or names[:2]
+    made = {f"chirp of {name}": chirp([name]) for name in near[:3]}
+    again = {
+        name: np.interp(time, log.channel("command", name).times, values)  # type: ignore[union-attr]
+        for name, values in rest.items()
+    }
+    return made | {
+        "slow chirp of all servos": chirp(names, 0.25),
+        "chirp of all servos": chirp(names),
+        "the same commands again": again,
+    }
+
+
+def next_experiment(found: Identification) -> tuple[str, float, dict[str, np.ndarray]]:
+    """The experiment that shrinks the least known direction most.
+
+    Returns:
+        Its name, the share of the direction's deviation that is left after it, and its commands at `RATE`.
+    """
+    fit, best = found.fit, ("", 1.0, dict[str, np.ndarray]())
+    log = found.after.twin.logs[0]
+    for name, commands in _excitations(found).items():
+        time = np.arange(round(LASTS * RATE)) / RATE
+        channels = [Channel(n, "command", n, time, values) for n, values in commands.items()]
+        for each in log.channels:
+            if each.name in found.fitted.twin.labels:
+                at = np.arange(0.0, LASTS, max(each.interval, 1e-3))
+                channels.append(dataclasses.replace(each, times=at, values=np.zeros((len(at), *each.values.shape[1:]))))
+        names = [each.name for each in fit.space.parameters]
+        twin = LoggedTwin(found.body, [Log(tuple(channels), name)], names, found.wanted.window)
+        tried = Estimation(fit.space, twin)
+        order = [found.fitted.twin.labels.index(label) for label in twin.labels]
+        left = determinacy.contribution(tried.jacobian(fit.x, fit.sigma[order]), fit)
+        if left < best[1]:
+            best = (name, left, commands)
+    return best
+
+
+# --- a directory
+
+
+def parameter_rows(found: Identification) -> list[list[str]]:
+    """Rows under `HEADINGS`."""
+    rows, bounds = [], found.fit.at_bound
+    for i, each in enumerate(found.fit.space.parameters):
+        low, high = found.intervals[i]
+        known = "determined" if found.fit.determined[i] else "not determined"
+        known += f", at its {bounds[i]} bound" if bounds[i] else ""
+        name = f"{each.name} [{each.unit}]" if each.unit != "1" else each.name
+        numbers = [f"{each.value:.4g}", f"{found.fit.values[i]:.4g}", f"{low:.4g} to {high:.4g}"]
+        rows.append([name, *numbers, known, f"{each.low:.3g} to {each.high:.3g}: {each.why}"])
+    return rows
+
+
+HEADINGS: Final = ("parameter", "start", "value", "90 %", "", "range and its reason")
+
+
+def write_identification(found: Identification, out: Path, command: str) -> dict[str, Any]:
+    """Write the directory, and return the content of identification.json.
+
+    Args:
+        found: the result.
+        out: the directory.
+        command: that makes it again.
+    """
+    from nermo_mjx.view.trained import document  # views know of experiments, too
+
+    make_writable(out)
+    name, left, commands = next_experiment(found)
+    proposed = _written_commands(found, commands, out) if commands else ""
+    sentences = found.sentences()
+    if left < USEFUL:
+        sentences.append(f"To measure next: {name} ({proposed}) leaves {percent(left)} of the least known direction.")
+    else:
+        sentences.append("No motion of the servos that was tried tells more of the least known direction.")
+    files = _written_body(found, out)
+    judged = found.after.judgement
+    content = {
+        "command": command,
+        "sentences": sentences,
+        "right": found.right,
+        "parameters": {
+            each.name: {
+                "unit": each.unit, "kind": each.kind, "start": each.value, "value": found.fit.values[i],
+                "interval": list(found.intervals[i]), "determined": bool(found.fit.determined[i]),
+                "at_bound": found.fit.at_bound[i], "low": each.low, "high": each.high, "why": each.why,
+            }
+            for i, each in enumerate(found.fit.space.parameters)
+        },
+        "combinations": {formula: deviation for formula, deviation, _ in determinacy.combinations(found.fit)},
+        "directions": [{"share": share, "of": of} for share, of in determinacy.directions(found.fit)],
+        "singular_values": np.sqrt(np.maximum(1.0 / np.maximum(found.fit.share, 1e-12) ** 2 - 1.0, 0.0)).tolist(),
+        "left_out": list(found.left_out),
+        "missing": dict(found.missing),
+        "errors": dict(found.errors),
+        "repeatability": dict(found.repeatability),
+        "channels": {
+            label: {"rms": judged.rms[i], "noise": judged.noise[i], "before": found.before.judgement.rms[i]}
+            for i, label in enumerate(found.after.twin.labels)
+        },
+        "starts": list(found.fit.same),
+        "next": {"name": name, "left": left, "file": proposed},
+        "files": files,
+        "wall_seconds": found.seconds,
+    }  # fmt: skip
+    replace_file(out / RESULT, to_json(content))
+    figures = list(figures_of(found))
+    write_figures(figures, out / "plots")
+    said = "".join(f"<p>{html.escape(each)}</p>" for each in sentences)
+    cells = "".join(f"<tr>{''.join(f'<td>{html.escape(c)}</td>' for c in row)}</tr>" for row in parameter_rows(found))
+    head = "".join(f"<th>{each}</th>" for each in HEADINGS)
+    directions = "".join(
+        f"<li>{percent(share)}: {html.escape(of)}</li>" for share, of in determinacy.directions(found.fit)
+    )
+    parts = [
+        f"<h2>Verdict</h2>{said}",
+        f'<h2>Parameters</h2><div class="wide"><table><tr>{head}</tr>{cells}</table></div>',
+        f"<h2>Least known directions</h2><p>Share of the range's width that is left.</p><ul>{directions}</ul>",
+        f"<h2>To make it again</h2><pre>{html.escape(command)}</pre>",
+    ]
+    page = document(html.escape(out.resolve().name), "an identification", parts, figures)
+    replace_file(out / "report.html", page.encode())
+    return content
+
+
+def _written_commands(found: Identification, commands: Mapping[str, np.ndarray], out: Path) -> str:
+    """The file of an experiment: a recording that `servos` plays, or for another robot a table."""
+    time = np.arange(round(LASTS * RATE)) / RATE
+    if isinstance(found.body, NermoBody):
+        model = found.body.model
+        ctrl = np.zeros((len(time), model.nu))
+        for name, values in commands.items():
+            ctrl[:, found.body.actuator(name)] = values
+        still = np.repeat(found.body.start()[None], len(time), axis=0)
+        Recording(time, still, np.zeros((len(time), model.nv)), ctrl).save(out / "next.npz")
+        return "next.npz"
+    rows = [["time", *commands], *np.column_stack([time, *commands.values()]).round(6).astype(str).tolist()]
+    replace_file(out / "next.csv", "".join(",".join(row) + "\n" for row in rows).encode())
+    return "next.csv"
+
+
+def _written_body(found: Identification, out: Path) -> list[str]:
+    """The file of the identified model; for Nermo the ensemble, the best body first, as `identified` reads it."""
+    names = [each.name for each in found.fit.space.parameters]
+    if isinstance(found.body, MjcfBody):
+        replace_file(out / "identified.xml", found.body.written(names, found.fit.values).encode())
+        return ["identified.xml"]
+    known = [name for name in dict(quantities(ModelParameters)) if name in names]
+    columns = [names.index(name) for name in known]
+    fixed = {name: value for name, value in found.body.standing.items() if name not in known}
+    bodies = np.vstack([found.fit.values, found.draws[:: max(len(found.draws) // (BODIES - 1), 1)][: BODIES - 1]])
+    lines = [
+        "# Bodies drawn from the posterior of an identification from a log; the first is the best.",
+        ",".join([*known, *fixed, "objective", "weight"]),
+        *(
+            ",".join([*(f"{b[c]:.6g}" for c in columns), *map(str, fixed.values()), "1", f"{1 / len(bodies):.6g}"])
+            for b in bodies
+        ),
+    ]
+    replace_file(out / "ensemble.csv", ("\n".join(lines) + "\n").encode())
+    return ["ensemble.csv"]
+
+
+def figures_of(found: Identification) -> Iterator[tuple[str, Figure]]:
+    """The figures of a result."""
+    yield "predicted", _predicted(found)
+    yield "residuals", _residuals(found)
+    yield "intervals", _intervals(found)
+
+
+def _predicted(found: Identification, most: int = 6) -> Figure:
+    """Measured and predicted curves where nothing was fitted, with a band of the posterior."""
+    twin = found.after.twin
+    drawn = twin.predict(found.draws[:: len(found.draws) // SHOWN][:SHOWN])
+    low, high = np.quantile(drawn, determinacy.ENDS, axis=0)
+    best = twin.measured.values + found.after.residual
+    before = twin.measured.values + found.before.residual
+    worst = np.argsort(-found.after.judgement.rms / found.after.judgement.noise)[:most]
+    figure = blank_page(
+        "Predicted and measured, where nothing was fitted", 7.5, 1.0 + 1.35 * len(worst),
+        f"Band: 90 % of {SHOWN} bodies of the posterior, without the sensors' noise; the channels that fit worst.",
+    )  # fmt: skip
+    for ax, i in zip(figure.subplots(len(worst), 1, sharex=True, squeeze=False)[:, 0], worst, strict=True):
+        rows = np.flatnonzero(twin.measured.channel == i)
+        rows = rows[twin.measured.time[rows] < twin.measured.time[rows[0]] + 3.0]
+        rows = rows[:: twin.components[i]]
+        time = twin.measured.time[rows]
+        ax.plot(time, twin.measured.values[rows], ".", ms=2.5, color=INK, label="measured")
+        ax.fill_between(time, low[rows], high[rows], color=BAND, lw=0, alpha=0.7)
+        ax.plot(time, before[rows], color=MUTED, lw=0.9, ls="--", label="default body")
+        ax.plot(time, best[rows], color=LINE, lw=1.2, label="identified")
+        ax.set_ylabel(twin.labels[i])
+    ax.set_xlabel("time [s]")
+    figure.legend(*ax.get_legend_handles_labels(), loc="outside upper right", ncols=3)
+    return figure
+
+
+def _residuals(found: Identification) -> Figure:
+    labels, judged = found.after.twin.labels, found.after.judgement
+    figure = blank_page(
+        "Residuals where nothing was fitted, in the noise of each channel", 7.0, 1.4 + 0.25 * len(labels)
+    )
+    ax, y = figure.subplots(), np.arange(len(labels))
+    for shift, of, colour, label in (
+        (-0.18, found.before.judgement.rms, BAND, "default body"),
+        (0.18, judged.rms, LINE, "identified"),
+    ):
+        ax.barh(y + shift, of / judged.noise, 0.36, color=colour, label=label)
+    ax.axvline(1.0, color=BEST, lw=0.9, label="noise")
+    ax.set_yticks(y, labels)
+    ax.set(xscale="log", xlabel="root mean square [noise]", ylim=(len(labels) - 0.4, -0.6))
+    ax.legend(loc="lower right")
+    return figure
+
+
+def _intervals(found: Identification) -> Figure:
+    """Intervals in the ranges of the parameters."""
+    space, fit = found.fit.space, found.fit
+    span = space.high - space.low
+    ends = (
+        space.coordinates(
+            np.clip(found.intervals.T, [p.low for p in space.parameters], [p.high for p in space.parameters])
+        )
+        - space.low
+    ) / span
+    figure = blank_page("90 % intervals in the ranges that were searched", 7.0, 1.2 + 0.2 * len(space))
+    ax, y = figure.subplots(), np.arange(len(space))
+    colours = [LINE if known else BAND for known in fit.determined]
+    ax.hlines(y, *ends, color=colours, lw=4)
+    ax.plot((fit.x - space.low) / span, y, "|", color=INK)
+    ax.set_yticks(y, [each.name for each in space.parameters])
+    ax.set(xlim=(-0.02, 1.02), ylim=(len(space) - 0.4, -0.6), xlabel="share of the range (dark: determined)")
+    return figure

@@ -1,0 +1,137 @@
+"""What a log determines of named parameters: values, intervals, combinations, and classes of models."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from nermo_mjx.experiments import determinacy
+from nermo_mjx.experiments.determinacy import Estimation, Fit, Measured, Parameter, Space
+
+
+def parameter(name: str, value: float = 1.0, low: float = 0.1, high: float = 10.0, neutral: float = 1.0) -> Parameter:
+    return Parameter(name, name, "1", value, low, high, "a test", neutral)
+
+
+def problem(function, truth: list[float], noise: np.ndarray, quantum: float = 0.0) -> SimpleNamespace:
+    """Measured values of a function of time (n,) and parameters (p, 1)."""
+    time = np.linspace(0.0, 10.0, len(noise))
+    values = function(time, np.array(truth)[:, None])[0] if len(np.shape(truth)) else None
+    measured = Measured(values + noise, np.zeros(len(noise), int), time, np.array([quantum]))
+    return SimpleNamespace(
+        measured=measured,
+        predict=lambda values: np.array([function(time, v[:, None])[0] for v in values]),
+        renew=lambda values: None,
+        project=lambda residual, sigma: residual,
+    )
+
+
+def estimate(function, truth, parameters, noise) -> Fit:
+    return Estimation(Space(parameters), problem(function, truth, noise)).fit()
+
+
+def white(n: int = 400, seed: int = 0, size: float = 0.01) -> np.ndarray:
+    return np.random.default_rng(seed).normal(0.0, size, n)
+
+
+def line(time: np.ndarray, p: np.ndarray) -> np.ndarray:
+    return p[0:1] + p[1:2] * time
+
+
+def test_intervals_of_white_noise_cover_as_often_as_they_say() -> None:
+    inside = []
+    for seed in range(60):
+        found = estimate(line, [2.0, 0.5], [parameter("a"), parameter("b")], white(seed=seed))
+        assert found.determined.all()
+        inside += [low <= true <= high for (low, high), true in zip(found.intervals, (2.0, 0.5), strict=True)]
+    assert 0.83 <= np.mean(inside) <= 0.97  # of 120, 90 % with three standard deviations
+
+
+def test_intervals_of_correlated_noise_are_wider_and_cover_too() -> None:
+    inside, width = [], []
+    for seed in range(60):
+        random = np.random.default_rng(seed)
+        noise = np.zeros(400)
+        for i in range(1, 400):
+            noise[i] = 0.9 * noise[i - 1] + random.normal(0.0, 0.01)
+        found = estimate(line, [2.0, 0.5], [parameter("a"), parameter("b")], noise)
+        inside += [low <= true <= high for (low, high), true in zip(found.intervals, (2.0, 0.5), strict=True)]
+        plain = np.linalg.inv(found.jacobian.T @ found.jacobian)
+        width.append(np.sqrt(plain[0, 0]) / np.std(found.draws[:, 0]))
+    assert np.median(width) < 0.5  # what the residuals would give if they were white
+    assert 0.8 <= np.mean(inside) <= 0.98
+
+
+def test_a_ratio_that_is_known_is_named_though_its_parameters_are_not() -> None:
+    found = estimate(
+        lambda time, p: np.sin(time * p[0:1] / p[1:2]), [2.0, 3.0], [parameter("kp"), parameter("mass")], white()
+    )
+    assert not found.determined.any()
+    ((formula, deviation, names),) = determinacy.combinations(found)
+    assert formula == "kp / mass"
+    assert deviation < 0.01
+    assert names == ("kp", "mass")
+    assert found.values[0] / found.values[1] == pytest.approx(2 / 3, rel=3 * deviation)
+    said = " ".join(determinacy.sentences(found))
+    assert "Determined only together: kp / mass" in said
+    assert "Not determined by these data: kp, mass" in said
+
+
+def test_a_product_with_a_power_is_named() -> None:
+    found = estimate(
+        lambda time, p: np.sin(time * p[0:1] * p[1:2] ** 2), [0.5, 1.2], [parameter("m"), parameter("l")], white()
+    )
+    ((formula, _, _),) = determinacy.combinations(found)
+    assert formula in ("m * l^2", "l * m^0.5")
+
+
+def test_a_parameter_that_does_nothing_is_not_determined_and_stays_at_its_start() -> None:
+    found = estimate(
+        lambda time, p: np.sin(time * p[0:1]), [1.1, 4.0], [parameter("w"), parameter("nothing", 2.0)], white()
+    )
+    assert found.determined.tolist() == [True, False]
+    assert found.values[1] == pytest.approx(2.0)
+    low, high = found.intervals[1]
+    assert high / low > 10  # most of its range
+    assert found.share[-1] == pytest.approx(1.0)
+
+
+def test_a_parameter_at_its_bound_is_said_to_be() -> None:
+    found = estimate(line, [20.0, 0.5], [parameter("a"), parameter("b")], white())
+    assert found.at_bound[0] == "upper"
+    assert "a is at its upper bound." in determinacy.sentences(found)
+
+
+@pytest.mark.parametrize(("error", "right"), [(0.0, True), (0.05, False)])
+def test_smooth_residuals_are_no_noise(error: float, right: bool) -> None:
+    time = np.linspace(0.0, 10.0, 400)
+    measured = Measured(np.zeros(400), np.zeros(400, int), time, np.zeros(1))
+    judged = determinacy.judge(measured, white() + error * np.sin(2 * time))
+    assert judged.right is right
+    assert judged.noise[0] == pytest.approx(0.01, rel=0.1)
+
+
+def test_kinds_that_the_data_do_not_ask_for_are_dispensable() -> None:
+    parameters = [parameter("a"), parameter("b"), parameter("offset", 0.0, -1.0, 1.0, neutral=0.0)]
+    found = estimate(
+        lambda time, p: p[0:1] * np.sin(time) + p[1:2] * time + p[2:3], [2.0, 0.5, 0.0], parameters, white()
+    )
+    assert determinacy.dispensable(found) == ["offset"]
+
+
+def test_another_experiment_shrinks_the_direction_it_sees() -> None:
+    found = estimate(
+        lambda time, p: np.sin(time * p[0:1] / p[1:2]), [2.0, 3.0], [parameter("kp"), parameter("mass")], white()
+    )
+    assert determinacy.contribution(np.zeros((5, 2)), found) == pytest.approx(1.0)
+    assert determinacy.contribution(np.array([[0.0, 100.0]]), found) < 0.05
+
+
+def test_a_model_that_fails_is_far_away_but_does_not_stop_the_search() -> None:
+    def fails(time: np.ndarray, p: np.ndarray) -> np.ndarray:
+        return np.where(p[0:1] > 5.0, np.nan, p[0:1]) + 0.0 * time
+
+    found = Estimation(Space([parameter("a", 1.0)]), problem(fails, [4.0], white())).fit(np.array([1.7]))
+    assert found.values[0] == pytest.approx(4.0, rel=0.01)

@@ -1,0 +1,307 @@
+"""Identification from a log: a model under logged commands, and what the command says of it."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from nermo_mjx.cli import main as command
+from nermo_mjx.experiments.log_identification import Identification, Wanted, identify_log
+from nermo_mjx.experiments.log_twin import LoggedTwin, MjcfBody, nermo_body
+from nermo_mjx.hardware.log import Channel, Log
+from nermo_mjx.robot import ParameterError, identified
+
+
+def main(arguments: list[str]) -> int:
+    """Run a command, and return its exit code."""
+    with pytest.raises(SystemExit) as ended:
+        command(arguments)
+    return int(ended.value.code or 0)
+
+
+#: The arm of which gain, damping, armature and mass are free: only their ratios show in its angles.
+ARM = """<mujoco><option timestep="0.002"/><worldbody>{base}<body name="arm" pos="0 0 1">{free}
+<geom type="sphere" size="0.01" mass="0.5"/><body name="link"><joint name="j" axis="0 1 0" damping="{damping}"
+armature="{armature}"/><geom type="capsule" fromto="0 0 0 0.2 0 0" size="0.01" mass="{mass}"/></body></body></worldbody>
+<actuator><{actuator} name="servo" joint="j" {gain}/></actuator></mujoco>"""
+TRUTH = {"damping": 0.02, "armature": 0.002, "mass": 0.1, "kp": 2.0}
+START = {"damping": 0.05, "armature": 0.004, "mass": 0.05, "kp": 1.0}
+SCALES = ("damping", "armature", "mass", "kp")
+NOISE = 1e-3
+
+
+def arm(values: dict[str, float], free: str = "", actuator: str = "position") -> str:
+    gain = f'kp="{values["kp"]}"' if actuator == "position" else f'gear="{values["kp"]}"'
+    return ARM.format(**values, free=free, base="", actuator=actuator, gain=gain)
+
+
+def logged(
+    seconds: float = 4.0, seed: int = 0, bias: float = 0.0, steps_late: int = 0, actuator: str = "position"
+) -> Log:
+    """The arm under a chirp that is held for 10 ms, by `mj_step`."""
+    model = mujoco.MjModel.from_xml_string(arm(TRUTH, actuator=actuator))
+    data, random = mujoco.MjData(model), np.random.default_rng(seed)
+    time = np.arange(round(seconds * 100)) / 100
+    size = 0.5 if actuator == "position" else 0.02
+    command = size * np.sin(2 * np.pi * (0.5 + 1.5 * time / seconds) * time)
+    held, angles = np.repeat(command, 5), []
+    for step in range(len(held)):
+        data.ctrl[:] = held[max(step - steps_late, 0)] + bias
+        angles.append(data.qpos[0])
+        mujoco.mj_step(model, data)
+    seen = np.array(angles)[::5] + random.normal(0.0, NOISE, len(time))
+    return Log(
+        (Channel("command", "command", "servo", time, command), Channel("angle", "angle", "j", time, seen)), "log"
+    )
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    file = tmp_path_factory.mktemp("arm") / "arm.xml"
+    file.write_text(arm(START))
+    return file
+
+
+def identified_arm(path: Path, free: tuple[str, ...], *logs: Log, **more: object) -> Identification:
+    return identify_log(lambda kinds: MjcfBody(path, logs, kinds), logs, Wanted(free, starts=1, **more))
+
+
+def values_of(found: Identification) -> dict[str, float]:
+    return {each.name: value for each, value in zip(found.fit.space.parameters, found.fit.values, strict=True)}
+
+
+def test_the_prediction_at_the_truth_is_the_log_to_its_noise(path: Path) -> None:
+    log = logged(bias=0.05, steps_late=6)
+    body = MjcfBody(path, [log], (*SCALES, "bias", "delay"))
+    names = ["damping.j", "armature.j", "mass.link", "kp.servo", "bias.servo", "delay"]
+    twin = LoggedTwin(body, [log], names)
+    away = twin.predict(np.array([[0.02, 0.002, 0.1, 2.0, 0.05, 0.012]]))[0] - twin.measured.values
+    late = twin.measured.time > 1.0  # it begins at the measured angle, whose velocity is not known
+    assert np.std(away[late]) == pytest.approx(NOISE, rel=0.1)
+    assert abs(away[late].mean()) < NOISE / 5
+
+
+def test_an_arm_whose_scale_no_angle_shows_is_known_in_ratios_only(path: Path) -> None:
+    found = identified_arm(path, SCALES, logged())
+    said = " ".join(found.sentences())
+    assert not found.fit.determined.any()
+    assert found.right
+    assert "Determined only together:" in said
+    assert "kp.servo / mass.link" in said
+    values = values_of(found)
+    assert values["damping.j"] / values["kp.servo"] == pytest.approx(0.01, rel=0.01)
+    assert values["kp.servo"] / values["mass.link"] == pytest.approx(20.0, rel=0.02)
+    assert 0.9 < found.errors["identified"] < 1.1 < found.errors["default body"]
+
+
+def test_what_is_determined_is_found_and_covered(path: Path) -> None:
+    found = identified_arm(path, ("damping", "kp", "armature", "bias", "delay"), logged(bias=0.05, steps_late=6))
+    body = MjcfBody(path, [logged()], ())
+    assert body.parameters == {}
+    truth = {"damping.j": 0.01, "kp.servo": 1.0, "armature.j": 0.001, "bias.servo": 0.05, "delay": 0.012}  # at its mass
+    assert found.right
+    assert found.fit.determined.all()
+    for (name, value), (low, high) in zip(values_of(found).items(), found.intervals, strict=True):
+        assert value == pytest.approx(truth[name], rel=0.05, abs=1e-3)
+        assert low - (high - low) <= truth[name] <= high + (high - low)
+
+
+def test_a_wrong_class_is_named_and_what_it_lacks(path: Path) -> None:
+    found = identified_arm(path, ("damping", "bias"), logged())
+    said = " ".join(found.sentences())
+    assert not found.right
+    assert "This class of models is wrong" in said
+    cause = next(each for each in found.sentences() if each.startswith("What was left out"))
+    assert found.missing["kp"] > 0.5
+    assert "kp" in cause
+
+
+def test_the_simplest_class_leaves_out_what_is_not_there(path: Path) -> None:
+    found = identified_arm(path, ("damping", "armature", "kp", "bias", "frictionloss"), logged())
+    assert {"bias", "frictionloss"} <= set(found.left_out)
+    assert found.errors["simplest class"] < 1.1
+
+
+def test_the_result_is_the_same_twice(path: Path) -> None:
+    one, other = (identified_arm(path, ("damping", "kp"), logged(2.0)) for _ in range(2))
+    assert np.array_equal(one.fit.values, other.fit.values)
+    assert np.array_equal(one.intervals, other.intervals)
+
+
+def test_two_logs_of_one_command_say_how_well_the_robot_repeats_itself(path: Path) -> None:
+    found = identified_arm(path, ("damping", "kp", "armature"), logged(2.0), logged(2.0, seed=1))
+    assert found.repeatability["angle"] == pytest.approx(1.0, rel=0.2)
+    assert "Two logs of one command" in " ".join(found.sentences())
+
+
+def test_an_arm_that_motors_push_is_set_to_its_angles_again(tmp_path: Path) -> None:
+    file = tmp_path / "motor.xml"
+    file.write_text(arm(TRUTH | {"damping": 0.05}, actuator="motor"))
+    log = logged(actuator="motor")
+    found = identified_arm(file, ("damping",), log)
+    assert values_of(found)["damping.j"] == pytest.approx(0.02, rel=0.05)
+
+
+def test_a_base_that_no_channel_sees_is_held(tmp_path: Path) -> None:
+    file = tmp_path / "floating.xml"
+    file.write_text(arm(START, free="<freejoint/>"))
+    body = MjcfBody(file, [logged(0.5)], ("kp",))
+    assert body.model.nv == 1
+    assert "held" in body.notes[0]
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        ({"of": "elbow"}, "no servo or joint 'elbow'"),
+        ({"quantity": "gyro", "of": "imu", "values": np.zeros((400, 3))}, "no gyro sensor 'imu'"),
+        ({"quantity": "position", "of": "torso", "values": np.zeros((400, 2))}, "no body 'torso'"),
+        ({"quantity": "current"}, "no channel of the log is one that a model predicts"),
+    ],
+)
+def test_channels_that_the_model_lacks_are_refused(path: Path, change: dict[str, object], sentence: str) -> None:
+    commands, angle = logged().channels
+    log = Log((commands, dataclasses.replace(angle, **change)), "log")
+    with pytest.raises(ParameterError, match=sentence):
+        LoggedTwin(MjcfBody(path, [log], ("kp",)), [log], ["kp.servo"])
+
+
+@pytest.mark.parametrize(
+    ("wanted", "sentence"),
+    [
+        (Wanted(("colour",)), "'colour' is no kind"),
+        (Wanted(("tendon",)), "nothing is free"),
+        (Wanted(("kp",), {"mass": (1, 2)}), "no free parameter"),
+        (Wanted(("kp",), {"kp": (2, 1)}), "is empty"),
+    ],
+)
+def test_wrong_wishes_are_refused(path: Path, wanted: Wanted, sentence: str) -> None:
+    log = logged(0.5)
+    with pytest.raises(ParameterError, match=sentence):
+        identify_log(lambda kinds: MjcfBody(path, [log], kinds), [log], wanted)
+
+
+def test_a_file_that_is_no_mjcf_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "no.xml").write_text("<mujoco><nothing/></mujoco>")
+    with pytest.raises(ParameterError, match="MuJoCo cannot compile it"):
+        MjcfBody(tmp_path / "no.xml", [logged(0.5)], ("kp",))
+
+
+def written(tmp_path: Path, log: Log) -> list[str]:
+    commands, angle = log.channels
+    rows = [
+        f"{t:.4f},{u:.6f},{np.degrees(q):.6f}"
+        for t, u, q in zip(commands.times, commands.values, angle.values, strict=True)
+    ]
+    (tmp_path / "log.csv").write_text("\n".join(["t,command,angle", *rows]))
+    (tmp_path / "log.yaml").write_text(
+        "time: {column: t, unit: s}\nchannels:\n  command: {quantity: command, of: servo, unit: rad}\n"
+        "  angle: {quantity: angle, of: j, unit: deg}\n"
+    )
+    return ["identify", "--log", str(tmp_path / "log.csv"), "--channels", str(tmp_path / "log.yaml")]
+
+
+def test_the_command_writes_a_report_the_model_and_what_to_measure_next(
+    path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = written(tmp_path, logged(bias=0.05))
+    out = tmp_path / "out"
+    code = main(
+        [
+            *arguments,
+            "--model",
+            str(path),
+            "--free",
+            "kp,damping,armature,bias",
+            "--range",
+            "kp=0.5:3",
+            "--out",
+            str(out),
+        ]
+    )
+    said = capsys.readouterr().out
+    assert not code
+    assert "Determined: " in said
+    assert "Error on what was not fitted" in said
+    content = json.loads((out / "identification.json").read_text())
+    assert content["right"]
+    assert content["parameters"]["kp.servo"]["low"] == 0.5
+    assert {"report.html", "identified.xml", "plots"} <= {each.name for each in out.iterdir()}
+    assert "To make it again" in (out / "report.html").read_text()
+    assert 'src="http' not in (out / "report.html").read_text()
+    model = mujoco.MjModel.from_xml_path(str(out / "identified.xml"))
+    assert model.actuator_gainprm[0, 0] == pytest.approx(content["parameters"]["kp.servo"]["value"], rel=1e-4)
+    assert model.dof_damping[0] == pytest.approx(content["parameters"]["damping.j"]["value"], rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("more", "sentence"),
+    [
+        (["--range", "kp=2"], "expected NAME=LOW:HIGH"),
+        (["--free", "colour"], "is no kind of parameters"),
+    ],
+)
+def test_wrong_options_end_in_a_sentence(
+    path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], more: list[str], sentence: str
+) -> None:
+    arguments = written(tmp_path, logged(0.5))
+    assert main([*arguments, "--model", str(path), *more, "--out", str(tmp_path / "out")]) != 0
+    assert sentence in capsys.readouterr().err
+    assert main(["identify", "--free", "kp", "--out", str(tmp_path / "out")]) != 0
+    assert "is for logs" in capsys.readouterr().err
+
+
+# --- Nermo
+
+
+def test_nermo_is_driven_and_its_bodies_differ() -> None:
+    body = nermo_body("nermo_lite", ("kp", "damping", "mass", "friction", "delay", "bias", "backlash"))
+    time = np.arange(100) / 100
+    robot = body.robot
+    channels = [Channel(f"c_{s}", "command", s, time, 0.2 * np.sin(12 * time)) for s in robot.servos[:8]]
+    channels += [Channel("hip", "angle", "front_left_hip", time, np.zeros(100))]
+    channels += [Channel("knee", "angle", "front_left_knee", time, np.zeros(100))]
+    channels += [Channel("track", "position", "torso", time, np.zeros((100, 2)))]
+    log = Log(tuple(channels), "log")
+    names = ["servo.kp", "mass.front", "delay", "bias.front_left_hip"]
+    twin = LoggedTwin(body, [log], names)
+    found = twin.predict(np.array([[19.11, 0.12, 0.0, 0.0], [19.11, 0.12, 0.0, 0.05], [6.0, 0.2, 0.03, 0.0]]))
+    hip = found[:, twin.measured.channel == twin.labels.index("hip")]
+    assert np.isfinite(found).all()
+    assert np.mean(hip[1] - hip[0]) == pytest.approx(0.05, abs=0.01)
+    assert np.argmax(hip[2]) > np.argmax(hip[0])  # later
+    address = body.model.jnt_qposadr[body.joint("front_left_knee")]
+    assert body.model.joint("front_left_pulley").qposadr[0] == address  # what the servo turns, not the leg's own knee
+
+
+def test_bodies_of_an_identification_are_drawn_and_walked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "ensemble.csv").write_text(
+        "# made\nservo.kp,mass.front,objective,weight\n12,0.15,1,0.5\n14,0.16,1,0.5\n"
+    )
+    assert identified.bodies(str(tmp_path)).values["servo.kp"].tolist() == [12.0, 14.0]
+    arguments = [
+        "walk",
+        "--engine",
+        "c",
+        "--duration",
+        "0.1",
+        "--json",
+        "--body",
+        str(tmp_path),
+        "--set",
+        "mass.front=0.17",
+    ]
+    assert not main(arguments)
+    walked = json.loads(capsys.readouterr().out)["parameters"]
+    assert (walked["servo.kp"], walked["mass.front"]) == (12.0, 0.17)
+    assert main(["walk", "--body", str(tmp_path / "none")]) != 0
+    assert "no directory of an identification" in capsys.readouterr().err
+    (tmp_path / "ensemble.csv").write_text("nothing\n")
+    identified.bodies.cache_clear()
+    with pytest.raises(ParameterError, match="damaged"):
+        identified.bodies(str(tmp_path))
