@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+from click.core import ParameterSource
 
 from nermo_mjx.cli import options
 from nermo_mjx.cli.choices import EXPERIMENT_PROFILES, EXPERIMENTS
@@ -29,7 +30,7 @@ from nermo_mjx.cli.output import (
     print_table,
     say,
 )
-from nermo_mjx.cli.progress import Stages, duration
+from nermo_mjx.cli.progress import ProgressBar, Stages, duration
 
 if TYPE_CHECKING:
     from nermo_mjx.experiments.run import ExperimentsResult
@@ -746,9 +747,16 @@ def identify_command(out: Path, **how: Any) -> Output:
       nermo-mjx identify --samples 8 --generations 2 --bodies 0 --out runs/look
     """
     own = {name: how.pop(name) for name in ("log", "channels", "check", "model", "free", "range", "robot")}
+    context = click.get_current_context()
+    typed = [name for name in context.params if context.get_parameter_source(name) is ParameterSource.COMMANDLINE]
     if own["log"]:
+        for name in typed:
+            if name in how and name != "seed":
+                raise WrongUse(f"--{name.replace('_', '-')} is for the published speeds: it does not go with --log.")
+        if own["model"] and "robot" in typed:
+            raise WrongUse("--model is another robot: give it, or --robot.")
         return _identify_log(out, seed=how["seed"], **own)
-    given = [f"--{name}" for name in ("channels", "check", "model", "free", "range") if own[name]]
+    given = [f"--{name}" for name in own if name in typed]
     if given:
         raise WrongUse(f"{given[0]} is for logs: give --log FILE.")
     from nermo_mjx.experiments.identification import run_identification
@@ -792,7 +800,11 @@ def _identify_log(
             return log_twin.nermo_body(robot, kinds)
         return log_twin.MjcfBody(model, [*logs, *judges], kinds)
 
-    found = log_identification.identify_log(make, logs, wanted, judges)
+    unread = [each.name for each in logs[0].channels if each.quantity not in (*log_twin.PREDICTED, "command")]
+    if unread:
+        say(f"not compared, since they are not predicted: {', '.join(unread)}.")
+    with ProgressBar("identify") as shown:
+        found = log_identification.identify_log(make, logs, wanted, judges, shown.share)
     content = log_report.write_identification(found, out, shlex.join(["nermo-mjx", *sys.argv[1:]]))
 
     def show() -> None:

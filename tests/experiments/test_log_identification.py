@@ -244,6 +244,8 @@ def test_the_command_writes_a_report_the_model_and_what_to_measure_next(
     [
         (["--range", "kp=2"], "expected NAME=LOW:HIGH"),
         (["--free", "colour"], "is no kind of parameters"),
+        (["--samples", "8"], "--samples is for the published speeds: it does not go with --log"),
+        (["--robot", "nermo_lite"], "--model is another robot: give it, or --robot"),
     ],
 )
 def test_wrong_options_end_in_a_sentence(
@@ -254,6 +256,8 @@ def test_wrong_options_end_in_a_sentence(
     assert sentence in capsys.readouterr().err
     assert main(["identify", "--free", "kp", "--out", str(tmp_path / "out")]) != 0
     assert "is for logs" in capsys.readouterr().err
+    assert main(["identify", "--robot", "nermo_41", "--out", str(tmp_path / "out")]) != 0
+    assert "--robot is for logs" in capsys.readouterr().err
 
 
 # --- Nermo
