@@ -742,7 +742,7 @@ def identify_command(out: Path, **how: Any) -> Output:
 
     Examples:
       nermo-mjx identify --log robot.csv --channels robot.yaml --out runs/mine
-      nermo-mjx identify --log arm.csv --channels arm.yaml --model arm.xml --out runs/arm
+      nermo-mjx identify --log arm.csv --channels arm.yaml --model arm.xml --out arm
       nermo-mjx identify --out runs/identified
       nermo-mjx identify --samples 8 --generations 2 --bodies 0 --out runs/look
     """

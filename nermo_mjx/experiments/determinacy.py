@@ -17,6 +17,8 @@ import numpy as np
 from mujoco import minimize
 from scipy.stats import qmc
 
+from nermo_mjx.optimize.methods import strategy
+
 #: A parameter is determined if its 90 % interval is narrower than this share of its range.
 DETERMINED: Final = 0.1
 #: A ratio or a product is determined if it is known this much better than each of its parameters.
@@ -222,12 +224,27 @@ class Estimation:
 
     def scanned(self, number: int, seed: int) -> np.ndarray:
         """Coordinates (number, p) of a Sobol sequence in the ranges, the best first."""
-        space, of = self.space, self.measured
+        space = self.space
         shares = qmc.Sobol(len(space), rng=seed).random_base2((number - 1).bit_length())[:number]
         points = space.low + shares * (space.high - space.low)
-        away = np.nan_to_num(self.problem.predict(space.values(points)) - of.values, nan=1e6)
-        cost = [np.sum(np.log(self.spread() * 1e-6 + of.by_channel(lambda each, i: rms(each), each))) for each in away]
-        return points[np.argsort(cost)]
+        return points[np.argsort(self.costs(points))]
+
+    def costs(self, points: np.ndarray) -> np.ndarray:
+        """Of coordinates (k, p): the sum of the logarithms of the channels' residuals, whose least needs no weights."""
+        of, floor = self.measured, self.spread() * 1e-6
+        away = np.nan_to_num(self.problem.predict(self.space.values(points)) - of.values, nan=1e6)
+        return np.array([np.sum(np.log(floor + of.by_channel(lambda each, i: rms(each), each))) for each in away])
+
+    def sought(self, generations: int, seed: int) -> np.ndarray:
+        """Coordinates (p,) by CMA-ES over the whole ranges, which contacts and their local minima do not stop."""
+        low, wide = self.space.low, self.space.high - self.space.low
+        found = strategy(
+            np.full(len(wide), 0.5), 0.3, 24, np.random.default_rng(seed), bounds=[0.0, 1.0], maxiter=generations
+        )
+        while not found.stop():
+            shares = found.ask()
+            found.tell(shares, self.costs(low + np.array(shares) * wide).tolist())
+        return low + np.asarray(found.best.x) * wide
 
     def weights(self, x: np.ndarray, sigma: np.ndarray) -> np.ndarray:
         """Each channel's residuals, but no less than what its values can tell (channels,)."""

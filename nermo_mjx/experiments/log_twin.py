@@ -28,6 +28,7 @@ from nermo_mjx.physics.variation import Variation, moves_constants
 from nermo_mjx.robot import ModelParameters, ParameterError, Robot, load_robot
 from nermo_mjx.robot.masses import mass_values
 from nermo_mjx.robot.quantity import did_you_mean, replace_quantities
+from nermo_mjx.robot.scene import read_mjcf
 from nermo_mjx.runtime import thread_count
 
 #: Time that a model stands before a log begins, and interval at which one without servos begins anew [s].
@@ -172,7 +173,10 @@ class MjcfBody(Body):
             ParameterError: a file that MuJoCo cannot compile, or channels of parts that it does not have.
         """
         try:
-            spec = mujoco.MjSpec.from_file(str(path))
+            spec = read_mjcf(path)
+        except ParameterError as error:
+            raise ParameterError(f"model{str(error).removeprefix('scene')}") from None
+        try:
             free_joints = [joint for joint in spec.joints if joint.type == mujoco.mjtJoint.mjJNT_FREE]
             seen = {each.quantity for one in log for each in one.channels}
             held = bool(free_joints) and not seen & {"gyro", "acceleration", "position", "yaw"}
@@ -183,6 +187,8 @@ class MjcfBody(Body):
                     spec.delete(joint)
             super().__init__(spec.compile())
             self._spec = spec
+        except ParameterError:
+            raise
         except (ValueError, OSError) as error:
             raise ParameterError(f"{path}: MuJoCo cannot compile it ({str(error).splitlines()[0]}).") from None
         if held:

@@ -103,10 +103,18 @@ def resolve_scene(scene: Scene) -> str:
             names = " or ".join(map(repr, scenes()))
             raise ParameterError(f"scene is {str(scene)!r}: allowed is {names} or the path of an MJCF file (.xml).")
         raise ParameterError(f"scene is {str(scene)!r}: there is no such file.")
-    with _refusals(repr(str(scene))):
-        _check_sizes(ElementTree.fromstring(read_bytes(path, _MOST_FILE)), path.parent, repr(str(scene)))
-        spec = mujoco.MjSpec.from_file(str(path))
-    return _text(spec, repr(str(scene)))
+    return _text(read_mjcf(path), repr(str(scene)))
+
+
+def read_mjcf(path: Path) -> mujoco.MjSpec:
+    """A person's MJCF file.
+
+    Raises:
+        ParameterError: it cannot be read, or would make more than fits; MuJoCo refuses it.
+    """
+    with _refusals(repr(str(path))):
+        _check_sizes(ElementTree.fromstring(read_bytes(path, _MOST_FILE)), path.parent, repr(str(path)))
+        return mujoco.MjSpec.from_file(str(path))
 
 
 def scene_name(scene: str) -> str:

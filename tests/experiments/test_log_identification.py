@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import os
 from pathlib import Path
 
 import mujoco
@@ -13,6 +14,7 @@ import pytest
 from nermo_mjx.cli import main as command
 from nermo_mjx.experiments.log_identification import Identification, Wanted, identify_log
 from nermo_mjx.experiments.log_twin import LoggedTwin, MjcfBody, nermo_body
+from nermo_mjx.files import FileError
 from nermo_mjx.hardware.log import Channel, Log
 from nermo_mjx.robot import ParameterError, identified
 
@@ -188,8 +190,11 @@ def test_wrong_wishes_are_refused(path: Path, wanted: Wanted, sentence: str) -> 
 
 def test_a_file_that_is_no_mjcf_is_refused(tmp_path: Path) -> None:
     (tmp_path / "no.xml").write_text("<mujoco><nothing/></mujoco>")
-    with pytest.raises(ParameterError, match="MuJoCo cannot compile it"):
+    with pytest.raises(ParameterError, match=r"^model is .*no\.xml': MuJoCo refuses it: "):
         MjcfBody(tmp_path / "no.xml", [logged(0.5)], ("kp",))
+    os.mkfifo(tmp_path / "pipe.xml")
+    with pytest.raises((ParameterError, FileError), match="pipe"):
+        MjcfBody(tmp_path / "pipe.xml", [logged(0.5)], ("kp",))
 
 
 def written(tmp_path: Path, log: Log) -> list[str]:

@@ -178,7 +178,7 @@ def test_no_code_of_a_directory_is_run(directories: tuple[str, Path, Path, Path]
         assert result.exit_code == 0, result.stderr
     assert "sample is grid, whose variants are not drawn" in call("sensitivity", a).stderr
     assert "80 of 160 runs, not complete" in call("status", half).stdout
-    assert "gait: trot and lateral walk" in call("compare", a, b).stdout
+    assert "gait: trot and lateral_walk" in call("compare", a, b).stdout
     assert (a / "plots" / "differences.png").exists()
     merged = call("merge", a, half, "--out", a.with_name("both"))
     if own == "controller":
