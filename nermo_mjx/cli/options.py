@@ -89,11 +89,11 @@ def assigned(texts: Iterable[str], parameters: Mapping[str, Quantity]) -> dict[s
             what = "matches no parameter" if pattern else "is not a parameter"
             hint = f"did you mean {near}?" if near else "`nermo-mjx sweep --list-parameters` prints all."
             raise WrongUse(f"--set {text}: {name} {what}; {hint}")
-        try:
-            values |= dict.fromkeys(found, float(number))
-        except ValueError:
-            allowed = parameters[found[0]].allowed()
-            raise WrongUse(f"--set {text}: {number!r} is not a number; allowed is {allowed}.") from None
+        for each in found:
+            if (value := parameters[each].number(number)) is None:
+                expected, allowed = parameters[each].expected.rstrip("."), parameters[each].allowed()
+                raise WrongUse(f"--set {text}: {number!r} is not a number; {expected}; allowed is {allowed}.")
+            values[each] = value
     return values
 
 
@@ -293,8 +293,8 @@ gait = grouped(
     click.option(
         "--gait", type=_Gait(choices.GAITS), default=choices.GAITS[0], show_default=True, help="Order of the feet."
     ),
-    number("--frequency", "Gait cycles per second [Hz]."),
-    number("--stride", "Stride length, as a fraction of the maximum."),
+    number("--frequency", "Gait cycles per second [Hz].", str),
+    number("--stride", "Stride length, as a fraction of the maximum.", str),
     text(
         "--spine",
         "NAME[+NAME]",
@@ -304,17 +304,18 @@ gait = grouped(
         show_default=True,
         shell_complete=names(*choices.SPINE_MODES, joined="+"),
     ),
-    number("--spine-amplitude", "Servo amplitude of the stride extension [rad]."),
-    number("--spine-phase", "Phase of the stride extension [rad]."),
-    number("--turn-rate", "Turn rate held without feedback, -1 right to 1 left."),
+    number("--spine-amplitude", "Servo amplitude of the stride extension [rad].", str),
+    number("--spine-phase", 'Phase of the stride extension [rad], or such as "-45 deg".', str),
+    number("--turn-rate", "Turn rate held without feedback, -1 right to 1 left.", str),
     choice_option(
         "--steering", choices.STEERINGS, "What turns the robot. Default: leg; in as_published spine.", default=None
     ),
     number(
         "--offset-compensation",
         "Rear legs compensate the hip's rise: a fraction, or all without a number.",
+        str,
         is_flag=False,
-        flag_value=1.0,
+        flag_value="1",
         metavar="[X]",
     ),
     choice_option("--trajectory", choices.TRAJECTORIES, "Shape of the foot path; free: with movable points."),

@@ -80,7 +80,7 @@ def planned_walk(
         if needed := unread(setup, name):
             choice, wanted = needed
             raise WrongUse(f"{flag} has no effect with --{choice} {getattr(setup, choice)}: add --{choice} {wanted}.")
-        values[name] = options[option]
+        values[name] = parameters[name].numbers(flag, options[option])
     values |= assigned(assignments, parameters)
     for name, value in values.items():
         parameters[name].check(name, value)
@@ -97,7 +97,7 @@ def _switch(text: str) -> Switch:
     words = {name: pairs.pop(name) for name in ("gait", "steering", "spine", "head", "tail_motion") if name in pairs}
     try:
         blend = float(pairs.pop("blend", 1.0))
-        return Switch(float(at), blend, **words, values={name: float(value) for name, value in pairs.items()})
+        return Switch(float(at), blend, **words, values=pairs)
     except ValueError as error:
         about = f" {error}" if isinstance(error, ParameterError) else ""
         raise WrongUse(

@@ -21,7 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from nermo_mjx.control.head_and_tail import COUNTER_ROLL, COUNTER_YAW, GAZE, HEADS, SWING, TAIL_MOTIONS
-from nermo_mjx.control.parameters import GRIP, HARMONICS, STEERING, with_gait_factor
+from nermo_mjx.control.parameters import GRIP, HARMONICS, STEERING, ControlParameters, with_gait_factor
 from nermo_mjx.control.spine_modes import mode_names
 from nermo_mjx.robot.parameters import GAIT_CODES, GAIT_PATTERNS, LIMBS
 from nermo_mjx.robot.quantity import (
@@ -29,6 +29,7 @@ from nermo_mjx.robot.quantity import (
     Quantity,
     choice,
     parameter_tree,
+    quantities,
     quantity,
     replace_quantities,
     values_of,
@@ -82,7 +83,9 @@ class Switch:
 
     def __post_init__(self) -> None:
         given = self.values.items() if isinstance(self.values, Mapping) else self.values
-        object.__setattr__(self, "values", tuple((str(name), float(value)) for name, value in given))
+        known = dict(quantities(ControlParameters))
+        given = ((str(name), known[name].numbers(name, value) if name in known else value) for name, value in given)
+        object.__setattr__(self, "values", tuple((name, float(value)) for name, value in given))
         object.__setattr__(self, "gait", GAIT_CODES.get(self.gait or "", self.gait))
         for field, names in (
             ("gait", GAIT_PATTERNS),

@@ -152,7 +152,7 @@ def servo_table(
 
     Args:
         setup: gait, spine mode, steering, profile, tail.
-        values: parameters by name, as for `Simulator.run`, one number each.
+        values: parameters by name, as for `Simulator.run`, one number or text each.
         rate: rows per second of the controller's clock [Hz]; by default that of the channels, or else 50.
         cycles: gait cycles in the table.
         channels: of the servos, see `nermo_mjx.hardware.channels`, or "published", the order of the author's
@@ -179,8 +179,9 @@ def servo_table(
         if choice in _ANSWERING:
             raise ParameterError(f"{name} is {choice!r}, which answers to sensors: a servo table reads none.")
     setup = dataclasses.replace(setup, pilot="open_loop", waypoints=None, command=None)
-    world = setup.world({name: np.asarray(value, float) for name, value in (values or {}).items()})
-    for name, value in (values or {}).items():
+    values = setup.numbers({} if values is None else values)
+    world = setup.world({name: np.asarray(value, float) for name, value in values.items()})
+    for name, value in values.items():
         if np.ndim(value):
             raise ParameterError(f"{name} has shape {np.shape(value)}: a servo table is of one gait, so of one number.")
     setup.check(world)

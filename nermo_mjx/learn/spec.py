@@ -26,8 +26,17 @@ from nermo_mjx.specs.described import Described, digest_of
 from nermo_mjx.specs.fields import Fields, Refused, optional, read
 from nermo_mjx.specs.model import Spec, named_section, one_of, written
 from nermo_mjx.specs.reading import Document, SpecError, plain_data
-from nermo_mjx.specs.values import Choice, Ends, Finite, Positive, Whole
-from nermo_mjx.specs.walk import PilotFields, SceneField, WalkFields, WalkSpec, pilot_options, read_walk, scene_beside
+from nermo_mjx.specs.values import Choice, Ends, EndsInUnits, Finite, Positive, Whole
+from nermo_mjx.specs.walk import (
+    PilotFields,
+    SceneField,
+    WalkFields,
+    WalkSpec,
+    in_numbers,
+    pilot_options,
+    read_walk,
+    scene_beside,
+)
 
 
 class SceneFields(Fields):
@@ -146,7 +155,7 @@ class TrainingFile(WalkFields):
     sources: ClassVar = "'randomize' or 'set'"
     task: Task = Field(default_factory=Task)
     """what a policy does, and what it is rewarded for"""
-    randomize: dict[str, Ends] = Field({**RANDOMIZED})
+    randomize: dict[str, EndsInUnits] = Field({**RANDOMIZED})
     """what each episode draws: a parameter, and its range [low, high]"""
     scenes: list[SceneFields] = optional(
         "instead of 'scene': several, on which one policy learns, the worlds divided among them"
@@ -307,6 +316,7 @@ def changed(training: Training, **values: Any) -> Training:
 
 def _read(doc: Document) -> Training:
     with known_names(doc):
+        doc = in_numbers(doc)
         file = read(doc, TrainingFile)
     if wrong := too_many(file.worlds):
         doc.fail(("worlds",), f"is {file.worlds:,}: {wrong}")

@@ -41,10 +41,11 @@ from nermo_mjx.specs.model import Spec, named_section, one_of, written
 from nermo_mjx.specs.reading import Document, FieldPath, SpecError, describe, dump, read_file
 from nermo_mjx.specs.values import (
     MEASURED,
+    MEASURED_TEXT,
     ByParameter,
     Checked,
     Choice,
-    Ends,
+    EndsInUnits,
     Finite,
     Numbers,
     Positive,
@@ -218,9 +219,9 @@ class Tuned(Spec):
     what = "a field of a tuned parameter"
     expected = "{bounds: [low, high], start: number}, both optional"
     elsewhere = ("name",)
-    bounds: Ends = None  # type: ignore[assignment]  # none cannot be written in a file
+    bounds: EndsInUnits = None  # type: ignore[assignment]  # none cannot be written in a file
     """by default its range"""
-    start: float = None  # type: ignore[assignment]
+    start: Annotated[float, Field(json_schema_extra=MEASURED_TEXT)] = None  # type: ignore[assignment]
     """value of the first start, by default the parameter's"""
     periodic: bool = False
     """whether it wraps around from one bound to the other"""

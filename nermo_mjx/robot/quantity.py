@@ -19,6 +19,21 @@ import jax
 import numpy as np
 
 T = TypeVar("T")
+#: Units that a text may have in the place of a quantity's own, and how many of them are one of it.
+_UNITS: Final[Mapping[str, Mapping[str, float]]] = {
+    "1": {"%": 1e2},
+    "m": {"mm": 1e3, "cm": 1e2},
+    "rad": {"deg": math.degrees(1.0)},
+    "s": {"ms": 1e3},
+    "kg": {"g": 1e3},
+    "m/s": {"mm/s": 1e3, "cm/s": 1e2},
+    "rad/s": {"deg/s": math.degrees(1.0)},
+    "N m": {"N mm": 1e3},
+    "A": {"mA": 1e3},
+    "A h": {"mA h": 1e3},
+}
+#: A number within a text.
+_NUMBER: Final = r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?"
 
 
 class ParameterError(ValueError):
@@ -52,6 +67,50 @@ class Quantity:
         right = ")" if self.open_high or math.isinf(self.high) else "]"
         unit = "" if self.unit == "1" else f" {self.unit}"
         return f"{left}{self.low:g}, {self.high:g}{right}{unit}"
+
+    @property
+    def _in_units(self) -> dict[str, float]:
+        """Units that a text may have, and how many of them are one of this quantity's."""
+        return ({} if self.unit == "1" else {self.unit: 1.0}) | dict(_UNITS.get(self.unit, {}))
+
+    @property
+    def pattern(self) -> str:
+        """The regular expression of a text that is a number, with one of the units or none."""
+        units = "|".join(unit.replace("^", r"\^") for unit in self._in_units)
+        return rf"^\s*({_NUMBER})\s*({units})?\s*$"
+
+    @property
+    def expected(self) -> str:
+        """What a number of this quantity may be, for error messages."""
+        unit = "" if self.unit == "1" else f" {self.unit}"
+        *others, last = self._in_units
+        units = f"{', '.join(others)} or {last}" if others else last
+        how = f" in {units}" if unit else f", or one in {units}"
+        return f"expected a number{how}, such as {np.ravel(self.default)[0]:g}{unit}."
+
+    def number(self, text: str) -> float | None:
+        """The SI number of a text, or None if the text is none.
+
+        >>> Quantity(0.0, "rad", -math.pi, math.pi, "of a swing").number("-45 deg")
+        -0.7853981633974483
+        """
+        found = re.fullmatch(self.pattern, text)
+        return None if found is None else float(found[1]) / self._in_units.get(found[4], 1.0)
+
+    def numbers(self, name: str, value: Any) -> Any:
+        """What is given, with SI numbers in the place of texts; whatever is neither a text nor a truth value may pass.
+
+        Raises:
+            ParameterError: a text is no number, or has a unit that does not convert.
+        """
+        if isinstance(value, np.ndarray) and value.dtype.kind in "OUb":
+            value = value.tolist()
+        if isinstance(value, (list, tuple)):
+            return [self.numbers(name, each) for each in value]
+        number = self.number(value) if isinstance(value, str) else value
+        if number is None or isinstance(value, (bool, np.bool_)):
+            raise ParameterError(f"{name} is {value!r}: {self.expected}")
+        return number
 
     def check(self, name: str, value: Any) -> None:
         """Raise `ParameterError` unless every number in `value` is finite and in range."""

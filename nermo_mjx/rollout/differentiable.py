@@ -157,7 +157,7 @@ class Rollout:
 
     def __call__(
         self,
-        values: Mapping[str, ArrayLike] | None = None,
+        values: Mapping[str, ArrayLike | str] | None = None,
         qpos: ArrayLike | None = None,
         qvel: ArrayLike | None = None,
         *,
@@ -166,7 +166,8 @@ class Rollout:
         """The metrics of one world, as named in `all_metrics(setup)`.
 
         Args:
-            values: parameter name -> number or array of shape (); unnamed ones have the setup's default.
+            values: parameter name -> number, array of shape () or text with a unit such as "-45 deg"; unnamed ones have
+                the setup's default.
             qpos: initial positions (nq,); by default the gait's start pose.
             qvel: initial velocities (nv,); by default at rest.
             policy: the controller's parameters instead of the setup's, a pytree like `controller.parameters`, traced or
@@ -180,7 +181,7 @@ class Rollout:
 
     def record(
         self,
-        values: Mapping[str, ArrayLike],
+        values: Mapping[str, ArrayLike | str],
         qpos: ArrayLike | None = None,
         qvel: ArrayLike | None = None,
         *,
@@ -199,7 +200,7 @@ class Rollout:
             names: to differentiate by.
             width: half-width of the differences, as a share of each parameter's scale.
         """
-        given = {**self.setup.body, **values}
+        given = {**self.setup.body, **self.setup.numbers(values)}
         self._check(given, None)
         return self._differences.slopes({name: float(value) for name, value in given.items()}, tuple(names), width)
 
@@ -214,14 +215,14 @@ class Rollout:
 
     def _walk(
         self,
-        values: Mapping[str, ArrayLike],
+        values: Mapping[str, ArrayLike | str],
         qpos: ArrayLike | None,
         qvel: ArrayLike | None,
         policy: Any,
         *,
         path: bool,
     ) -> tuple[dict[str, Scalar], Path]:
-        values = {**self.setup.body, **values}
+        values = {**self.setup.body, **self.setup.numbers(values)}
         self._check(values, policy)
         if self._chosen(values, qpos, qvel, policy) == "mjx":
             return self._traced(values, qpos, qvel, policy)

@@ -429,6 +429,17 @@ class Setup(RobotConfig):
             world = dataclasses.replace(world, control=with_geometry(world.control))
         return replace_quantities(world, self._completed(values))
 
+    def numbers(self, values: Mapping[str, Any]) -> dict[str, Any]:
+        """Named values with SI numbers in the place of texts such as `-45 deg`; unknown names are not refused here.
+
+        Raises:
+            ParameterError: it is no mapping, a text is no number, or it has a unit that does not convert.
+        """
+        if not isinstance(values, Mapping):
+            raise ParameterError(f"values is {values!r}: expected a mapping such as {{'frequency': 0.8}}.")
+        known = self._quantities
+        return {name: known[name].numbers(name, value) if name in known else value for name, value in values.items()}
+
     def _completed(self, values: Mapping[str, Any]) -> Mapping[str, Any]:
         """Named values plus derived ones."""
         controller = self._unbalanced

@@ -247,20 +247,22 @@ class Simulator:
         """Checked parameters of a batch: the setup's defaults, with the named values replaced.
 
         Args:
-            values: name -> number or (n,) array. The gait factor follows a duty factor that is named without it.
+            values: name -> number or (n,) array, or texts with a unit such as "-45 deg". The gait factor follows a duty
+                factor that is named without it.
             policy: see `run`.
 
         Raises:
             ParameterError: unknown name, value out of range or not of shape () or (n,), or a stride outside the legs'
                 workspace.
         """
+        values = self.setup.numbers(values)
         params = self.setup.world({name: _numbers(name, value) for name, value in values.items()}, policy)
         self.setup.check(params)
         return params
 
     def prepare(self, values: Mapping[str, Any], run: Run | None = None, policy: Any = None) -> Batch:
         """The batch that `run` passes to the engine; the arguments are the same."""
-        values = {**self.setup.body, **values}
+        values = {**self.setup.body, **self.setup.numbers(values)}
         # Of the same structure: parameters have a geometry if one is named.
         single = self.setup.world({name: 0.0 for name in values if names_geometry([name])})
         params, worlds = _batched(self.parameters(values, policy), single, values)
@@ -314,7 +316,8 @@ class Simulator:
         ((2,), ['ok', 'ok'])
 
         Args:
-            values: parameter name -> number or (n,) array; unnamed ones have the setup's default.
+            values: parameter name -> number or (n,) array, or texts with a unit such as "-45 deg"; unnamed ones have
+                the setup's default.
             run: length and warm-up; eight gait cycles, two of them warm-up, by default.
             record: store every tick of every world (memory: about 1.5 kB per tick and world).
             progress: called with the finished share, in [0, 1].

@@ -27,6 +27,8 @@ NAMES: Final[ContextVar[Mapping[str, Quantity]]] = ContextVar("NAMES", default=P
 MEASURED: Final[ContextVar[Mapping[str, Metric]]] = ContextVar("MEASURED", default=METRICS)
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
+#: A parameter's number to an editor: a text may have a unit.
+MEASURED_TEXT: Final[JsonSchema] = {"type": ["number", "string"], "pattern": r"^\s*[-+]?\.?[0-9]"}
 Share = Annotated[float, Field(ge=0, le=1)]
 
 
@@ -118,11 +120,12 @@ class Bodies(Checked):
 
 @dataclasses.dataclass(frozen=True)
 class Numbers(Checked):
-    """A list of numbers, `written` such as "[low, high]"."""
+    """A list of numbers, `written` such as "[low, high]"; those of a parameter may have units."""
 
     written: str
     least: int
     most: int | None = None
+    of_parameter: bool = False
 
     def inner(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         numbers = core_schema.list_schema(core_schema.float_schema(strict=True))
@@ -135,7 +138,8 @@ class Numbers(Checked):
 
     def schema(self, own: JsonSchema) -> JsonSchema:
         most = {} if self.most is None else {"maxItems": self.most}
-        return {**own, "minItems": self.least, **most, "description": self.written}
+        items = {"items": MEASURED_TEXT} if self.of_parameter else {}
+        return {**own, **items, "minItems": self.least, **most, "description": self.written}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -149,6 +153,32 @@ class _Ends(Numbers):
 
 #: A range [low, high].
 Ends = Annotated[tuple[float, float], _Ends("[low, high]", 2, 2)]
+#: The same of a parameter.
+EndsInUnits = Annotated[tuple[float, float], _Ends("[low, high]", 2, 2, of_parameter=True)]
+
+
+@dataclasses.dataclass(frozen=True)
+class InUnits(Checked):
+    """A number with a unit, which may be a text such as "300 mm"."""
+
+    about: Quantity
+
+    def inner(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        return core_schema.no_info_before_validator_function(self._number, handler(source))
+
+    def _number(self, value: Any) -> Any:
+        if not isinstance(value, str):
+            return value
+        if (number := self.about.number(value)) is None:
+            raise Refused(f"is {describe(value)}: {self.about.expected}")
+        return number
+
+    def schema(self, own: JsonSchema) -> JsonSchema:
+        return {**own, "type": ["number", "string"], "pattern": self.about.pattern}
+
+
+Metres = Annotated[float, InUnits(Quantity(1.0, "m", -math.inf, math.inf, "a length"))]
+Seconds = Annotated[float, InUnits(Quantity(1.0, "s", -math.inf, math.inf, "a time"))]
 
 
 class ByParameter(Checked):
@@ -181,7 +211,7 @@ def by_parameter(value: JsonSchema) -> JsonSchema:
     """
     numbers = {name: number_of(name) for name in PARAMETERS}
     names = {name: {**(value or number), "description": number["description"]} for name, number in numbers.items()}
-    patterns = {r"[*?\[]": value or {"type": "number"}}
+    patterns = {r"[*?\[]": value or MEASURED_TEXT}
     return {"properties": names, "patternProperties": patterns, "additionalProperties": False}
 
 
@@ -196,7 +226,7 @@ def number_of(name: str) -> JsonSchema:
         for end, bound, is_open in bounds
         if math.isfinite(bound)
     }
-    return {"type": "number", **limits, "description": description}
+    return {"type": ["number", "string"], **limits, "pattern": about.pattern, "description": description}
 
 
 def check_value(doc: Document, path: FieldPath, name: str, about: Quantity, value: Any) -> None:

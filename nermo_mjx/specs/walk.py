@@ -32,11 +32,15 @@ from nermo_mjx.specs.controllers import named_controller, named_metrics, written
 from nermo_mjx.specs.fields import Fields, OneOf, Refused, optional, read
 from nermo_mjx.specs.reading import Document, FieldPath, describe
 from nermo_mjx.specs.values import (
+    MEASURED_TEXT,
     NAMES,
     PARAMETERS,
     ByParameter,
     Finite,
+    InUnits,
+    Metres,
     Positive,
+    Seconds,
     Whole,
     check_value,
     number_of,
@@ -132,12 +136,12 @@ SetupFields: Any = create_model("SetupFields", __base__=Fields, **_IN_FILES)
 
 class Straight(Fields):
     what: ClassVar = "an option of the pilot 'straight'"
-    distance: float = optional("distance at which measuring ends [m]", exclusiveMinimum=0)
+    distance: Metres = optional("distance at which measuring ends [m]", exclusiveMinimum=0)
 
 
 class Arc(Fields):
     what: ClassVar = "an option of the pilot 'arc'"
-    radius: float = optional(**number_of("pilot.radius"))
+    radius: Annotated[float, InUnits(PARAMETERS["pilot.radius"])] = optional(**number_of("pilot.radius"))
     direction: float | Literal["left", "right"] = optional("side of the circle; 1 is left, -1 right")
 
 
@@ -151,18 +155,18 @@ def _rows(given: Any) -> Any:
 class Waypoints(Fields):
     what: ClassVar = "an option of the pilot 'waypoints'"
     example: ClassVar = "points: [[x, y], ...] in metres"
-    points: Annotated[list[list[float]], BeforeValidator(_rows)] = Field(
+    points: Annotated[list[list[Metres]], BeforeValidator(_rows)] = Field(
         description="(x, y) of each [m]; a smooth curve goes through them",
         json_schema_extra={
             "minItems": 3,
-            "items": {"type": "array", "items": {"type": "number"}, "minItems": 2, "maxItems": 2},
+            "items": {"type": "array", "items": MEASURED_TEXT, "minItems": 2, "maxItems": 2},
         },
     )
 
 
 class OpenLoopFields(Fields):
     what: ClassVar = "an option of the pilot 'open_loop'"
-    turn_rate: float = optional(**number_of("pilot.turn_rate"))
+    turn_rate: Annotated[float, InUnits(PARAMETERS["pilot.turn_rate"])] = optional(**number_of("pilot.turn_rate"))
 
 
 class PilotFields(OneOf):
@@ -186,21 +190,25 @@ class RunFields(Fields):
     what: ClassVar = "a field of a run"
     cycles: float = optional("length in gait cycles, by default 8", exclusiveMinimum=0)
     warmup_cycles: float = optional("of these not measured, by default 2", minimum=0)
-    duration: float = optional("length in simulated seconds", exclusiveMinimum=0)
-    warmup: float = optional("of these not measured, by default 0", minimum=0)
+    duration: Seconds = optional("length in simulated seconds", exclusiveMinimum=0)
+    warmup: Seconds = optional("of these not measured, by default 0", minimum=0)
 
 
 class SwitchFields(Fields):
     what: ClassVar = "a field of a switch"
     example: ClassVar = "{at: 2.0, gait: lateral_walk}"
-    at: Annotated[float, Field(ge=0, allow_inf_nan=False)] = Field(description="when it begins [s]")
+    at: Annotated[Seconds, Field(ge=0, allow_inf_nan=False)] = Field(description="when it begins [s]")
     blend: Positive = Field(1.0, description="how long it takes, in gait cycles")
     gait: str = optional("the next gait", enum=[*GAITS])
     steering: str = optional("what turns the robot from then on", enum=[*STEERING])
     spine: str = optional("modes of the spine from then on", enum=[*SPINES])
     head: str = optional("what the head does from then on", enum=[*HEADS])
     tail_motion: str = optional("what the tail does from then on", enum=[*TAIL_MOTIONS])
-    set: dict[str, Finite] = Field({}, description="parameters of the controller from then on")
+    set: dict[str, Finite] = Field(
+        {},
+        description="parameters of the controller from then on",
+        json_schema_extra={"additionalProperties": MEASURED_TEXT},
+    )
 
 
 class WalkFields(SetupFields):
@@ -549,4 +557,45 @@ def written_out(doc: Document) -> Document:
                 below.setdefault(str(path[1]), []).append(path)
         for name, key in origin.items():
             lines |= {(section, name, *path[2:]): doc.lines[path] for path in below.get(key, ())}
-    return dataclasses.replace(doc, data=data, lines=lines)
+    return in_numbers(dataclasses.replace(doc, data=data, lines=lines))
+
+
+def in_numbers(doc: Document) -> Document:
+    """The document with SI numbers in the place of texts such as `-45 deg`, wherever parameters get their numbers.
+
+    Raises:
+        SpecError: a text is no number, or has a unit that does not convert.
+    """
+    known = NAMES.get()
+
+    def number(given: Any, path: FieldPath, name: str, needed: bool) -> Any:
+        """`needed`: no other text may stand here, such as the name of a form."""
+        if isinstance(given, dict):
+            return {key: number(value, (*path, key), name, False) for key, value in given.items()}
+        if isinstance(given, list):
+            return [number(value, (*path, i), name, True) for i, value in enumerate(given)]
+        if not isinstance(given, str) or not (needed or re.match(MEASURED_TEXT["pattern"], given)):
+            return given
+        if (found := known[name].number(given)) is None:
+            doc.fail(path, f"is {describe(given)}: {known[name].expected}", WalkFields.called(path))
+        return found
+
+    def numbers(given: Any, path: FieldPath, needed: bool = False) -> Any:
+        if not isinstance(given, dict):
+            return given
+        return {
+            name: number(value, (*path, name), name, needed) if name in known else value
+            for name, value in given.items()
+        }
+
+    data = {key: numbers(given, (key,), key == "set") if key in _SECTIONS else given for key, given in doc.data.items()}
+    switches = data.get("schedule")
+    for i, switch in enumerate(switches if isinstance(switches, list) else ()):
+        if isinstance(switch, dict) and "set" in switch:
+            changed = {**switch, "set": numbers(switch["set"], ("schedule", i, "set"), needed=True)}
+            data["schedule"] = [*data["schedule"][:i], changed, *data["schedule"][i + 1 :]]
+    if isinstance(optimum := data.get("optimum"), dict) and "base" in optimum:
+        data["optimum"] = {**optimum, "base": numbers(optimum["base"], ("optimum", "base"))}
+    if isinstance(compare := data.get("compare"), dict) and compare.get("by") in known and "base" in compare:
+        data["compare"] = {**compare, "base": number(compare["base"], ("compare", "base"), compare["by"], True)}
+    return dataclasses.replace(doc, data=data)

@@ -12,7 +12,7 @@ from scipy import special
 from nermo_mjx.robot.quantity import Quantity
 from nermo_mjx.specs.fields import Fields, OneOf, Refused, optional
 from nermo_mjx.specs.reading import Document
-from nermo_mjx.specs.values import Numbers, Whole, check_value
+from nermo_mjx.specs.values import MEASURED_TEXT, Numbers, Whole, check_value
 
 # ---
 # How one parameter gets its values: an `Axis` is varied systematically, a `Draw` at random.
@@ -20,8 +20,8 @@ from nermo_mjx.specs.values import Numbers, Whole, check_value
 
 _LARGEST_AXIS: Final = 1_000_000
 _TRIED: Final = 5
-_Steps = Annotated[list[float], Numbers("[from, to, count]", 2, 3)]
-_Bounds = Annotated[list[float], Numbers("[low, high]", 2, 2)]
+_Steps = Annotated[list[float], Numbers("[from, to, count]", 2, 3, of_parameter=True)]
+_Bounds = Annotated[list[float], Numbers("[low, high]", 2, 2, of_parameter=True)]
 
 
 def settled(value: float) -> float:
@@ -59,12 +59,12 @@ class Axis(_Values):
         "{linspace: [from, to, count]} or {logspace: [from, to, count]} or {values: [a, b, ...]}, with a sampler also "
         "{uniform: [low, high]} or {loguniform: [low, high]}; put a fixed value under 'set'"
     )
-    short: ClassVar = ({"type": "array", "items": {"type": "number"}, "minItems": 1},)
+    short: ClassVar = ({"type": "array", "items": MEASURED_TEXT, "minItems": 1},)
     linspace: _Steps = optional("evenly spaced, both ends included")
     logspace: _Steps = optional("evenly in the logarithm; the ends are values, not exponents")
-    values: Annotated[list[float], Numbers("[a, b, ...]", 1), AfterValidator(lambda given: [*map(settled, given)])] = (
-        optional("these")
-    )
+    values: Annotated[
+        list[float], Numbers("[a, b, ...]", 1, of_parameter=True), AfterValidator(lambda given: [*map(settled, given)])
+    ] = optional("these")
     uniform: _Bounds = optional("between the bounds, with a sampler")
     loguniform: _Bounds = optional("evenly in the logarithm, with a sampler")
 
@@ -107,7 +107,7 @@ class Draw(_Values):
     )
     uniform: _Bounds = optional("between the bounds")
     loguniform: _Bounds = optional("evenly in the logarithm")
-    normal: Annotated[list[float], Numbers("[mean, std]", 2, 2)] = optional("truncated to the range")
+    normal: Annotated[list[float], Numbers("[mean, std]", 2, 2, of_parameter=True)] = optional("truncated to the range")
     #: Whether no file names it: with repeats the start is perturbed, except for the first repeat.
     implied = property(lambda self: self._implied)
 

@@ -505,10 +505,12 @@ def _numbers(table: RowTable, name: str, about: Quantity) -> np.ndarray:
         try:
             if isinstance(value, (bool, bytes)):
                 raise ValueError
-            column[row] = settled(float(value))
+            number = about.number(value) if isinstance(value, str) else None
+            column[row] = settled(float(value if number is None else number))
         except (TypeError, ValueError, OverflowError):
-            comma = " with a point" if re.fullmatch(r"\s*-?\d*,\d+\s*", str(value)) else ""
-            table.fail(row, name, f"is {describe(value)}: expected a number{comma}.")
+            comma = re.fullmatch(r"\s*-?\d*,\d+\s*", str(value))
+            expected = "expected a number with a point." if comma else about.expected
+            table.fail(row, name, f"is {describe(value)}: {expected}")
     given = np.flatnonzero(~np.isnan(column))
     with contextlib.suppress(ParameterError):
         about.check(name, column[given])
