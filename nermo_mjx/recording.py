@@ -127,6 +127,8 @@ class Recording:
         Raises:
             RecordingError: there is no such file, it is something else, or of another version.
         """
+        if not isinstance(path, (str, os.PathLike)):
+            raise TypeError(f"path is {path!r}: expected the path of a recording.")
         try:
             arrays = arrays_of(read_bytes(Path(path), MOST_FILE), path)
             if arrays.get("header", np.zeros(1)).dtype.kind != "U":

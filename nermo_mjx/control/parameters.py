@@ -14,7 +14,7 @@ import numpy as np
 from nermo_mjx.control.head_and_tail import Head, Tail
 from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.parameters import FRONT_LEG, GAIT_CODES, GAIT_PATTERNS, LIMBS, REAR_LEG, ProfileChoice
-from nermo_mjx.robot.quantity import choice, flat, group, parameter_tree, quantity
+from nermo_mjx.robot.quantity import choice, flat, group, of_type, parameter_tree, quantity
 
 # ---
 # Parameters of the trajectory 'free' (`free_stepping`): of each limb, of the points of its foot's path, and trim.
@@ -374,7 +374,7 @@ def published_values(gait: str, *, steering: str | None = None, profile: str = "
     Raises:
         ParameterError: an unknown gait, steering or profile.
     """
-    pattern = GAIT_PATTERNS[choice("gait", GAIT_CODES.get(gait, gait), GAIT_PATTERNS)]
+    pattern = GAIT_PATTERNS[choice("gait", GAIT_CODES.get(of_type("gait", gait, str, "a name"), gait), GAIT_PATTERNS)]
     choice("profile", profile, PROFILES)
     steering = steering_of(profile) if steering is None else choice("steering", steering, STEERING)
     leg, spine = STEERING[steering]

@@ -24,7 +24,7 @@ from nermo_mjx.kinematics.spine import joint_angle, servo_angle
 from nermo_mjx.robot.assembly import RobotConfig
 from nermo_mjx.robot.geometry import Geometry, geometry_of
 from nermo_mjx.robot.masses import MassModel
-from nermo_mjx.robot.quantity import ParameterError, choice
+from nermo_mjx.robot.quantity import ParameterError, choice, of_type
 from nermo_mjx.robot.robot import mass_model_of
 from nermo_mjx.shapes import Array, Planar, Scalar, Scalars
 
@@ -97,8 +97,10 @@ def mode_names(spine: str | tuple[str, ...], modes: tuple[str, ...] = MODES) -> 
     Raises:
         ParameterError: an unknown name.
     """
-    names = tuple(spine.split("+")) if isinstance(spine, str) else tuple(spine)
-    chosen = {choice("spine", name.strip(), (NO_MODE, *modes)) for name in names} - {NO_MODE}
+    names = spine.split("+") if isinstance(spine, str) else of_type("spine", spine, (tuple, list), "names of modes")
+    chosen = {
+        choice("spine", of_type("spine", name, str, "names of modes").strip(), (NO_MODE, *modes)) for name in names
+    } - {NO_MODE}
     return tuple(name for name in modes if name in chosen)
 
 

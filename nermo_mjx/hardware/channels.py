@@ -27,6 +27,7 @@ from jaxtyping import Float
 from pydantic import Field, create_model
 
 from nermo_mjx.robot import SERVOS
+from nermo_mjx.robot.quantity import of_type
 from nermo_mjx.specs.fields import Fields, optional, read
 from nermo_mjx.specs.reading import read_file, read_mapping
 from nermo_mjx.specs.values import Finite, Whole
@@ -116,6 +117,7 @@ def read_channels(source: str | os.PathLike[str] | Mapping[str, Any]) -> Channel
     Raises:
         SpecError: a sentence with file, line, field, value and what is allowed.
     """
+    of_type("channels", source, (Mapping, str, os.PathLike), "the path of a file, or a mapping of its fields")
     if isinstance(source, Mapping):
         doc = read_mapping(source, "channels")
     else:

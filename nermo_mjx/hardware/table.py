@@ -24,8 +24,9 @@ from nermo_mjx.recording import Recording
 from nermo_mjx.robot import ModelParameters, ParameterError, Robot, Sensors
 from nermo_mjx.robot.equipment import VISUAL_GROUP
 from nermo_mjx.robot.parameters import servo_range
-from nermo_mjx.robot.quantity import quantities, replace_quantities
+from nermo_mjx.robot.quantity import of_type, quantities, replace_quantities
 from nermo_mjx.rollout import Setup
+from nermo_mjx.rollout.setup import with_own
 
 #: Lowest rate of the controller, in simulated time [Hz]; a table of a lower rate contains every nth of its ticks.
 CONTROL_RATE: Final = 100.0
@@ -163,7 +164,9 @@ def servo_table(
         ParameterError: an invalid argument or parameter, an angle beyond a servo's limit, or parts of the robot that
         would touch; the message is one sentence.
     """
-    setup = setup or Setup()
+    setup = with_own(setup)
+    of_type("rate", rate, (float, int, type(None)), "rows per second [Hz]")
+    of_type("cycles", cycles, (float, int), "a whole number")
     if setup.controller is not None:
         raise ParameterError(f"controller is {setup.controller!r}: a servo table is of the published controller.")
     if setup.schedule:

@@ -44,6 +44,7 @@ from nermo_mjx.optimize.methods import (
     scores_of,
 )
 from nermo_mjx.optimize.spec import Search, Tuning, sweep_of
+from nermo_mjx.robot.quantity import of_type
 from nermo_mjx.runs import OtherCode, RunDirectory
 from nermo_mjx.runs.checkpoints import Checkpoints
 from nermo_mjx.runs.code import CodeStamp
@@ -281,7 +282,8 @@ def read_history(out: str | os.PathLike[str]) -> pa.Table:
     Raises:
         DirectoryError: there is none, it is damaged, or cannot be read now.
     """
-    return stored_table(Path(out) / HISTORY, "history of a tuning")
+    folder = of_type("out", out, (str, os.PathLike), "the path of a directory")
+    return stored_table(Path(folder) / HISTORY, "history of a tuning")
 
 
 # ---

@@ -40,6 +40,17 @@ class ParameterError(ValueError):
     """An invalid parameter; the message names the field, its value and the allowed range."""
 
 
+def of_type(field: str, value: T, kinds: type | tuple[type, ...], expected: str) -> T:
+    """The value, if it has one of these types; a truth value is no number.
+
+    Raises:
+        ParameterError: it has another type; the message names the field, the value and what is expected.
+    """
+    if not isinstance(value, kinds) or isinstance(value, bool):
+        raise ParameterError(f"{field} is {value!r}: expected {expected}.")
+    return value
+
+
 @dataclasses.dataclass(frozen=True)
 class Quantity:
     """The declaration of one parameter.

@@ -29,7 +29,7 @@ from nermo_mjx.dynamics.checkpointing import checkpointed_scan
 from nermo_mjx.dynamics.precision import full_precision
 from nermo_mjx.physics.variation import Variation
 from nermo_mjx.robot.model_parameters import is_shaped
-from nermo_mjx.robot.quantity import ParameterError, Quantity, choice
+from nermo_mjx.robot.quantity import ParameterError, Quantity, choice, of_type
 from nermo_mjx.rollout import metrics as measures
 from nermo_mjx.rollout.electrical import Supply
 from nermo_mjx.rollout.loop import checked_loop, loop_parameters
@@ -125,7 +125,9 @@ class Rollout:
             ParameterError: an unknown engine; a run that ends by distance, or has one length per world; an object that
                 is not a controller, or a metric that cannot be computed.
         """
-        self.setup, self.length = with_own(setup, controller, metrics), run or Run()
+        self.setup = with_own(setup, controller, metrics)
+        self.length = of_type("run", Run() if run is None else run, Run, "a Run")
+        of_type("slowest", slowest, (float, int, type(None)), "a frequency in Hz")
         self._wanted = choice("engine", engine, ENGINES)
         if self.length.distance is not None:
             raise ParameterError("run.distance is given: a differentiable run ends by cycles or duration.")
@@ -222,12 +224,12 @@ class Rollout:
         *,
         path: bool,
     ) -> tuple[dict[str, Scalar], Path]:
-        values = {**self.setup.body, **self.setup.numbers(values)}
-        self._check(values, policy)
-        if self._chosen(values, qpos, qvel, policy) == "mjx":
-            return self._traced(values, qpos, qvel, policy)
-        ticks = self._ticks(values, policy) if path else None
-        return self._differences.walk(values, None if qpos is None else np.asarray(qpos, float), policy, ticks)
+        given = {**self.setup.body, **self.setup.numbers(values)}
+        self._check(given, policy)
+        if self._chosen(given, qpos, qvel, policy) == "mjx":
+            return self._traced(given, qpos, qvel, policy)
+        ticks = self._ticks(given, policy) if path else None
+        return self._differences.walk(given, None if qpos is None else np.asarray(qpos, float), policy, ticks)
 
     def _chosen(self, values: Mapping[str, Any], qpos: Any, qvel: Any, policy: Any) -> str:
         """The engine for such arguments, which is said once."""

@@ -76,6 +76,8 @@ class Run:
             if value is None:
                 continue
             given = np.asarray(value)
+            if given.dtype.kind not in "iuf":
+                raise ParameterError(f"run.{name} is {value!r}: expected a number, or an array of such.")
             bad = ~((given <= LONGEST) & ((given > 0) | (zero_ok & (given == 0))))
             if bad.any():
                 range_ = f"{'[' if zero_ok else '('}0, {LONGEST:g}]"

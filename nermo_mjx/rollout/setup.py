@@ -50,6 +50,7 @@ from nermo_mjx.robot.quantity import (
     choice,
     flat,
     group,
+    of_type,
     parameter_tree,
     quantities,
     quantity,
@@ -246,6 +247,13 @@ class Setup(RobotConfig):
     schedule: tuple[Switch, ...] = static((), "what changes while the robot walks, see `control.schedule`")
 
     def __post_init__(self) -> None:
+        for name in ("gait", "spine", "steering", "profile", "pilot", "trajectory", "head", "tail_motion"):
+            of_type(name, getattr(self, name), str, "a name")
+        of_type("timestep", self.timestep, (float, int), "a number of seconds")
+        of_type("schedule", self.schedule, (tuple, list), "a list of Switch")
+        for switch in self.schedule:
+            of_type("schedule", switch, Switch, "a list of Switch")
+        of_type("metrics", self.metrics, (tuple, list, str, OwnMetric), "a metric, or a list of such")
         for name, chosen in robot_choices(self.profile).items():
             if isinstance(getattr(self, name), ProfileChoice):
                 object.__setattr__(self, name, chosen)
@@ -435,8 +443,8 @@ class Setup(RobotConfig):
         Raises:
             ParameterError: it is no mapping, a text is no number, or it has a unit that does not convert.
         """
-        if not isinstance(values, Mapping):
-            raise ParameterError(f"values is {values!r}: expected a mapping such as {{'frequency': 0.8}}.")
+        for name in of_type("values", values, Mapping, "a mapping such as {'frequency': 0.8}"):
+            of_type("values", name, str, "names of parameters as keys")
         known = self._quantities
         return {name: known[name].numbers(name, value) if name in known else value for name, value in values.items()}
 
@@ -503,7 +511,8 @@ def with_own(
     setup: Setup | None, controller: ControllerLike | str | None = None, metrics: Sequence[OwnMetric | str] | str = ()
 ) -> Setup:
     """The setup, or the default one, with its controller replaced if one is given, and with additional metrics."""
-    setup = setup or Setup()
+    setup = of_type("setup", Setup() if setup is None else setup, Setup, "a Setup")
+    of_type("metrics", metrics, (tuple, list, str, OwnMetric), "a metric, or a list of such")
     setup = setup if controller is None else dataclasses.replace(setup, controller=controller)
     more = (metrics,) if isinstance(metrics, (str, OwnMetric)) else tuple(metrics)
     return dataclasses.replace(setup, metrics=(*setup.metrics, *more)) if more else setup
@@ -515,8 +524,8 @@ def all_metrics(setup: Setup | None = None) -> dict[str, Metric]:
     >>> all_metrics()["cost_of_transport"].better
     'low'
     """
-    own = () if setup is None else setup.own_metrics
-    return METRICS | (TRANSITION if setup is not None and setup.schedule else {}) | {each.name: each for each in own}
+    chosen = with_own(setup)
+    return METRICS | (TRANSITION if chosen.schedule else {}) | {each.name: each for each in chosen.own_metrics}
 
 
 def without_presettings(setup: Setup) -> Setup:
@@ -531,4 +540,4 @@ def all_parameters(setup: Setup | None = None) -> dict[str, Quantity]:
     >>> all_parameters()["spine.amplitude"].allowed()
     '[0, 0.6] rad'
     """
-    return dict((setup or Setup())._quantities)
+    return dict(with_own(setup)._quantities)

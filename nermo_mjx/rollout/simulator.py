@@ -21,7 +21,7 @@ from nermo_mjx.recording import Recording, recording_of
 from nermo_mjx.robot import Sensors
 from nermo_mjx.robot.geometry import names_geometry
 from nermo_mjx.robot.model_parameters import is_shaped
-from nermo_mjx.robot.quantity import ParameterError, values_of
+from nermo_mjx.robot.quantity import ParameterError, of_type, values_of
 from nermo_mjx.rollout import metrics as measures
 from nermo_mjx.rollout.electrical import Supply
 from nermo_mjx.rollout.loop import LoopParameters, checked_loop, loop_parameters, terrain_of
@@ -268,7 +268,7 @@ class Simulator:
         params, worlds = _batched(self.parameters(values, policy), single, values)
         if wrong := too_many(worlds):
             raise ParameterError(f"the batch is too large: {wrong}")
-        run = run or Run()
+        run = of_type("run", Run() if run is None else run, Run, "a Run")
         rate = np.asarray(self.controller.cycle_rate(params.control), float)
         begin, end = (np.broadcast_to(each, worlds) for each in run.seconds(rate))
         if end.max() > LONGEST:
@@ -331,7 +331,11 @@ class Simulator:
         """
         began = time.perf_counter()
         with _compile_time() as compile_time:
-            keeper = None if save is None else Keeper(save, self.robot, self.controller.dt)
+            keeper = (
+                None
+                if save is None
+                else Keeper(of_type("save", save, Saving, "a Saving"), self.robot, self.controller.dt)
+            )
             result = self.run_batch(self.prepare(values, run, policy), record, progress, notify, keeper)
         wall = time.perf_counter() - began
         return dataclasses.replace(result, wall_seconds=wall, compile_seconds=sum(compile_time))

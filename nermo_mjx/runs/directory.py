@@ -61,6 +61,8 @@ class RunDirectory:
     """
 
     def __init__(self, out: str | os.PathLike[str], kind: str, shard: tuple[int, int] | None = None) -> None:
+        if not isinstance(out, (str, os.PathLike)):
+            raise TypeError(f"out is {out!r}: expected the path of a directory.")
         self.out, self.kind, self.shard = Path(out), kind, shard
         self._held = contextlib.ExitStack()
 

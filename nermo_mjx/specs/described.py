@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, ClassVar, Self, TypeVar
 
 from nermo_mjx.files import MOST_JSON, read_bytes
+from nermo_mjx.robot.quantity import of_type
 from nermo_mjx.runs.directory import RunDirectory
 from nermo_mjx.specs.reading import Document, SpecError, dump, read_file, read_mapping, read_text
 
@@ -54,6 +55,7 @@ class Described(abc.ABC):
         """What is given, or the content of a dict or of a file; raises `SpecError`."""
         if isinstance(given, cls):
             return given
+        of_type(cls.kind, given, (Mapping, str, os.PathLike), f"a {cls.__name__}, its fields, or the path of a file")
         return cls.from_dict(given) if isinstance(given, Mapping) else cls.from_file(given)  # type: ignore[arg-type]
 
     def to_yaml(self, folder: Path | None = None) -> str:

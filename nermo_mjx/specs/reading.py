@@ -16,7 +16,7 @@ from ruamel.yaml.error import MarkedYAMLError, YAMLError
 from ruamel.yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
 
 from nermo_mjx.files import read_bytes
-from nermo_mjx.robot.quantity import ParameterError
+from nermo_mjx.robot.quantity import ParameterError, of_type
 from nermo_mjx.trust import FileError
 
 #: Keys (and list positions) from the top of a document to one of its fields.
@@ -70,7 +70,7 @@ _DEEPEST: Final = 200
 
 def read_file(path: str | os.PathLike[str], what: str = "sweep") -> Document:
     """Read a YAML file; raises a `SpecError` if it is not a YAML mapping. `what` names its kind."""
-    source = os.fspath(path)
+    source = os.fspath(of_type("path", path, (str, os.PathLike), "the path of a file"))
     try:
         text = read_bytes(Path(path), _MOST_BYTES).decode()
     except FileNotFoundError:
@@ -84,6 +84,7 @@ def read_file(path: str | os.PathLike[str], what: str = "sweep") -> Document:
 
 def read_text(text: str, source: str, what: str = "sweep") -> Document:
     """Read YAML text; see `read_file`."""
+    of_type("text", text, str, "YAML text")
     yaml = YAML(typ="safe", pure=True)
     try:
         opened = 0

@@ -24,7 +24,7 @@ from nermo_mjx.plotting.files import Figures
 from nermo_mjx.plotting.shown import ShownValues, shown, spoken, titled
 from nermo_mjx.plotting.style import BEST, GRID, INK, LINE, MUTED, SERIES
 from nermo_mjx.robot.parameters import GAIT_CODES
-from nermo_mjx.robot.quantity import ParameterError, did_you_mean
+from nermo_mjx.robot.quantity import ParameterError, did_you_mean, of_type
 from nermo_mjx.runs.files import DirectoryError
 from nermo_mjx.runs.rows import part_files
 from nermo_mjx.specs.reading import SpecError
@@ -91,7 +91,7 @@ def opened_table(source: Source) -> tuple[str, Results, SweepRecord | None, list
     """
     if isinstance(source, Results | pa.Table):
         return "table", source if isinstance(source, Results) else Results(source), None, []
-    out = Path(source)
+    out = Path(of_type("source", source, (str, os.PathLike), "a directory, or a table"))
     if not out.is_dir():
         raise SpecError(f"{out}: {'this is a file, not a directory' if out.exists() else 'no such directory'}.")
     files = part_files(out)

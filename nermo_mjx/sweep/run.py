@@ -23,7 +23,7 @@ import pyarrow.compute as pc
 from nermo_mjx.physics import resolve_engine
 from nermo_mjx.plotting.files import write_figures
 from nermo_mjx.plotting.shown import cost
-from nermo_mjx.robot.quantity import ParameterError
+from nermo_mjx.robot.quantity import ParameterError, of_type
 from nermo_mjx.rollout import METRICS, Simulator
 from nermo_mjx.rollout.run import too_many
 from nermo_mjx.runs.code import session
@@ -584,7 +584,9 @@ def merge_sweeps(
         DirectoryError: they differ in more than their rows, or cannot be read.
         OtherCode: different code made them.
     """
-    places = [Path(source) for source in sources]
+    about = "a list of directories"
+    listed = of_type("sources", sources, (list, tuple), about)
+    places = [Path(of_type("sources", source, (str, os.PathLike), about)) for source in listed]
     if len(places) < 2:
         raise SpecError("merge takes two directories or more.")
     if Path(out).resolve() in [place.resolve() for place in places]:

@@ -25,7 +25,7 @@ from typing_extensions import TypedDict
 from nermo_mjx.files import FileError, read_as
 from nermo_mjx.plotting.files import Figures, write_figures
 from nermo_mjx.robot.parameters import GAIT_CODES
-from nermo_mjx.robot.quantity import ParameterError
+from nermo_mjx.robot.quantity import ParameterError, of_type
 from nermo_mjx.rollout.own_metrics import METRICS
 from nermo_mjx.runs.code import session
 from nermo_mjx.runs.directory import RunDirectory, Written, read_record
@@ -303,7 +303,7 @@ def read_table(out: str | os.PathLike[str]) -> pa.Table:
         DirectoryError: no readable part is there.
     """
     parts = []
-    for path in part_files(Path(out)):
+    for path in part_files(Path(of_type("out", out, (str, os.PathLike), "the path of a directory"))):
         with contextlib.suppress(DirectoryError), opened_part(path) as file:  # a damaged one is left out
             parts.append(file.read([name for name in file.schema_arrow.names if name != "key"]))
     if not parts:
