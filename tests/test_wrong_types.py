@@ -41,7 +41,7 @@ CALLS: dict[str, tuple[Any, str]] = {
     "sensitivity": (nermo_mjx.sensitivity, "source"),
     "merge_sweeps": (lambda value: nermo_mjx.merge_sweeps(value, "out"), "sources"),
     "merge_sweeps.one": (lambda value: nermo_mjx.merge_sweeps([value], "out"), "sources"),
-    "show": (nermo_mjx.show, "path"),
+    "show": (nermo_mjx.show, "recording"),
     "Recording.load": (nermo_mjx.Recording.load, "path"),
     "Sweep.from_file": (Sweep.from_file, "path"),
     "Sweep.from_text": (Sweep.from_text, "text"),

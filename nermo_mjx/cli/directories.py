@@ -19,7 +19,7 @@ from nermo_mjx.cli.choices import FORMATS, METRICS
 from nermo_mjx.cli.logs import compare_files, log_channels
 from nermo_mjx.cli.options import FileKind, column, flag
 from nermo_mjx.cli.output import Failure, Output, WrongUse, command, in_unit, print_pairs, print_table, room, say
-from nermo_mjx.cli.progress import ProgressBar
+from nermo_mjx.progress import ProgressBar
 
 if TYPE_CHECKING:
     from nermo_mjx.plotting.files import Figures

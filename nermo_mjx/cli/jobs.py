@@ -24,13 +24,12 @@ from nermo_mjx.cli.output import (
     WrongUse,
     command,
     in_unit,
-    is_given,
     print_pairs,
     print_places,
     print_table,
     say,
 )
-from nermo_mjx.cli.progress import ProgressBar, Stages, duration
+from nermo_mjx.progress import ProgressBar, Stages, duration, is_given
 
 if TYPE_CHECKING:
     from nermo_mjx.experiments.run import ExperimentsResult

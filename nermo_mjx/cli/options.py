@@ -73,7 +73,7 @@ def assigned(texts: Iterable[str], parameters: Mapping[str, Quantity]) -> dict[s
     Raises:
         WrongUse: a text is something else, or names none of the parameters.
     """
-    from nermo_mjx.robot.quantity import nearest
+    from nermo_mjx.robot.quantity import ParameterError, nearest
     from nermo_mjx.specs.walk import is_pattern, matches
 
     values: dict[str, float] = {}
@@ -89,11 +89,10 @@ def assigned(texts: Iterable[str], parameters: Mapping[str, Quantity]) -> dict[s
             what = "matches no parameter" if pattern else "is not a parameter"
             hint = f"did you mean {near}?" if near else "`nermo-mjx sweep --list-parameters` prints all."
             raise WrongUse(f"--set {text}: {name} {what}; {hint}")
-        for each in found:
-            if (value := parameters[each].number(number)) is None:
-                expected, allowed = parameters[each].expected.rstrip("."), parameters[each].allowed()
-                raise WrongUse(f"--set {text}: {number!r} is not a number; {expected}; allowed is {allowed}.")
-            values[each] = value
+        try:
+            values |= {each: parameters[each].numbers(each, number) for each in found}
+        except ParameterError as error:
+            raise WrongUse(f"--set {text}: {error}") from None
     return values
 
 

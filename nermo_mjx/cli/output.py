@@ -23,6 +23,7 @@ from typing import IO, Any, Final, NoReturn
 
 import click
 
+from nermo_mjx.progress import is_given
 from nermo_mjx.trust import TELL, FileError, one_line, only_reading, printable
 
 #: Thresholds of Python's garbage collector while a command runs. Tracing creates millions of long-lived objects,
@@ -253,12 +254,6 @@ def command(name: str, *, reads: bool = False) -> Callable[[Callable[..., Any]],
         return COMMANDS[-1]
 
     return make
-
-
-def is_given(option: str) -> bool:
-    """Whether the present command was given a flag, such as "quiet" or "as_json"."""
-    context = click.get_current_context(silent=True)
-    return context is not None and bool(context.params.get(option))
 
 
 def say(sentence: str) -> None:

@@ -14,7 +14,7 @@ from nermo_mjx.cli import options
 from nermo_mjx.cli.choices import BENCH_CASES, ENGINES
 from nermo_mjx.cli.options import number
 from nermo_mjx.cli.output import Failure, Output, command, print_table
-from nermo_mjx.cli.progress import ProgressBar
+from nermo_mjx.progress import ProgressBar
 
 if TYPE_CHECKING:
     from nermo_mjx.robot import Robot

@@ -17,7 +17,7 @@ from nermo_mjx.cli.choices import OVERLAYS
 from nermo_mjx.cli.directories import kind_of_directory
 from nermo_mjx.cli.options import FileKind, flag, number
 from nermo_mjx.cli.output import Output, WrongUse, command, say
-from nermo_mjx.cli.progress import ProgressBar
+from nermo_mjx.progress import ProgressBar
 
 if TYPE_CHECKING:
     from nermo_mjx.plotting.files import Figures

@@ -18,9 +18,9 @@ from nermo_mjx.cli import options
 from nermo_mjx.cli.choices import ENGINES, PILOTS
 from nermo_mjx.cli.logs import LOGS, log_channels, log_of, print_differences
 from nermo_mjx.cli.options import assigned, number, text
-from nermo_mjx.cli.output import Failure, Output, WrongUse, command, is_given, print_table, say
-from nermo_mjx.cli.progress import ProgressBar
+from nermo_mjx.cli.output import Failure, Output, WrongUse, command, print_table, say
 from nermo_mjx.cli.view import load_recording, refuse_video, save_run
+from nermo_mjx.progress import ProgressBar, is_given
 from nermo_mjx.trust import only_reading
 
 if TYPE_CHECKING:

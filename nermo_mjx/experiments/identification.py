@@ -35,6 +35,7 @@ from nermo_mjx.plotting.charts import page as blank_page
 from nermo_mjx.plotting.files import Figures, write_figures
 from nermo_mjx.plotting.style import BAND, BEST, LINE, MUTED, SHADE
 from nermo_mjx.plotting.style import MISSING as GREY
+from nermo_mjx.progress import shows_progress
 from nermo_mjx.robot import ModelParameters, ParameterError
 from nermo_mjx.robot.quantity import choice, quantities
 from nermo_mjx.rollout import Run, Setup
@@ -408,12 +409,14 @@ PARAMETER_HEADINGS: Final = tuple(
 _AT_BOUND: Final = 0.01
 
 
+@shows_progress("identification")
 def run_identification(
     out: str | os.PathLike[str],
     *,
     engine: str = "auto",
     accept_new_code: bool = False,
     watch: Watch = SILENT,
+    progress: bool = True,
     workers: Workers | None = None,
     **wanted: Any,
 ) -> dict[str, Any]:
@@ -424,6 +427,7 @@ def run_identification(
         engine: of the simulations; `auto` is the one that the directory was started with, if any.
         accept_new_code: reuse candidates of other code; the file's `code` tells them apart.
         watch: is told the share done, and of conflicting files.
+        progress: whether it is shown where somebody looks, if there is no watch.
         workers: what simulates; by default this process. The result is the same.
         wanted: of `Search`.
 

@@ -38,6 +38,7 @@ from nermo_mjx.experiments.report import collect, differences, entry_of, outcome
 from nermo_mjx.files import MOST_FILE, TEMPORARY, FileError, json_of, read_bytes
 from nermo_mjx.physics.making import resolve_engine
 from nermo_mjx.plotting.files import Figures
+from nermo_mjx.progress import shows_progress
 from nermo_mjx.recording import Recording
 from nermo_mjx.robot import ParameterError, load_robot
 from nermo_mjx.robot.quantity import choice
@@ -278,6 +279,7 @@ def run_experiment(name: str, out: str | os.PathLike[str], **options: Any) -> Ex
     return run_experiments([name], out, **options).results[0]
 
 
+@shows_progress("experiments")
 def run_experiments(
     names: Sequence[str],
     out: str | os.PathLike[str],
@@ -294,6 +296,7 @@ def run_experiments(
     again: bool = False,
     accept_new_code: bool = False,
     watch: Watch = SILENT,
+    progress: bool = True,
     workers: Workers | None = None,
 ) -> ExperimentsResult:
     """Run experiments; each is stored when it finishes, and the report is rewritten after each.
@@ -316,6 +319,7 @@ def run_experiments(
         again: rerun and replace the directory's results of these experiments, regardless of the code that made them.
         accept_new_code: resume a directory that other code started; the tables' column `code` tells the rows apart.
         watch: is told what is at work (`Progress.what`) and its finished share, and anything unusual.
+        progress: whether it is shown where somebody looks, if there is no watch.
         workers: what simulates; by default this process, one experiment after the other, else
             `nermo_mjx.runs.ray_workers.RayWorkers`. The numbers are the same.
 

@@ -32,6 +32,7 @@ from nermo_mjx.learn.experience import RESET, EnvironmentLike, EpisodeScores, Le
 from nermo_mjx.learn.policy import Policy, judged_in, load_policy
 from nermo_mjx.learn.spec import Training, Until
 from nermo_mjx.physics import resolve_engine
+from nermo_mjx.progress import shows_progress
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.runs import RunDirectory, session
 from nermo_mjx.runs.checkpoints import KEPT
@@ -149,6 +150,7 @@ class TrainingResult:
     plots: list[Path]
 
 
+@shows_progress("training", "steps")
 def run_training(
     spec: Training | Mapping[str, Any] | str | os.PathLike[str],
     out: str | os.PathLike[str],
@@ -156,6 +158,7 @@ def run_training(
     engine: str = "auto",
     environment: EnvironmentLike | None = None,
     watch: Watch = SILENT,
+    progress: bool = True,
     accept_new_code: bool = False,
     tensorboard: bool = False,
 ) -> TrainingResult:
@@ -172,6 +175,7 @@ def run_training(
         environment: replaces that of the training; then there is neither a policy's file nor an evaluation.
         watch: is told before the first iteration and after each, with the last one's numbers by the names of the
             history's columns; of the evaluation's progress; and of each thing that is moved aside.
+        progress: whether it is shown where somebody looks, if there is no watch.
         accept_new_code: resume a directory that other code started.
         tensorboard: write scalars of each iteration to DIR/tensorboard; needs the extra of this name.
 

@@ -42,6 +42,7 @@ from nermo_mjx.plotting.charts import horizontal_grid, page, set_scales
 from nermo_mjx.plotting.files import Figures, write_figures
 from nermo_mjx.plotting.shown import ShownValues, shown, spoken
 from nermo_mjx.plotting.style import BAND, INK, LINE, MUTED
+from nermo_mjx.progress import shows_progress
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.runs import RunDirectory, Written, engine_of, session, stamp
 from nermo_mjx.runs.code import local_time
@@ -481,6 +482,7 @@ class LandscapeResult:
     evaluated: int
 
 
+@shows_progress("landscape", "points")
 def run_landscape(
     spec: Tuning | Mapping[str, Any] | str | os.PathLike[str],
     out: str | os.PathLike[str],
@@ -489,6 +491,7 @@ def run_landscape(
     points: int = POINTS,
     span: float = 1.0,
     watch: Watch = SILENT,
+    progress: bool = True,
     accept_new_code: bool = False,
 ) -> LandscapeResult:
     """Measure whether a tuning's gradients can be trusted, on a line along each parameter through the given start.
@@ -505,6 +508,7 @@ def run_landscape(
         points: of each line, 5 or more.
         span: length of the lines as a fraction of the bounds, in (0, 1]; shorter lines lie about the start.
         watch: is told the points done, and all of them, and what is moved aside.
+        progress: whether it is shown where somebody looks, if there is no watch.
         accept_new_code: reuse points that other code evaluated.
 
     Raises:

@@ -47,6 +47,7 @@ from nermo_mjx.optimize.problems import (
 from nermo_mjx.optimize.spec import TUNING_METHODS, Generations, Search, Tuning
 from nermo_mjx.physics import resolve_engine
 from nermo_mjx.plotting.files import write_figures
+from nermo_mjx.progress import shows_progress
 from nermo_mjx.robot import ParameterError
 from nermo_mjx.rollout import Simulator
 from nermo_mjx.rollout.differentiable import Rollout
@@ -93,6 +94,7 @@ class TuningResult:
     pictures: Pictures
 
 
+@shows_progress("tuning", "evaluations")
 def run_tuning(
     spec: Tuning | Mapping[str, Any] | str | os.PathLike[str],
     out: str | os.PathLike[str],
@@ -100,6 +102,7 @@ def run_tuning(
     problem: Problem | None = None,
     simulator: SimulatorLike | None = None,
     watch: Watch = SILENT,
+    progress: bool = True,
     accept_new_code: bool = False,
     workers: Workers | None = None,
 ) -> TuningResult:
@@ -119,6 +122,7 @@ def run_tuning(
             the landscape behind the paths, and the video. None of this happens if only `problem` is given.
         watch: is told the progress before the first evaluation and after each, what is drawn at the end, and what is
             moved aside.
+        progress: whether it is shown where somebody looks, if there is no watch.
         accept_new_code: resume a directory that other code started.
         workers: what evaluates the starts; by default this process, else `nermo_mjx.runs.ray_workers.RayWorkers`. With
             several workers numbers differ in their last digits from those of one.
@@ -309,12 +313,14 @@ class SearchResult:
         return read_table(self.out)
 
 
+@shows_progress("search", "evaluations")
 def run_search(
     spec: Search | Mapping[str, Any] | str | os.PathLike[str],
     out: str | os.PathLike[str],
     *,
     engine: str = "auto",
     watch: Watch = SILENT,
+    progress: bool = True,
     accept_new_code: bool = False,
     workers: Workers | None = None,
     simulator: SimulatorLike | None = None,
@@ -337,6 +343,7 @@ def run_search(
         out: the directory; see `nermo_mjx.optimize.directory`.
         engine: engine of the simulator; "auto" is the one that the directory was started with, if it was.
         watch: is told the progress, and what is damaged, and is run again.
+        progress: whether it is shown where somebody looks, if there is no watch.
         accept_new_code: resume a directory that other code or another engine started.
         workers: what simulates; by default this process, else `nermo_mjx.runs.ray_workers.RayWorkers`.
         simulator: replaces `Simulator(search.setup, engine)`.

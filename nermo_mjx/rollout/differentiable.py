@@ -37,7 +37,7 @@ from nermo_mjx.rollout.own_metrics import OwnMetric
 from nermo_mjx.rollout.path_metrics import ticks_until
 from nermo_mjx.rollout.run import Run, StartPose
 from nermo_mjx.rollout.setup import Setup, Window, all_metrics, all_parameters, with_own
-from nermo_mjx.rollout.simulator import Simulator
+from nermo_mjx.rollout.simulator import COMPILE_SECONDS, Simulator
 from nermo_mjx.runtime import callback_device, start_jax
 from nermo_mjx.shapes import Array, Scalar
 
@@ -268,6 +268,10 @@ class Rollout:
         self, values: Mapping[str, ArrayLike], qpos: ArrayLike | None, qvel: ArrayLike | None, policy: Any
     ) -> tuple[dict[str, Scalar], Path]:
         """The walk in MJX."""
+        if "mjx" not in self._said:
+            self._said.add("mjx")
+            what = f"compiling the mjx program, about {COMPILE_SECONDS['mjx']} s, a gradient minutes, once per machine"
+            logging.getLogger(__name__).warning("Rollout: %s.", what)
         params = canonical(
             self.setup.world({name: jnp.asarray(value, float) for name, value in values.items()}, policy)
         )

@@ -17,6 +17,7 @@ import numpy as np
 
 from nermo_mjx.control.protocol import ControllerLike
 from nermo_mjx.physics import Trace, Variation, make_engine
+from nermo_mjx.progress import told
 from nermo_mjx.recording import Recording, recording_of
 from nermo_mjx.robot import Sensors
 from nermo_mjx.robot.geometry import names_geometry
@@ -304,7 +305,7 @@ class Simulator:
         values: Mapping[str, Any],
         run: Run | None = None,
         record: bool = False,
-        progress: Callable[[float], None] | None = None,
+        progress: Callable[[float], None] | bool | None = None,
         notify: Callable[[str], None] | None = None,
         policy: Any = None,
         save: Saving | None = None,
@@ -320,7 +321,8 @@ class Simulator:
                 the setup's default.
             run: length and warm-up; eight gait cycles, two of them warm-up, by default.
             record: store every tick of every world (memory: about 1.5 kB per tick and world).
-            progress: called with the finished share, in [0, 1].
+            progress: called with the finished share, in [0, 1]; by default it is shown where somebody looks, if it
+                takes long. False silences it.
             notify: called with a sentence before this simulator compiles a program for the first time.
             policy: the controller's parameters instead of the setup's, a pytree like `controller.parameters`. A leaf
                 with an additional leading axis has one entry per world. Named values override it.
@@ -330,13 +332,13 @@ class Simulator:
             ParameterError: see `parameters`, and `Keeper`.
         """
         began = time.perf_counter()
-        with _compile_time() as compile_time:
+        with _compile_time() as compile_time, told("walk", progress) as tell:
             keeper = (
                 None
                 if save is None
                 else Keeper(of_type("save", save, Saving, "a Saving"), self.robot, self.controller.dt)
             )
-            result = self.run_batch(self.prepare(values, run, policy), record, progress, notify, keeper)
+            result = self.run_batch(self.prepare(values, run, policy), record, tell, notify, keeper)
         wall = time.perf_counter() - began
         return dataclasses.replace(result, wall_seconds=wall, compile_seconds=sum(compile_time))
 

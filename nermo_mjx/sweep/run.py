@@ -23,6 +23,7 @@ import pyarrow.compute as pc
 from nermo_mjx.physics import resolve_engine
 from nermo_mjx.plotting.files import write_figures
 from nermo_mjx.plotting.shown import cost
+from nermo_mjx.progress import shows_progress
 from nermo_mjx.robot.quantity import ParameterError, of_type
 from nermo_mjx.rollout import METRICS, Simulator
 from nermo_mjx.rollout.run import too_many
@@ -421,12 +422,14 @@ class SweepResult:
         return read_table(self.out)
 
 
+@shows_progress("sweep", "runs")
 def run_sweep(
     spec: Sweep | Mapping[str, Any] | str | os.PathLike[str],
     out: str | os.PathLike[str],
     *,
     engine: str = "auto",
     watch: Watch = SILENT,
+    progress: bool = True,
     chunk: int | None = None,
     shard: tuple[int, int] | None = None,
     accept_new_code: bool = False,
@@ -452,6 +455,7 @@ def run_sweep(
         out: the directory; see `nermo_mjx.sweep.store`.
         engine: engine of the simulator; "auto" is the one that the directory was started with, if it was.
         watch: is told the progress, of a shard that of its own share; and what is damaged, and is run again.
+        progress: whether it is shown where somebody looks, if there is no watch.
         chunk: rows simulated and stored together; a directory keeps the size it was started with.
         shard: (i, n) runs only every n-th chunk, from i in 0..n-1; the table is the same for any split. The
             shard that finds the table complete writes the summary.

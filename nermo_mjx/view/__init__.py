@@ -4,6 +4,7 @@ import os
 from pathlib import Path
 
 from nermo_mjx.recording import Recording, RecordingError, model_hash, recording_of
+from nermo_mjx.robot.quantity import of_type
 from nermo_mjx.view.page import Page
 from nermo_mjx.view.playing import play, write_keyframes
 from nermo_mjx.view.recorded import robot_of, shown_model
@@ -52,6 +53,8 @@ def show(
         ParameterError: its setup names something that this version does not have.
         DirectoryError: a directory holds no runs that can be shown, or is given with another recording.
     """
+    for each in (recording, other):
+        of_type("recording", each, (Recording, str, os.PathLike, type(None)), "a recording, or the path of one")
     if not isinstance(recording, Recording) and Path(recording).is_dir():
         from nermo_mjx.runs import DirectoryError, kind_of
 

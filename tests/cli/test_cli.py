@@ -24,7 +24,7 @@ from experiment_fake import Fake, pretend
 
 from nermo_mjx import Recording, load_robot
 from nermo_mjx.cli import choices, main
-from nermo_mjx.cli.progress import COMPILING, ProgressBar, duration
+from nermo_mjx.progress import COMPILING, ProgressBar, duration
 from nermo_mjx.runs import RunDirectory
 from nermo_mjx.runs.files import plain_json
 from nermo_mjx.version import __version__
@@ -106,7 +106,7 @@ def test_examples_in_the_help_are_valid_commands() -> None:
         (["walk", "--set", "frequency"], "expected NAME=VALUE"),
         (["walk", "--set", "frequncy=1"], "did you mean frequency?"),
         (["walk", "--set", "amplitude=1"], "did you mean spine.amplitude?"),
-        (["walk", "--set", "frequency=quick"], "'quick' is not a number; allowed is [0.001, 5] Hz."),
+        (["walk", "--set", "frequency=quick"], "frequency is 'quick': expected a number in Hz, such as 0.67 Hz."),
         (["walk", "--cycles", "3", "--duration", "2"], "Give --cycles or --duration, not both."),
         (["walk", "--cycles", "2", "--warmup", "2"], "--warmup is 2: it must be shorter than the run, 2."),
         (["walk", "--video", "walk.avi"], "a video ends in .mp4, .gif or .webp"),
@@ -511,7 +511,7 @@ def test_progress_on_a_terminal_is_a_bar_and_quiet_is_nothing() -> None:
 
 
 def test_compilation_is_named_only_while_nothing_moves(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("nermo_mjx.cli.progress.PATIENCE", 0.05)
+    monkeypatch.setattr("nermo_mjx.progress.PATIENCE", 0.05)
     slow, quick = io.StringIO(), io.StringIO()
     for stream, moves in ((slow, False), (quick, True)):
         with ProgressBar("walk", compiles=True, stream=stream) as progress:
@@ -538,7 +538,7 @@ def test_a_narrow_terminal_cuts_the_detail_and_not_the_time_left() -> None:
 def test_the_pace_leaves_compilation_out(monkeypatch: pytest.MonkeyPatch, second: float, told: str) -> None:
     """A minute of compilation, and then the same time for each: eight are left after two."""
     clock = iter([0.0, 0.0, 60.0, 60.0 + second])
-    monkeypatch.setattr("nermo_mjx.cli.progress.time.monotonic", lambda: next(clock))
+    monkeypatch.setattr("nermo_mjx.progress.time.monotonic", lambda: next(clock))
     stream = io.StringIO()
     progress = ProgressBar("tune", "evaluations", every=0.0, stream=stream)
     progress.share(0.0, 0, 10)

@@ -174,7 +174,7 @@ def test_commands_take_units(tmp_path):
     assert tables[0] == tables[1]
     ran = call("walk", "--set", "frequency=12 mm")
     assert ran.exit_code == 2
-    assert "'12 mm' is not a number; expected a number in Hz, such as 0.67 Hz; allowed is " in ran.output
+    assert "--set frequency=12 mm: frequency is '12 mm': expected a number in Hz, such as 0.67 Hz." in ran.output
     ran = call("walk", "--frequency", "12 mm")
     assert (ran.exit_code, "--frequency is '12 mm': expected a number in Hz" in ran.output) == (2, True)
     ran = call("walk", "--switch", "2,frequency=12 mm")

@@ -1,20 +1,28 @@
-"""Progress on standard error: a bar on a terminal, otherwise an occasional line, nothing when quiet."""
+"""Progress on standard error: a bar on a terminal, otherwise an occasional line, nothing when quiet.
+
+In Python jobs and walks show it where somebody looks: on a terminal, and in IPython.
+"""
 
 from __future__ import annotations
 
+import contextlib
+import functools
 import sys
 import threading
 import time
-from collections.abc import Callable
-from typing import IO, TYPE_CHECKING, Any
+from collections.abc import Callable, Iterator
+from contextvars import ContextVar
+from typing import IO, TYPE_CHECKING, Any, Final, ParamSpec, TypeVar
 
 import click
-
-from nermo_mjx.cli.output import is_given
 
 if TYPE_CHECKING:
     from nermo_mjx.runs.job import Progress as JobProgress
 
+P = ParamSpec("P")
+R = TypeVar("R")
+#: Whether a job runs, which tells of its parts itself.
+_WORKING: Final[ContextVar[bool]] = ContextVar("_WORKING", default=False)
 COMPILING = "compiling, once per machine"
 #: Seconds without any progress after which a first compilation is the reason; a cached program starts sooner.
 PATIENCE = 1.5
@@ -160,6 +168,71 @@ class Stages:
         self.__exit__()
         if not is_given("quiet"):
             click.echo(f"{self._name}: {sentence}", err=True)
+
+
+def is_given(option: str) -> bool:
+    """Whether the present command was given a flag, such as "quiet" or "as_json"."""
+    context = click.get_current_context(silent=True)
+    return context is not None and bool(context.params.get(option))
+
+
+def _is_watched() -> bool:
+    """Whether somebody looks, and nothing else tells: no command, and no job."""
+    if _WORKING.get() or click.get_current_context(silent=True) is not None:
+        return False
+    shell = sys.modules.get("IPython")
+    return sys.stderr.isatty() or (shell is not None and shell.get_ipython() is not None)
+
+
+@contextlib.contextmanager
+def told(name: str, progress: Callable[[float], None] | bool | None) -> Iterator[Callable[[float], None] | None]:
+    """What to tell the share done: the given function, or a display if it takes long and somebody looks, or nothing."""
+    if progress not in (None, True, False) and not callable(progress):
+        raise TypeError(f"progress is {progress!r}: expected a function of the share done, or False to be silent.")
+    if callable(progress) or progress is False or not _is_watched():
+        yield progress if callable(progress) else None
+        return
+    with contextlib.ExitStack() as stack:
+        bars, began = list[ProgressBar](), time.monotonic()
+
+        def share(fraction: float) -> None:
+            if not bars and time.monotonic() - began > PATIENCE:
+                bars.append(stack.enter_context(ProgressBar(name)))
+            if bars:
+                bars[0].share(fraction)
+
+        yield share
+
+
+def shows_progress(name: str, unit: str = "") -> Callable[[Callable[P, R]], Callable[P, R]]:
+    """Decorator of a job with the options `watch` and `progress`: without the one, and unless the other is False, it
+    shows its progress where somebody looks.
+
+    Args:
+        name: of the job.
+        unit: what it counts.
+    """
+
+    def decorate(job: Callable[P, R]) -> Callable[P, R]:
+        from nermo_mjx.runs.job import Watch
+
+        @functools.wraps(job)
+        def working(*arguments: P.args, **options: P.kwargs) -> R:
+            watch = options.get("watch")
+            if "watch" in options and not isinstance(watch, Watch):
+                raise TypeError(f"watch is {watch!r}: expected a Watch, such as Watch(warn=print).")
+            shows = watch is None and options.get("progress", True) is not False and _is_watched()
+            token = _WORKING.set(True)
+            try:
+                with Stages(name, unit, lambda _: True) as stages:
+                    more: Any = {"watch": Watch(stages.show, stages.say)} if shows else {}
+                    return job(*arguments, **options, **more)
+            finally:
+                _WORKING.reset(token)
+
+        return working
+
+    return decorate
 
 
 def duration(seconds: float) -> str:

@@ -1,0 +1,98 @@
+"""Where somebody looks, jobs and long walks show their progress in Python; else, or if told so, they are mute."""
+
+from __future__ import annotations
+
+import io
+import sys
+import tempfile
+import types
+
+import pytest
+from sweep_fake import SPEC, FakeSimulator
+
+from nermo_mjx import Run, run_sweep
+from nermo_mjx.progress import shows_progress, told
+from nermo_mjx.runs.job import Watch
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+def on_a_terminal(monkeypatch):
+    """Standard error, which is one from now on; pytest sets its own between a fixture and the test."""
+    stream = Terminal()
+    monkeypatch.setattr(sys, "stderr", stream)
+    return stream
+
+
+def swept(**options):
+    return run_sweep(SPEC, tempfile.mkdtemp(), simulator=FakeSimulator(), chunk=10, **options)
+
+
+def test_a_job_shows_its_progress_on_a_terminal(monkeypatch):
+    terminal = on_a_terminal(monkeypatch)
+    swept()
+    assert "sweep" in terminal.getvalue()
+    assert "of 36 runs" in terminal.getvalue()
+
+
+def test_a_job_is_mute_where_it_is_told_to_be_and_where_nobody_looks(monkeypatch):
+    terminal = on_a_terminal(monkeypatch)
+    swept(progress=False)
+    seen = []
+    swept(watch=Watch(progress=seen.append))
+    assert seen[-1].fraction == 1.0
+    assert terminal.getvalue() == ""
+    quiet = io.StringIO()
+    monkeypatch.setattr(sys, "stderr", quiet)
+    swept()
+    assert quiet.getvalue() == ""
+
+
+def test_in_ipython_a_job_writes_a_line(monkeypatch):
+    stream = io.StringIO()
+    monkeypatch.setattr(sys, "stderr", stream)
+    monkeypatch.setitem(sys.modules, "IPython", types.SimpleNamespace(get_ipython=object))
+    swept()
+    assert stream.getvalue().startswith("sweep: 100%, 36 of 36 runs")
+    assert stream.getvalue().count("\n") == 1
+
+
+@pytest.mark.parametrize("watch", [3, "no", None, print])
+def test_a_watch_of_another_type_is_refused(watch):
+    with pytest.raises(TypeError, match=r"^watch is .*: expected a Watch, such as Watch\(warn=print\)\.$"):
+        swept(watch=watch)
+
+
+def test_a_walk_is_shown_if_it_takes_long(simulator, monkeypatch):
+    """And nothing inside of a job, which tells of its parts itself."""
+    walker = simulator("c")
+    walker.run({}, Run(duration=0.2))  # which compiles
+    terminal = on_a_terminal(monkeypatch)
+    walker.run({}, Run(duration=0.2))
+    assert terminal.getvalue() == "", "it is over at once"
+    monkeypatch.setattr("nermo_mjx.progress.PATIENCE", -1.0)
+    walker.run({}, Run(duration=0.2), progress=False)
+    shares = []
+    walker.run({}, Run(duration=0.2), progress=shares.append)
+    assert shares[-1] == 1.0
+
+    @shows_progress("job")
+    def job(*, progress: bool) -> None:
+        walker.run({}, Run(duration=0.2))
+
+    job(progress=False)
+    assert terminal.getvalue() == ""
+    walker.run({}, Run(duration=0.2))
+    assert "walk" in terminal.getvalue()
+    assert "100%" in terminal.getvalue()
+
+
+def test_a_walk_refuses_what_it_cannot_tell():
+    with (
+        pytest.raises(TypeError, match=r"^progress is 3: expected a function of the share done, or False"),
+        told("x", 3),
+    ):
+        pass
