@@ -561,41 +561,22 @@ def written_out(doc: Document) -> Document:
 
 
 def in_numbers(doc: Document) -> Document:
-    """The document with SI numbers in the place of texts such as `-45 deg`, wherever parameters get their numbers.
+    """The document with SI numbers in the place of texts such as `-45 deg`, wherever a parameter's name stands before.
 
     Raises:
-        SpecError: a text is no number, or has a unit that does not convert.
+        SpecError: a text has a unit that does not convert.
     """
     known = NAMES.get()
 
-    def number(given: Any, path: FieldPath, name: str, needed: bool) -> Any:
-        """`needed`: no other text may stand here, such as the name of a form."""
+    def number(given: Any, path: FieldPath, name: str) -> Any:
         if isinstance(given, dict):
-            return {key: number(value, (*path, key), name, False) for key, value in given.items()}
+            return {key: number(value, (*path, key), key if key in known else name) for key, value in given.items()}
         if isinstance(given, list):
-            return [number(value, (*path, i), name, True) for i, value in enumerate(given)]
-        if not isinstance(given, str) or not (needed or re.match(MEASURED_TEXT["pattern"], given)):
+            return [number(value, (*path, i), name) for i, value in enumerate(given)]
+        if not (name and isinstance(given, str) and re.match(MEASURED_TEXT["pattern"], given)):
             return given
         if (found := known[name].number(given)) is None:
             doc.fail(path, f"is {describe(given)}: {known[name].expected}", WalkFields.called(path))
         return found
 
-    def numbers(given: Any, path: FieldPath, needed: bool = False) -> Any:
-        if not isinstance(given, dict):
-            return given
-        return {
-            name: number(value, (*path, name), name, needed) if name in known else value
-            for name, value in given.items()
-        }
-
-    data = {key: numbers(given, (key,), key == "set") if key in _SECTIONS else given for key, given in doc.data.items()}
-    switches = data.get("schedule")
-    for i, switch in enumerate(switches if isinstance(switches, list) else ()):
-        if isinstance(switch, dict) and "set" in switch:
-            changed = {**switch, "set": numbers(switch["set"], ("schedule", i, "set"), needed=True)}
-            data["schedule"] = [*data["schedule"][:i], changed, *data["schedule"][i + 1 :]]
-    if isinstance(optimum := data.get("optimum"), dict) and "base" in optimum:
-        data["optimum"] = {**optimum, "base": numbers(optimum["base"], ("optimum", "base"))}
-    if isinstance(compare := data.get("compare"), dict) and compare.get("by") in known and "base" in compare:
-        data["compare"] = {**compare, "base": number(compare["base"], ("compare", "base"), compare["by"], True)}
-    return dataclasses.replace(doc, data=data)
+    return dataclasses.replace(doc, data=number(doc.data, (), ""))

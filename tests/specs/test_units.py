@@ -67,7 +67,7 @@ vary:
   spine.amplitude: [0 deg, 10 deg]
   geometry.foot.radius: [2 mm, 0.003]
 randomize: {repeats: 2, contact.friction: {normal: [60 %, 5 %]}, contact.time_constant: {uniform: [5 ms, 0.01 s]}}
-compare: {by: spine.amplitude, base: 0 deg}
+optimum: {over: [spine.phase], base: {spine.amplitude: 0 deg}}
 """
 IN_SI = f"""
 spine: stride_extension
@@ -80,7 +80,7 @@ vary:
   spine.amplitude: [0, {math.pi / 18!r}]
   geometry.foot.radius: [0.002, 0.003]
 randomize: {{repeats: 2, contact.friction: {{normal: [0.6, 0.05]}}, contact.time_constant: {{uniform: [0.005, 0.01]}}}}
-compare: {{by: spine.amplitude, base: 0}}
+optimum: {{over: [spine.phase], base: {{spine.amplitude: 0}}}}
 """
 
 
@@ -110,14 +110,14 @@ def test_a_tuning_a_search_and_a_training_take_units():
     [
         ("set: {frequency: 12 mm}", "field 'frequency' is the text '12 mm': expected a number in Hz, such as 0.67 Hz."),
         ("vary: {frequency: [0.8, 3 s]}", "field 'frequency' is the text '3 s': expected a number in Hz"),
-        ("vary: {frequency: {linspace: [1, fast, 3]}}", "field 'frequency' is the text 'fast': expected a number in"),
+        ("vary: {frequency: {linspace: [1, fast, 3]}}", "field 'frequency' is the text 'fast': expected a number."),
         ("randomize: {duty: {normal: [1 m, 1]}}", "field 'duty' is the text '1 m': expected a number, or one in %,"),
-        ("rows: [{frequency: 1}, {frequency: 3 g}]", "field 'frequency' is the text '3 g': expected a number in Hz"),
+        ("rows: [{frequency: 1}, {frequency: 3 g}]", "field 'rows.1.frequency' is the text '3 g': expected a number in Hz"),
         ("pilot: {arc: {radius: 3 deg}}", "field 'pilot.arc.radius' is the text '3 deg': expected a number in m, mm"),
         ("pilot: {straight: {distance: 3 s}}", "'pilot.straight.distance' is the text '3 s': expected a number in m,"),
         ("run: {duration: 3 m}", "field 'run.duration' is the text '3 m': expected a number in s or ms, such as 1 s."),
         ("schedule: [{at: 1, set: {duty: 3 g}}]", "field 'schedule.0.set.duty' is the text '3 g': expected a number,"),
-        ("compare: {by: frequency, base: 3 g}", "field 'compare.base' is the text '3 g': expected a number in Hz"),
+        ("optimum: {base: {frequency: 3 g}}", "field 'optimum.base.frequency' is the text '3 g': expected a number in"),
     ],
 )
 def test_a_file_refuses_a_unit_that_does_not_convert(text, message):
