@@ -185,7 +185,7 @@ def _is_watched() -> bool:
 
 
 @contextlib.contextmanager
-def told(name: str, progress: Callable[[float], None] | bool | None) -> Iterator[Callable[[float], None] | None]:
+def shown_share(name: str, progress: Callable[[float], None] | bool | None) -> Iterator[Callable[[float], None] | None]:
     """What to tell the share done: the given function, or a display if it takes long and somebody looks, or nothing."""
     if progress not in (None, True, False) and not callable(progress):
         raise TypeError(f"progress is {progress!r}: expected a function of the share done, or False to be silent.")

@@ -11,7 +11,7 @@ import pytest
 from sweep_fake import SPEC, FakeSimulator
 
 from nermo_mjx import Run, run_sweep
-from nermo_mjx.progress import shows_progress, told
+from nermo_mjx.progress import shown_share, shows_progress
 from nermo_mjx.runs.job import Watch
 
 
@@ -93,6 +93,6 @@ def test_a_walk_is_shown_if_it_takes_long(simulator, monkeypatch):
 def test_a_walk_refuses_what_it_cannot_tell():
     with (
         pytest.raises(TypeError, match=r"^progress is 3: expected a function of the share done, or False"),
-        told("x", 3),
+        shown_share("x", 3),
     ):
         pass

@@ -17,7 +17,7 @@ import numpy as np
 
 from nermo_mjx.control.protocol import ControllerLike
 from nermo_mjx.physics import Trace, Variation, make_engine
-from nermo_mjx.progress import told
+from nermo_mjx.progress import shown_share
 from nermo_mjx.recording import Recording, recording_of
 from nermo_mjx.robot import Sensors
 from nermo_mjx.robot.geometry import names_geometry
@@ -332,7 +332,7 @@ class Simulator:
             ParameterError: see `parameters`, and `Keeper`.
         """
         began = time.perf_counter()
-        with _compile_time() as compile_time, told("walk", progress) as tell:
+        with _compile_time() as compile_time, shown_share("walk", progress) as tell:
             keeper = (
                 None
                 if save is None

@@ -112,7 +112,10 @@ def test_a_tuning_a_search_and_a_training_take_units():
         ("vary: {frequency: [0.8, 3 s]}", "field 'frequency' is the text '3 s': expected a number in Hz"),
         ("vary: {frequency: {linspace: [1, fast, 3]}}", "field 'frequency' is the text 'fast': expected a number."),
         ("randomize: {duty: {normal: [1 m, 1]}}", "field 'duty' is the text '1 m': expected a number, or one in %,"),
-        ("rows: [{frequency: 1}, {frequency: 3 g}]", "field 'rows.1.frequency' is the text '3 g': expected a number in Hz"),
+        (
+            "rows: [{frequency: 1}, {frequency: 3 g}]",
+            "field 'rows.1.frequency' is the text '3 g': expected a number in Hz",
+        ),
         ("pilot: {arc: {radius: 3 deg}}", "field 'pilot.arc.radius' is the text '3 deg': expected a number in m, mm"),
         ("pilot: {straight: {distance: 3 s}}", "'pilot.straight.distance' is the text '3 s': expected a number in m,"),
         ("run: {duration: 3 m}", "field 'run.duration' is the text '3 m': expected a number in s or ms, such as 1 s."),
