@@ -320,7 +320,7 @@ REFUSED: dict[Callable[[Any], Any], list[tuple[Any, str]]] = {
         ),
     ],
     lambda url: connected(url).__enter__(): [
-        ("http://a", "send is 'http://a': allowed is mqtt://HOST[:PORT] or ws://HOST[:PORT]"),
+        ("http://a", "send is 'http://a': allowed is mqtt://HOST[:PORT], ws://HOST[:PORT] or print:"),
         *(
             (url, "with a port from 1 to 65535, and USER:PASSWORD@ before HOST")
             for url in ("mqtt://h:99999", "mqtt://h:0", "ws://h:x", "mqtt://:p@h", "mqtt://u:p#s@h", "mqtt://h/topic")

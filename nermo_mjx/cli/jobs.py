@@ -741,7 +741,7 @@ def identify_command(out: Path, **how: Any) -> Output:
 
     Examples:
       nermo-mjx identify --log robot.csv --channels robot.yaml --out runs/mine
-      nermo-mjx identify --log arm.csv --channels arm.yaml --model arm.xml --out arm
+      nermo-mjx identify --log a.csv --channels a.yaml --model arm.xml --out arm
       nermo-mjx identify --out runs/identified
       nermo-mjx identify --samples 8 --generations 2 --bodies 0 --out runs/look
     """
@@ -807,7 +807,7 @@ def _identify_log(
     content = log_report.write_identification(found, out, shlex.join(["nermo-mjx", *sys.argv[1:]]))
 
     def show() -> None:
-        print_table("Parameters", log_report.HEADINGS, log_report.parameter_rows(found))
+        print_table("Parameters", log_report.HEADINGS, log_report.estimate_rows(found))
         for sentence in content["sentences"]:
             click.echo(sentence)
         print_places(out, report="report.html", body=content["files"][0], next=content["next"]["file"] or None)

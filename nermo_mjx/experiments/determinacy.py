@@ -65,7 +65,7 @@ class Parameter:
         return self.low > 0
 
 
-class Space:
+class ParameterSpace:
     """Coordinates of parameters."""
 
     def __init__(self, parameters: Sequence[Parameter]) -> None:
@@ -94,7 +94,7 @@ class Space:
 
 
 @dataclasses.dataclass(frozen=True)
-class Measured:
+class LoggedSamples:
     """Numbers that a model predicts, of all logs one after the other.
 
     Attributes:
@@ -113,9 +113,9 @@ class Measured:
         """A number for each channel from its residuals and its index (channels,)."""
         return np.array([of(residual[self.channel == i], i) for i in range(len(self.quantum))])
 
-    def part(self, rows: np.ndarray) -> Measured:
+    def part(self, rows: np.ndarray) -> LoggedSamples:
         """Some of the numbers; every channel stays."""
-        return Measured(self.values[rows], self.channel[rows], self.time[rows], self.quantum)
+        return LoggedSamples(self.values[rows], self.channel[rows], self.time[rows], self.quantum)
 
 
 def rms(residual: np.ndarray) -> float:
@@ -145,7 +145,7 @@ class Fit:
         same: how many of the starts came to this cost, and of how many.
     """
 
-    space: Space
+    space: ParameterSpace
     x: np.ndarray
     residual: np.ndarray
     sigma: np.ndarray
@@ -189,7 +189,7 @@ class Estimation:
             `project`, which remove from whitened residuals what unknown starts explain, see `without`.
     """
 
-    def __init__(self, space: Space, problem: Any) -> None:
+    def __init__(self, space: ParameterSpace, problem: Any) -> None:
         self.space, self.problem, self.measured = space, problem, problem.measured
 
     def residual(self, x: np.ndarray, sigma: np.ndarray) -> np.ndarray:
@@ -403,7 +403,7 @@ def percent(share: float) -> str:
     return f"{100 * share:.2g} %"
 
 
-def sentences(fit: Fit) -> list[str]:
+def determinacy_sentences(fit: Fit) -> list[str]:
     """What the data determine, in words."""
     space, said = fit.space, list[str]()
     names = np.array([each.name for each in space.parameters])
@@ -453,7 +453,7 @@ EXCESS: Final = 0.05
 CHANCE: Final = 4.0
 
 
-def judge(measured: Measured, residual: np.ndarray) -> Judgement:
+def judge(measured: LoggedSamples, residual: np.ndarray) -> Judgement:
     """Compare residuals (n,) with their white part, channel by channel."""
     size = measured.by_channel(lambda each, i: rms(each), residual)
     noise = measured.by_channel(lambda each, i: floor(each, measured.quantum[i]), residual)

@@ -16,7 +16,7 @@ from typing import Any, Final
 import numpy as np
 
 from nermo_mjx.experiments import determinacy
-from nermo_mjx.experiments.determinacy import Estimation, Fit, Judgement, Parameter, Space, judge, percent, rms
+from nermo_mjx.experiments.determinacy import Estimation, Fit, Judgement, Parameter, ParameterSpace, judge, percent, rms
 from nermo_mjx.experiments.log_twin import KINDS, Body, LoggedTwin, until
 from nermo_mjx.hardware.log import Log
 from nermo_mjx.robot import ParameterError
@@ -62,7 +62,7 @@ class Wanted:
 
 
 @dataclasses.dataclass(frozen=True)
-class Verdict:
+class BodyResidual:
     """A body beside samples.
 
     Attributes:
@@ -102,9 +102,9 @@ class Identification:
     simplest: Fit
     left_out: tuple[str, ...]
     missing: Mapping[str, float]
-    before: Verdict
-    after: Verdict
-    fitted: Verdict
+    before: BodyResidual
+    after: BodyResidual
+    fitted: BodyResidual
     errors: Mapping[str, float]
     repeatability: Mapping[str, float]
     seconds: float
@@ -150,7 +150,7 @@ class Identification:
                 said.append(f"What was left out and would remove most of them, each by itself: {shares}.")
             else:
                 said.append("No kind of parameters that is known here removes them.")
-        said += determinacy.sentences(self.fit)
+        said += determinacy.determinacy_sentences(self.fit)
         if self.left_out:
             said.append(f"The simplest class within noise leaves out {', '.join(self.left_out)}.")
         errors = ", ".join(f"{name} {value:.3g}" for name, value in self.errors.items())
@@ -185,7 +185,7 @@ def identify_log(
     if unknown:
         raise ParameterError(f"{unknown[0]!r} is no kind of parameters: allowed is {', '.join(KINDS)}.")
     body = make(wanted.free)
-    space = Space(_narrowed(list(body.parameters.values()), wanted.ranges))
+    space = ParameterSpace(_narrowed(list(body.parameters.values()), wanted.ranges))
     if not len(space):
         raise ParameterError(f"the model has no parameter of {', '.join(wanted.free)}: nothing is free.")
     names = [each.name for each in space.parameters]
@@ -211,16 +211,18 @@ def identify_log(
     fit = whole.fit(x, sigma, iterations=STEPS, same=same, seed=wanted.seed)
     report(1 - 2 / (wanted.starts + 3))
 
-    def verdict(own: Body, names: Sequence[str], values: np.ndarray, of: Sequence[Log], only: Any = None) -> Verdict:
+    def verdict(
+        own: Body, names: Sequence[str], values: np.ndarray, of: Sequence[Log], only: Any = None
+    ) -> BodyResidual:
         seen = twin(of, names, own, only)
         seen.renew(values)
         away = seen.predict(values[None])[0] - seen.measured.values
         white = seen.project((away / fit.sigma[seen.measured.channel])[:, None], fit.sigma)[:, 0]
         residual = white * fit.sigma[seen.measured.channel]
-        return Verdict(seen, residual, judge(seen.measured, residual))
+        return BodyResidual(seen, residual, judge(seen.measured, residual))
 
     rest = (judges, None) if judges else (logs, lambda times, duration: times >= FITTED * duration)
-    fitted = Verdict(whole.problem, fit.residual, judge(whole.measured, fit.residual))
+    fitted = BodyResidual(whole.problem, fit.residual, judge(whole.measured, fit.residual))
     after = verdict(body, names, fit.values, *rest)
     default = [each.neutral if math.isfinite(each.neutral) else each.low for each in space.parameters]
     before = verdict(body, names, np.array(default), *rest)
@@ -231,7 +233,7 @@ def identify_log(
     kept = [each for each in space.parameters if each.kind not in left]
     if left and kept:
         lean = _without(body, space, left)
-        smaller = Space(kept)
+        smaller = ParameterSpace(kept)
         start = smaller.coordinates(np.array([fit.values[names.index(each.name)] for each in kept]))
         own = [each.name for each in kept]
         candidate = Estimation(smaller, twin(heads, own, lean)).fit(start, fit.sigma, STEPS, 1, same, wanted.seed)
@@ -267,7 +269,7 @@ def _narrowed(parameters: list[Parameter], ranges: Mapping[str, tuple[float, flo
     return parameters
 
 
-def _without(body: Body, space: Space, kinds: Sequence[str]) -> Body:
+def _without(body: Body, space: ParameterSpace, kinds: Sequence[str]) -> Body:
     """A body whose parameters of some kinds have their neutral values: a class that is smaller."""
     fixed = [each for each in space.parameters if each.kind in kinds]
     return body.at({each.name: float(np.clip(each.neutral, each.low, each.high)) for each in fixed})
@@ -287,7 +289,7 @@ def _missing(
         if not more:
             continue
         base = np.array([each.neutral if math.isfinite(each.neutral) else each.value for each in more])
-        space = Space(more)
+        space = ParameterSpace(more)
         start = np.clip(space.coordinates(base), space.low, space.high)
         away = np.where(start + _TRIED > space.high, -_TRIED, _TRIED)
         moved = space.values(start + np.diag(away))

@@ -107,7 +107,7 @@ def next_experiment(found: Identification) -> tuple[str, float, dict[str, np.nda
 # --- a directory
 
 
-def parameter_rows(found: Identification) -> list[list[str]]:
+def estimate_rows(found: Identification) -> list[list[str]]:
     """Rows under `HEADINGS`."""
     rows, bounds = [], found.fit.at_bound
     for i, each in enumerate(found.fit.space.parameters):
@@ -131,7 +131,7 @@ def write_identification(found: Identification, out: Path, command: str) -> dict
         out: the directory.
         command: that makes it again.
     """
-    from nermo_mjx.view.trained import document  # views know of experiments, too
+    from nermo_mjx.view.trained import offline_page  # views know of experiments, too
 
     make_writable(out)
     name, left, commands = next_experiment(found)
@@ -175,7 +175,7 @@ def write_identification(found: Identification, out: Path, command: str) -> dict
     figures = list(figures_of(found))
     write_figures(figures, out / "plots")
     said = "".join(f"<p>{html.escape(each)}</p>" for each in sentences)
-    cells = "".join(f"<tr>{''.join(f'<td>{html.escape(c)}</td>' for c in row)}</tr>" for row in parameter_rows(found))
+    cells = "".join(f"<tr>{''.join(f'<td>{html.escape(c)}</td>' for c in row)}</tr>" for row in estimate_rows(found))
     head = "".join(f"<th>{each}</th>" for each in HEADINGS)
     directions = "".join(
         f"<li>{percent(share)}: {html.escape(of)}</li>" for share, of in determinacy.directions(found.fit)
@@ -186,7 +186,7 @@ def write_identification(found: Identification, out: Path, command: str) -> dict
         f"<h2>Least known directions</h2><p>Share of the range's width that is left.</p><ul>{directions}</ul>",
         f"<h2>To make it again</h2><pre>{html.escape(command)}</pre>",
     ]
-    page = document(html.escape(out.resolve().name), "an identification", parts, figures)
+    page = offline_page(html.escape(out.resolve().name), "an identification", parts, figures)
     replace_file(out / "report.html", page.encode())
     return content
 

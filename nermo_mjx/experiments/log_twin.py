@@ -21,7 +21,7 @@ import numpy as np
 from mujoco.batch import Batch, SimulationError
 
 from nermo_mjx.experiments.cases import texts
-from nermo_mjx.experiments.determinacy import Measured, Parameter, without
+from nermo_mjx.experiments.determinacy import LoggedSamples, Parameter, without
 from nermo_mjx.hardware.log import Channel, Log
 from nermo_mjx.physics.servo_play import Play, played
 from nermo_mjx.physics.variation import Variation, moves_constants
@@ -376,7 +376,7 @@ class LoggedTwin:
         sizes = {each.name: each.values[:1].size for leg in self._legs for each in leg.channels}
         self.components = tuple(sizes[label] for label in labels)
         quantum = np.array([_quantum(values[channel == i]) for i in range(len(labels))])
-        self.measured = Measured(values, channel, times, quantum)
+        self.measured = LoggedSamples(values, channel, times, quantum)
         self._around: list[tuple[np.ndarray, np.ndarray]] = []
 
     def predict(self, values: np.ndarray) -> np.ndarray:

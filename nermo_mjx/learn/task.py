@@ -46,7 +46,7 @@ from nermo_mjx.rollout.setup import Setup, Window, all_parameters
 from nermo_mjx.shapes import Array, Count, Scalar, Truth
 from nermo_mjx.specs.fields import JsonSchema, Refused
 from nermo_mjx.specs.model import Spec
-from nermo_mjx.specs.values import Bodies, Checked, Choice, Ends, Finite, Positive, Whole
+from nermo_mjx.specs.values import BodiesField, Checked, Choice, Ends, Finite, Positive, Whole
 
 #: Errors at which the terms that track a command have fallen to 1/e: speed [m/s], yaw rate [rad/s].
 SPEED_WIDTH: Final = 0.05
@@ -310,7 +310,7 @@ class Task(Spec):
     """value in all episodes of parameters, commands and sensors: command.speed, sensing.delay, ..."""
     randomize: dict[str, Ends] = dataclasses.field(default_factory=lambda: dict(RANDOMIZED))
     """range (low, high) of each parameter that is drawn, uniformly, for each episode"""
-    bodies: Annotated[str, Bodies()] = ""
+    bodies: Annotated[str | bool, BodiesField()] = ""
     """identified or true, or the directory of an identification: each episode draws one of its bodies"""
     decimation: Annotated[int, Whole(1, 100)] = 1
     """control ticks for which an action is held. The residual learners on this robot act at each one, and a policy
@@ -332,6 +332,8 @@ class Task(Spec):
             if value is not None and not 0.0 < value < np.inf:
                 raise ParameterError(f"{name} is {value!r}: allowed is (0, inf).")
         object.__setattr__(self, "observe", tuple(self.observe))
+        if isinstance(self.bodies, bool):
+            object.__setattr__(self, "bodies", identified.IDENTIFIED if self.bodies else "")
 
     @property
     def commands(self) -> tuple[str, ...]:

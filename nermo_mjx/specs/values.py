@@ -96,7 +96,7 @@ class Choice(Checked):
         return {"enum": list(self.names)}
 
 
-class Bodies(Checked):
+class BodiesField(Checked):
     """Where bodies are drawn from: identified, or the directory of an identification; true and false in a task."""
 
     def inner(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:

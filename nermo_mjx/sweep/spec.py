@@ -28,7 +28,7 @@ from nermo_mjx.specs.controllers import code_identity, known_names
 from nermo_mjx.specs.described import Described, digest_of
 from nermo_mjx.specs.fields import Fields, OneOf, Refused, documented, optional, read
 from nermo_mjx.specs.reading import Document, FieldPath, describe, read_file, read_mapping, read_text
-from nermo_mjx.specs.values import Bodies, Positive, Whole, refuse_parameter
+from nermo_mjx.specs.values import BodiesField, Positive, Whole, refuse_parameter
 from nermo_mjx.specs.walk import WalkFields, WalkSpec, check_reach, check_sources, unread, written_out
 from nermo_mjx.sweep.sampling import Axis, Draw, Saltelli, read_axis, read_draw, saltelli_points, saltelli_size
 from nermo_mjx.sweep.structures import (
@@ -250,7 +250,7 @@ class Randomized(Fields):
     __pydantic_extra__: dict[str, Draw]
     model_config = ConfigDict(extra="allow", json_schema_extra=also_parameters)
     repeats: Annotated[int, Whole(1, 100_000)] = Field(1, description="how often each variant is drawn and run")
-    bodies: Annotated[str, Bodies()] = optional(
+    bodies: Annotated[str, BodiesField()] = optional(
         "draw whole bodies: identified, or DIR of an identification", alias="from"
     )
     paired: Annotated[list[str], BeforeValidator(_names)] = Field(

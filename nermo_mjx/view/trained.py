@@ -57,10 +57,10 @@ def trained(path: Path, *, engine: str = "c") -> Page:
         where = f"On {training.evaluation.bodies:,} unseen bodies and starts, in physics {judged['physics']}; medians."
         table = _table(summary_of(parquet_table(content)))
         parts.append(f'<h2>Evaluation</h2><p>{where}</p><div class="wide"><table>{table}</table></div>')
-    return Page(document(name, "a training", parts, drawn), 680, samples)
+    return Page(offline_page(name, "a training", parts, drawn), 680, samples)
 
 
-def document(name: str, what: str, parts: Sequence[str], figures: Figures) -> str:
+def offline_page(name: str, what: str, parts: Sequence[str], figures: Figures) -> str:
     """A self-contained page of a directory: its parts, HTML each, and then its figures by name.
 
     Args:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from nermo_mjx.experiments import determinacy
-from nermo_mjx.experiments.determinacy import Estimation, Fit, Measured, Parameter, Space
+from nermo_mjx.experiments.determinacy import Estimation, Fit, LoggedSamples, Parameter, ParameterSpace
 
 
 def parameter(name: str, value: float = 1.0, low: float = 0.1, high: float = 10.0, neutral: float = 1.0) -> Parameter:
@@ -19,7 +19,7 @@ def problem(function, truth: list[float], noise: np.ndarray, quantum: float = 0.
     """Measured values of a function of time (n,) and parameters (p, 1)."""
     time = np.linspace(0.0, 10.0, len(noise))
     values = function(time, np.array(truth)[:, None])[0] if len(np.shape(truth)) else None
-    measured = Measured(values + noise, np.zeros(len(noise), int), time, np.array([quantum]))
+    measured = LoggedSamples(values + noise, np.zeros(len(noise), int), time, np.array([quantum]))
     return SimpleNamespace(
         measured=measured,
         predict=lambda values: np.array([function(time, v[:, None])[0] for v in values]),
@@ -29,7 +29,7 @@ def problem(function, truth: list[float], noise: np.ndarray, quantum: float = 0.
 
 
 def estimate(function, truth, parameters, noise) -> Fit:
-    return Estimation(Space(parameters), problem(function, truth, noise)).fit()
+    return Estimation(ParameterSpace(parameters), problem(function, truth, noise)).fit()
 
 
 def white(n: int = 400, seed: int = 0, size: float = 0.01) -> np.ndarray:
@@ -74,7 +74,7 @@ def test_a_ratio_that_is_known_is_named_though_its_parameters_are_not() -> None:
     assert deviation < 0.01
     assert names == ("kp", "mass")
     assert found.values[0] / found.values[1] == pytest.approx(2 / 3, rel=3 * deviation)
-    said = " ".join(determinacy.sentences(found))
+    said = " ".join(determinacy.determinacy_sentences(found))
     assert "Determined only together: kp / mass" in said
     assert "Not determined by these data: kp, mass" in said
 
@@ -101,13 +101,13 @@ def test_a_parameter_that_does_nothing_is_not_determined_and_stays_at_its_start(
 def test_a_parameter_at_its_bound_is_said_to_be() -> None:
     found = estimate(line, [20.0, 0.5], [parameter("a"), parameter("b")], white())
     assert found.at_bound[0] == "upper"
-    assert "a is at its upper bound." in determinacy.sentences(found)
+    assert "a is at its upper bound." in determinacy.determinacy_sentences(found)
 
 
 @pytest.mark.parametrize(("error", "right"), [(0.0, True), (0.05, False)])
 def test_smooth_residuals_are_no_noise(error: float, right: bool) -> None:
     time = np.linspace(0.0, 10.0, 400)
-    measured = Measured(np.zeros(400), np.zeros(400, int), time, np.zeros(1))
+    measured = LoggedSamples(np.zeros(400), np.zeros(400, int), time, np.zeros(1))
     judged = determinacy.judge(measured, white() + error * np.sin(2 * time))
     assert judged.right is right
     assert judged.noise[0] == pytest.approx(0.01, rel=0.1)
@@ -133,5 +133,5 @@ def test_a_model_that_fails_is_far_away_but_does_not_stop_the_search() -> None:
     def fails(time: np.ndarray, p: np.ndarray) -> np.ndarray:
         return np.where(p[0:1] > 5.0, np.nan, p[0:1]) + 0.0 * time
 
-    found = Estimation(Space([parameter("a", 1.0)]), problem(fails, [4.0], white())).fit(np.array([1.7]))
+    found = Estimation(ParameterSpace([parameter("a", 1.0)]), problem(fails, [4.0], white())).fit(np.array([1.7]))
     assert found.values[0] == pytest.approx(4.0, rel=0.01)

@@ -734,7 +734,6 @@ NOT_READ_FOR_A_PERSON = {
     "experiments/cases.py": 1,
     "experiments/published.py": 1,
     "live/driving.py": 1,  # a journal is written
-    "robot/identified.py": 1,
     "robot/parts.py": 2,
     "robot/scene.py": 1,  # MuJoCo, after all files of the scene were read here
     "runs/code.py": 2,
