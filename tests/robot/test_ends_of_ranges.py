@@ -43,6 +43,9 @@ COMBINED = (
 #: Without a number where nothing failed, turned, moved, swung or stood.
 WITHOUT = (
     "failure_time",
+    "stride_",
+    "stance_time",
+    "duty_factor",
     "cross_track",
     "turning_radius",
     "cost_of_transport",
