@@ -9,6 +9,7 @@ import gc
 import inspect
 import io
 import json
+import logging
 import os
 import re
 import shutil
@@ -102,6 +103,9 @@ class CommandGroup(click.Group):
                 warned.add(str(message))
                 TELL.get()(one_line(str(message)))
 
+        compiles = logging.getLogger("nermo_mjx.rollout.simulator")  # commands say themselves what compiles
+        level = compiles.level
+        compiles.setLevel(logging.ERROR)
         try:
             with warnings.catch_warnings():
                 warnings.showwarning = warn  # type: ignore[assignment]
@@ -118,6 +122,7 @@ class CommandGroup(click.Group):
         except Exception as error:
             _translate(error)
         finally:
+            compiles.setLevel(level)
             for each, handler in before.items():
                 signal.signal(each, handler)
 
