@@ -34,6 +34,8 @@ def run(path: Path) -> None:
         NotebookClient(notebook, timeout=3600, resources={"metadata": {"path": folder}}).execute()
     for cell in notebook.cells:
         cell.metadata.pop("execution", None)
+        if cell.cell_type == "code":  # progress is for who waits
+            cell.outputs = [output for output in cell.outputs if output.get("name") != "stderr"]
         for output in cell.get("outputs", []):
             if len(output.get("data", {}).get("text/html", "")) > MOST_HTML:
                 output["data"] = {"text/markdown": LEFT_OUT, "text/plain": LEFT_OUT}

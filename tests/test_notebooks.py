@@ -47,8 +47,9 @@ def test_a_notebook_runs(path: Path, tmp_path: Path, kernel: NotebookClient) -> 
     outputs = [output for cell in notebook.cells if cell.cell_type == "code" for output in cell.outputs]
     kinds = {kind for output in outputs for kind in output.get("data", {})}
     assert "image/png" in kinds, "a figure is shown"
-    errors = [output.text for output in outputs if output.output_type == "stream" and output.name == "stderr"]
-    assert not [text for text in errors if "compiling the c program" not in text]  # which depends on the cache
+    errors = "".join(output.text for output in outputs if output.output_type == "stream" and output.name == "stderr")
+    # Progress, and that something compiles, which depends on the cache.
+    assert not [line for line in errors.splitlines() if not re.search(r"^[a-z, ]+: \d+%|compiling", line)]
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
