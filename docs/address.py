@@ -14,8 +14,7 @@ from typing import Any
 
 ROOT = Path(__file__).parents[1]
 UNPUBLISHED = (
-    "The code has not been published yet: it comes as a folder or an archive. Unpack it, and run the commands below\n"
-    "in its top-level folder."
+    "The code has not been published yet: it comes as a folder or an archive. Run the commands in its top-level folder."
 )
 
 

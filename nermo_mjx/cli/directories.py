@@ -392,7 +392,7 @@ def _print_comparison(found: Comparison, metrics: Sequence[str], *, whole: bool)
 
 def _cells(row: Mapping[str, Any]) -> list[str]:
     shares = row["lost_base"], row["lost_other"]
-    lost = ", ".join(f"{100 * share:.3g} %" for share in shares) if any(shares) else ""
+    lost = ", ".join(f"{float(f'{100 * share:.2g}'):g} %" for share in shares) if any(shares) else ""
     if not row["variants"]:
         return ["", "", "no run has it", "", "", "0", lost, ""]
     values = (row[name] for name in ("base_mean", "other_mean", "difference", "low", "high"))
