@@ -135,3 +135,17 @@ def test_a_model_that_fails_is_far_away_but_does_not_stop_the_search() -> None:
 
     found = Estimation(ParameterSpace([parameter("a", 1.0)]), problem(fails, [4.0], white())).fit(np.array([1.7]))
     assert found.values[0] == pytest.approx(4.0, rel=0.01)
+
+
+def test_a_search_over_the_whole_ranges_is_not_stopped_by_local_minima() -> None:
+    """Of a frequency Gauss-Newton finds the nearest minimum; the search finds the true one, and both then agree."""
+
+    def wave(time: np.ndarray, p: np.ndarray) -> np.ndarray:
+        return p[1:2] * np.sin(p[0:1] * time)
+
+    space = ParameterSpace([parameter("frequency"), parameter("amplitude")])
+    estimation = Estimation(space, problem(wave, [4.0, 2.0], white()))
+    near, _ = estimation.search(np.zeros(2))
+    assert abs(space.values(near)[0] - 4.0) > 0.5
+    found, _ = estimation.search(estimation.sought(60, seed=0))
+    assert space.values(found) == pytest.approx([4.0, 2.0], rel=5e-3)
