@@ -136,7 +136,19 @@ def callback_device() -> Any:
     return client.local_devices()[0]
 
 
-@functools.cache
+def processor_device() -> Any:
+    """The device, for `jax.default_device`, of the engine `c`'s controller; None for JAX's own default.
+
+    It is a processor, where the bodies are: an accelerator would be asked, and waited for, in every control tick.
+    """
+    jax: Any = importlib.import_module("jax")
+    chosen = jax.config.jax_default_device
+    if chosen is None and jax.default_backend() != "cpu":
+        with contextlib.suppress(RuntimeError):  # `JAX_PLATFORMS` may name the accelerator alone
+            return jax.local_devices(backend="cpu")[0]
+    return chosen
+
+
 def compiler_options(level: int | None = None) -> dict[str, bool | int]:
     """Options for `jax.jit(..., compiler_options=...)` of a program of physics; also for users' own, as of a `Rollout`.
 
@@ -144,26 +156,33 @@ def compiler_options(level: int | None = None) -> dict[str, bool | int]:
     >>> float(jax.jit(lambda x: 2.0 * x, compiler_options=compiler_options())(1.5))
     3.0
 
-    Those of `COMPILER_OPTIONS` that this XLA knows and `XLA_FLAGS` does not decide; none on accelerators.
+    Those of `COMPILER_OPTIONS` that this XLA knows and `XLA_FLAGS` does not decide; none for accelerators.
 
     Args:
         level: how much XLA optimizes, 0 to 3; by default 3. For a program that runs once, 0 saves half of the time.
     """
     start_jax()
     jax: Any = importlib.import_module("jax")
-    if jax.default_backend() != "cpu":
-        return {}
+    platform = getattr(jax.config.jax_default_device, "platform", None) or jax.default_backend()
+    return dict(_known_options(level)) if platform == "cpu" else {}
+
+
+@functools.cache
+def _known_options(level: int | None) -> dict[str, bool | int]:
+    """`compiler_options` for a processor."""
+    jax: Any = importlib.import_module("jax")
     wanted: dict[str, bool | int] = dict(COMPILER_OPTIONS)
     if level is not None:
         wanted["xla_backend_optimization_level"] = level
     known = {}
-    for name, value in wanted.items():
-        if name in os.environ.get("XLA_FLAGS", ""):
-            continue
-        # An option that a later XLA no longer has is left out; this only costs time.
-        with contextlib.suppress(RuntimeError):
-            jax.jit(lambda x: x, compiler_options={name: value}).lower(0.0).compile()
-            known[name] = value
+    with jax.default_device(processor_device()):
+        for name, value in wanted.items():
+            if name in os.environ.get("XLA_FLAGS", ""):
+                continue
+            # An option that a later XLA no longer has is left out; this only costs time.
+            with contextlib.suppress(RuntimeError):
+                jax.jit(lambda x: x, compiler_options={name: value}).lower(0.0).compile()
+                known[name] = value
     return known
 
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-import types
 from typing import Any
 
 import jax.numpy as jnp
 import mujoco
 import numpy as np
+
+from nermo_mjx import Robot, load_robot
 
 XML = """
 <mujoco>
@@ -43,10 +44,11 @@ class SwayLoop:
         return (tick + 1.0, total + sensordata.mean(axis=0)), jnp.sin(params * tick)[None]
 
 
-def robot() -> Any:
-    """What the engines need of a robot."""
-    model = mujoco.MjModel.from_xml_string(XML)
-    return types.SimpleNamespace(model=model, physical=model)
+def robot() -> Robot:
+    """A robot whose models are the machine's: all that the engines need of one."""
+    found, model = load_robot(), mujoco.MjModel.from_xml_string(XML)
+    vars(found).update(model=model, physical=model)
+    return found
 
 
 def batch(worlds: int) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:

@@ -237,7 +237,7 @@ engine = grouped(
     choice_option(
         "--engine",
         choices.ENGINES,
-        "c: MuJoCo C on all cores. mjx: JAX. warp: NVIDIA. auto: warp or mjx on a GPU, else c.",
+        "c: MuJoCo C on all cores. mjx: JAX, also on GPUs. warp: NVIDIA, on trial. auto: mjx on a GPU, else c.",
     ),
     threads,
 )

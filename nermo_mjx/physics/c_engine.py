@@ -26,7 +26,7 @@ from nermo_mjx.physics.engine import Loop, PackedLoop, Trace
 from nermo_mjx.physics.servo_play import SERVO_PLAY, Play, played, servo_addresses
 from nermo_mjx.physics.variation import vary
 from nermo_mjx.robot import ParameterError, Robot
-from nermo_mjx.runtime import start_jax, thread_count
+from nermo_mjx.runtime import processor_device, start_jax, thread_count
 from nermo_mjx.shapes import Array
 
 #: Number of worlds in every call of the compiled loop, padded if necessary: XLA's rounding depends on the batch's
@@ -110,19 +110,21 @@ class CSession:
         self._spans = _spans(len(qpos), engine.threads)
         threads = max(1, engine.threads // len(self._spans))
         self._x64 = bool(jax.config.read("jax_enable_x64"))
-        settings: Any = jax.config
-        self._device = settings.jax_default_device
+        self._device = processor_device()
         self._blocks = []
-        for span in self._spans:
-            lanes = np.pad(span, (0, LANES - len(span)), mode="edge")
-            part = jax.tree.map(lambda leaf, lanes=lanes: np.asarray(leaf)[lanes], params)
-            self._blocks.append(_Block(engine, part, qpos[span], {k: v[span] for k, v in fields.items()}, threads))
-        self.loop.step(*self.arguments)  # compiled before several threads need it at the same time
+        with jax.default_device(self._device):
+            for span in self._spans:
+                lanes = np.pad(span, (0, LANES - len(span)), mode="edge")
+                part = jax.tree.map(lambda leaf, lanes=lanes: np.asarray(leaf)[lanes], params)
+                own = {name: values[span] for name, values in fields.items()}
+                self._blocks.append(_Block(engine, part, qpos[span], own, threads))
+            self.loop.step(*self.arguments)  # compiled before several threads need it at the same time
 
     @property
     def loop_state(self) -> Any:
         """See `Session.loop_state`."""
-        parts = [block.loop_state for block in self._blocks]
+        with jax.default_device(self._device):
+            parts = [block.loop_state for block in self._blocks]
         return jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
 
     @property
@@ -342,9 +344,10 @@ class CDriven(CSession):
             if len(chosen):
                 parts.append((block, worlds[chosen] - span[0], chosen))
         seen = []
-        for block, ids, chosen in parts:
-            some = jax.tree.map(lambda leaf, chosen=chosen: np.asarray(leaf)[chosen], params)
-            seen.append(_restarted(block, ids, some, qpos[chosen], {k: v[chosen] for k, v in fields.items()}))
+        with jax.default_device(self._device):
+            for block, ids, chosen in parts:
+                some = jax.tree.map(lambda leaf, chosen=chosen: np.asarray(leaf)[chosen], params)
+                seen.append(_restarted(block, ids, some, qpos[chosen], {k: v[chosen] for k, v in fields.items()}))
         return _joined(seen)
 
 

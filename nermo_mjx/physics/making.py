@@ -14,7 +14,7 @@ ENGINES = ("auto", "c", "mjx", "warp")
 def resolve_engine(name: str) -> str:
     """The engine that a name selects on this machine.
 
-    `auto` is `c` on a CPU, `warp` on an NVIDIA GPU where Warp is installed, and `mjx` on any other accelerator.
+    `auto` is `c` on a CPU and `mjx` on an accelerator.
 
     Raises:
         ParameterError: an unknown name, or an engine that cannot run here; the message names the remedy.
@@ -23,17 +23,13 @@ def resolve_engine(name: str) -> str:
     if name not in ENGINES:
         raise ParameterError(f"engine is {name!r}: allowed is one of {', '.join(ENGINES)}.")
     runtime.start_jax()
-    if name == "auto" and jax.default_backend() == "cpu":
-        return "c"
-    if name not in ("auto", "warp"):
-        return name
-    from nermo_mjx.physics.mjx_engine import obstacle
-
-    found = obstacle()
     if name == "auto":
-        return "warp" if found is None else "mjx"
-    if found is not None:
-        raise ParameterError(f"engine is 'warp': {found}")
+        return "c" if jax.default_backend() == "cpu" else "mjx"
+    if name == "warp":
+        from nermo_mjx.physics.mjx_engine import obstacle
+
+        if (found := obstacle()) is not None:
+            raise ParameterError(f"engine is 'warp': {found}")
     return name
 
 

@@ -12,8 +12,10 @@ from typing import Any
 import jax
 import numpy as np
 import pytest
+from jaxlib import xla_client
 
 from nermo_mjx.physics import engine
+from nermo_mjx.physics.c_engine import CEngine
 from nermo_mjx.physics.engine import FIRST, NOWHERE, SECOND, choose_devices
 from nermo_mjx.robot import ParameterError
 
@@ -115,3 +117,20 @@ def test_no_device_waits_for_another(four_devices):
     """The program holds no communication; left to JAX's automatic partition it would."""
     assert four_devices["collectives"] == []
     assert "all-reduce" in four_devices["left to jax"]
+
+
+def test_the_controller_of_c_runs_on_a_processor_beside_an_accelerator(simulator, monkeypatch):
+    """Another CPU client stands for the processor of a machine on which JAX computes on an accelerator."""
+    sim = simulator()
+    batch = sim.prepare({"frequency": np.linspace(0.6, 1.0, 3)})
+    before = CEngine(sim.robot, sim.loop).open(batch.params, batch.qpos, batch.fields)
+    processor = xla_client.make_cpu_client(asynchronous=False).local_devices()[0]
+    with monkeypatch.context() as machine:
+        machine.setattr(jax, "default_backend", lambda: "gpu")
+        machine.setattr(jax, "local_devices", lambda backend=None: [processor] if backend == "cpu" else jax.devices())
+        session = CEngine(sim.robot, sim.loop).open(batch.params, batch.qpos, batch.fields)
+        for one in (before, session):
+            one.advance(3)
+    assert session.arguments[2].devices() == {processor}
+    np.testing.assert_array_equal(session.qpos, before.qpos)
+    assert jax.numpy.zeros(1).devices() != {processor}

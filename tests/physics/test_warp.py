@@ -43,14 +43,14 @@ def machine(monkeypatch):
     [
         ("cpu", False, False, "c"),
         ("cpu", False, True, "c"),
-        ("gpu", True, True, "warp"),
+        ("gpu", True, True, "mjx"),
         ("gpu", True, False, "mjx"),
         ("gpu", False, True, "mjx"),  # of another maker
         ("tpu", False, True, "mjx"),
         ("cpu", True, True, "c"),  # a GPU that JAX was told to leave alone
     ],
 )
-def test_auto_takes_warp_on_an_nvidia_gpu_where_it_is_installed(machine, backend, cuda, warp, taken):
+def test_auto_takes_mjx_on_every_accelerator(machine, backend, cuda, warp, taken):
     machine(backend, cuda, warp)
     assert resolve_engine("auto") == taken
 
@@ -95,6 +95,28 @@ def test_warp_swings_as_mjx_does():
     assert np.ptp(mjx.qpos, axis=1).min() > 0.05
     np.testing.assert_allclose(warp.qpos, mjx.qpos, atol=1e-5)
     np.testing.assert_allclose(warp.sensordata, mjx.sensordata, atol=1e-3)
+
+
+@installed
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("fault", "sentence"), [(0.1, "of 3 walks are not where MuJoCo C has them"), (np.nan, "nan m away")]
+)
+def test_warp_is_refused_where_it_is_not_where_c_is(simulator, monkeypatch, fault, sentence):
+    """From the first ticks on; without the fault the same walks pass."""
+    sim = simulator(spine="stride_extension")
+    batch = sim.prepare({name: column[:3] for name, column in WALKS.items()})
+    WarpEngine(sim.robot, sim.loop).open(batch.params, batch.qpos, batch.fields).advance(2)
+    step = mjx_engine._step
+
+    def wrong(model, data):
+        after = step(model, data)
+        return after.replace(qpos=after.qpos + fault)
+
+    monkeypatch.setattr(mjx_engine, "_step", wrong)
+    session = WarpEngine(sim.robot, sim.loop).open(batch.params, batch.qpos, batch.fields)
+    with pytest.raises(ParameterError, match=f"engine is 'warp': after 2 control ticks .*{sentence}"):
+        session.advance(2)
 
 
 @installed
