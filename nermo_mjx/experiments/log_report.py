@@ -116,11 +116,11 @@ def estimate_rows(found: Identification) -> list[list[str]]:
         known += f", at its {bounds[i]} bound" if bounds[i] else ""
         name = f"{each.name} [{each.unit}]" if each.unit != "1" else each.name
         numbers = [f"{each.value:.4g}", f"{found.fit.values[i]:.4g}", f"{low:.4g} to {high:.4g}"]
-        rows.append([name, *numbers, known, f"{each.low:.3g} to {each.high:.3g}: {each.why}"])
+        rows.append([name, known, *numbers, f"{each.low:.3g} to {each.high:.3g}: {each.why}"])
     return rows
 
 
-HEADINGS: Final = ("parameter", "start", "value", "90 %", "", "range and its reason")
+HEADINGS: Final = ("parameter", "", "start", "value", "90 %", "range and its reason")
 
 
 def write_identification(found: Identification, out: Path, command: str) -> dict[str, Any]:
@@ -174,14 +174,19 @@ def write_identification(found: Identification, out: Path, command: str) -> dict
     figures = list(figures_of(found))
     write_figures(figures, out / "plots")
     said = "".join(f"<p>{html.escape(each)}</p>" for each in sentences)
-    cells = "".join(f"<tr>{''.join(f'<td>{html.escape(c)}</td>' for c in row)}</tr>" for row in estimate_rows(found))
-    head = "".join(f"<th>{each}</th>" for each in HEADINGS)
+    wrapped = ' style="text-align: left; white-space: normal"'
+    cells = ""
+    for row in estimate_rows(found):
+        *shown, reason = map(html.escape, row)
+        cells += f"<tr>{''.join(f'<td>{each}</td>' for each in shown)}<td{wrapped}>{reason}</td></tr>"
+    head = "".join(f"<th>{each}</th>" for each in HEADINGS[:-1]) + f"<th{wrapped}>{HEADINGS[-1]}</th>"
     parts = [
         f"<h2>Verdict</h2>{said}",
         f'<h2>Parameters</h2><div class="wide"><table><tr>{head}</tr>{cells}</table></div>',
         f"<h2>To make it again</h2><pre>{html.escape(command)}</pre>",
     ]
-    page = offline_page(html.escape(out.resolve().name), "an identification", parts, figures)
+    logs = ", ".join(dict.fromkeys(Path(each.file).name for each in found.after.twin.logs))
+    page = offline_page(html.escape(f"What {logs} says of the robot"), "an identification", parts, figures)
     replace_file(out / "report.html", page.encode())
     return content
 
@@ -253,14 +258,14 @@ def _predicted(found: Identification, most: int = 6) -> Figure:
         ax.plot(time, best[rows], color=LINE, lw=1.2, label="identified")
         ax.set_ylabel(twin.labels[i])
     ax.set_xlabel("time [s]")
-    figure.legend(*ax.get_legend_handles_labels(), loc="outside upper right", ncols=3)
+    figure.axes[0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3)
     return figure
 
 
 def _residuals(found: Identification) -> Figure:
     labels, judged = found.after.twin.labels, found.after.judgement
     figure = blank_page(
-        "Residuals where nothing was fitted, in the noise of each channel", 7.0, 1.4 + 0.25 * len(labels)
+        "Residuals where nothing was fitted, in the noise of each channel", 7.0, 1.7 + 0.25 * len(labels)
     )
     ax, y = figure.subplots(), np.arange(len(labels))
     for shift, of, colour, label in (
@@ -271,7 +276,7 @@ def _residuals(found: Identification) -> Figure:
     ax.axvline(1.0, color=BEST, lw=0.9, label="noise")
     ax.set_yticks(y, labels)
     ax.set(xscale="log", xlabel="root mean square [noise]", ylim=(len(labels) - 0.4, -0.6))
-    ax.legend(loc="lower right")
+    ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3)
     return figure
 
 
