@@ -242,6 +242,7 @@ def _predicted(found: Identification, most: int = 6) -> Figure:
     low, high = np.quantile(drawn, determinacy.ENDS, axis=0)
     best = twin.measured.values + found.after.residual
     before = twin.measured.values + found.before.residual
+    units = {each.name: each.unit for log in twin.logs for each in log.channels}
     worst = np.argsort(-found.after.judgement.rms / found.after.judgement.noise)[:most]
     figure = blank_page(
         "Predicted and measured, where nothing was fitted", 7.5, 1.0 + 1.35 * len(worst),
@@ -256,7 +257,7 @@ def _predicted(found: Identification, most: int = 6) -> Figure:
         ax.fill_between(time, low[rows], high[rows], color=BAND, lw=0, alpha=0.7)
         ax.plot(time, before[rows], color=MUTED, lw=0.9, ls="--", label="default body")
         ax.plot(time, best[rows], color=LINE, lw=1.2, label="identified")
-        ax.set_ylabel(twin.labels[i])
+        ax.set_ylabel(f"{twin.labels[i]} [{units[twin.labels[i]]}]")
     ax.set_xlabel("time [s]")
     figure.axes[0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3)
     return figure
