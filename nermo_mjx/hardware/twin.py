@@ -138,22 +138,21 @@ def twin_signals(recording: Recording, robot: Robot) -> Log:
     add("velocity", "rad/s", each(robot.servos, sensors["servo_velocity"]))
     add("torque", "N m", each(robot.servos, sensors["servo_torque"]))
     add("gyro", "rad/s", {"imu": sensors["gyro"]})
-    add("acceleration", "m/s^2", {"imu": sensors["accelerometer"]})
+    add("accelerometer", "m/s^2", {"imu": sensors["accelerometer"]})
     add("position", "m", {"torso": sensors["position"]})
     add("yaw", "rad", {"torso": np.unwrap(np.asarray(attitude(jnp.asarray(sensors["orientation"])))[:, 2])})
-    add("contact", "N", each(LIMBS, sensors["foot_force"]))
+    add("force", "N", each(LIMBS, sensors["foot_force"]))
+    add("contact", "switch", each(LIMBS, (sensors["foot_force"] > _SWITCH).astype(float)))
     return Log(tuple(made), "the twin")
 
 
 def beside(log: Log, twin: Log) -> Log:
-    """What a twin measures of a log's channels, as the log has it: its switches, and in the frame of its track."""
+    """What a twin measures of a log's channels, as the log has it: in the frame of its track."""
     found = []
     for channel in log.channels:
         if channel.quantity == "command":
             continue
         other = twin.of_quantity(channel.quantity).get(channel.of)
-        if other is not None and channel.unit == "switch":
-            other = dataclasses.replace(other, values=(other.values > _SWITCH).astype(float), unit="switch")
         if other is not None:
             found.append(dataclasses.replace(in_frame_of(other, channel), name=channel.name))
     return Log(tuple(found), twin.file)
