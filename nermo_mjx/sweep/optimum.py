@@ -257,7 +257,9 @@ class FoundOptimum:
         kept, parts = answer.judged.region, list[str]()
         for name, values in answer.points.items():
             own = list(dict.fromkeys(sorted(values[kept].tolist())))
-            parts.append(" to ".join(self.text(name, each) for each in dict.fromkeys([own[0], own[-1]])))
+            low, high = (self.text(name, each) for each in (own[0], own[-1]))
+            same = low.partition(" ")[2] == high.partition(" ")[2]  # the unit
+            parts.append(high if low == high else f"{low.partition(' ')[0] if same else low} to {high}")
         return f"{kept.sum()} of {len(kept)}: {', '.join(parts)}"
 
     def how(self) -> list[str]:
@@ -273,11 +275,11 @@ class FoundOptimum:
             }[found.ended]
             out = int((~found.contenders).sum()) if found.ended and not found.spent else 0
             lost = f"; {out} points are out, because they lost runs" if out else ""
-            fresh = (
-                f", {next(iter(answer.lines.values()))['pairs']} fresh pairs{told(answer.lost)}"
-                if answer.lines
-                else ", no fresh runs yet"
-            )
+            fresh = ", no fresh runs yet"
+            if answer.lines:
+                pairs = next(iter(answer.lines.values()))["pairs"]
+                alone = f"{self.asked.fresh} fresh runs each, no pairs (randomize.paired makes them)"
+                fresh = f", {f'{pairs} fresh pairs' if pairs else alone}{told(answer.lost)}"
             fresh = ", no run of the base" if math.isnan(answer.base_mean) else fresh
             said.append(f"{name}: {found.runs} runs a point{fresh}; {why}{lost}.")
             for column, ends in self.ends(answer).items():
