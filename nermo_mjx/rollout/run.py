@@ -84,9 +84,9 @@ class Run:
                 given = np.asarray(value)
                 object.__setattr__(self, name, value)
             if given.dtype.kind not in "iuf":
-                seconds = {"cycles": "; seconds are run.duration", "warmup_cycles": "; seconds are run.warmup"}
-                expected = f"expected a number, or an array of such{seconds.get(name, '')}."
-                raise ParameterError(f"run.{name} is {value!r}: {expected}")
+                instead = {"cycles": "duration", "warmup_cycles": "warmup"}.get(name)
+                seconds = f"; seconds are run.{instead}" if isinstance(value, str) else ""
+                raise ParameterError(f"run.{name} is {value!r}: expected a number, or an array of such{seconds}.")
             bad = ~((given <= LONGEST) & ((given > 0) | (zero_ok & (given == 0))))
             if bad.any():
                 range_ = f"{'[' if zero_ok else '('}0, {LONGEST:g}]"

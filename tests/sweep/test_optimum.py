@@ -70,13 +70,16 @@ def shares(landscape: str, noise: str, budget: int) -> dict[str, float]:
 
 
 @pytest.mark.parametrize("budget", [0, 200])
-@pytest.mark.parametrize(("landscape", "noise"), [("plateau", "normal"), ("ridge", "normal"), ("ridge", "skewed")])
+@pytest.mark.parametrize(
+    ("landscape", "noise"),
+    [("plateau", "normal"), ("plateau", "skewed"), ("ridge", "normal"), ("ridge", "skewed")],
+)
 def test_the_region_and_the_interval_hold_the_truth_as_often_as_they_say(landscape, noise, budget):
     """400 landscapes with a known optimum: a standard error of a hundredth. The region holds it 95 times of 100 where
     all points are alike, which is the case that the method is made for, and more often where most are worse."""
     found = shares(landscape, noise, budget)
     assert 0.93 <= found["region holds it"] <= (0.98 if landscape == "plateau" else 0.995), found
-    assert found["points"] <= (48 if landscape == "plateau" else 14), found
+    assert found["points"] <= (48 if landscape == "plateau" else 14 if noise == "normal" else 16), found
     assert 0.925 <= found["fresh"] <= 0.975, found
     assert abs(found["fresh bias"]) <= 0.1, found  # of noise of 0.6 mm/s: 400 means have a standard error of 0.03
     assert found["chosen bias"] >= 0.4, "the winner's curse"
