@@ -27,8 +27,6 @@ _WORKING: Final[ContextVar[bool]] = ContextVar("_WORKING", default=False)
 COMPILING = "compiling, once per machine"
 #: Seconds without any progress after which a first compilation is the reason; a cached program starts sooner.
 PATIENCE = 1.5
-#: Seconds between two states of a line that is written over.
-_MOVING: Final = 0.5
 
 
 class ProgressBar:
@@ -39,7 +37,7 @@ class ProgressBar:
         unit: what is counted, "runs".
         quiet: show nothing; by default as the present command is told.
         compiles: mention compilation if there is no progress at first.
-        every: seconds between two lines without a terminal.
+        every: seconds between two lines without a terminal; in a notebook 20 states of the line in this time.
         stream: where to write; standard error by default.
     """
 
@@ -64,6 +62,7 @@ class ProgressBar:
         self._pace_start = (0.0, 0.0)
         self._last_line = time.monotonic()
         self._writes_over, self._width = not self._stream.isatty() and _is_notebook(), 0
+        self._every = 0.05 * every if self._writes_over else every
 
     def __enter__(self) -> ProgressBar:
         if not self._quiet and self._stream.isatty():
@@ -105,7 +104,7 @@ class ProgressBar:
         finished = fraction >= 1.0 > self._start[1] and done == total
         if self._bar is not None:
             self._bar.update(self._task, completed=fraction)
-        elif now - self._last_line < (_MOVING if self._writes_over else self._every) and not finished:
+        elif now - self._last_line < self._every and not finished:
             return
         self._last_line = now
         self._note(text)

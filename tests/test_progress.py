@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import itertools
 import sys
 import tempfile
 import types
@@ -55,7 +56,8 @@ def test_in_a_notebook_a_job_writes_one_line_over_and_over(monkeypatch):
     stream = io.StringIO()
     monkeypatch.setattr(sys, "stderr", stream)
     monkeypatch.setitem(sys.modules, "IPython", types.SimpleNamespace(get_ipython=object))
-    monkeypatch.setattr("nermo_mjx.progress._MOVING", 0.0)
+    clock = itertools.count()
+    monkeypatch.setattr("nermo_mjx.progress.time", types.SimpleNamespace(monotonic=lambda: float(next(clock))))
     swept()
     text = stream.getvalue()
     assert (text.count("\n"), text[-2:]) == (1, "\r\n")

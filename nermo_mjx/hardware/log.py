@@ -55,7 +55,6 @@ QUANTITIES: Final[dict[str, dict[str, float]]] = {
     "current": {"A": 1.0, "mA": 1e-3},
     "torque": _TORQUE,
 }
-_FORMER: Final = {"acceleration": "accelerometer"}
 #: What a channel is of where a file does not say it: the only such sensor of this robot.
 _OF: Final = {"gyro": "imu", "accelerometer": "imu", "position": "torso", "yaw": "torso"}
 #: How many columns a channel may have: one for each axis of these quantities.
@@ -88,7 +87,9 @@ class SignalFields(Fields):
     what: ClassVar = "a field of a channel"
     expected: ClassVar = "a mapping such as {quantity: angle, of: front_left_hip, unit: deg}"
     example: ClassVar = expected
-    quantity: Annotated[str, Choice(tuple(QUANTITIES), _FORMER)] = Field(description="what it is")
+    quantity: Annotated[str, Choice(tuple(QUANTITIES), {"acceleration": "accelerometer"})] = Field(
+        description="what it is"
+    )
     unit: Any = Field(description="of the column's numbers: a name, or the SI units of a count")
     of: str = optional("name of the servo, joint, sensor, foot or body that it is of")
     column: str = optional("name of its column; by default the channel's name")

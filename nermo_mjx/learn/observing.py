@@ -51,13 +51,11 @@ class Sensed:
 
     Attributes:
         read: the readings of one world, in SI units.
-        scale: what is observed is the reading over this, so that it is about 1.
-        noise: whether it has one, a field of `Sensing`.
+        scale: what is observed is the reading over this, so that it is about 1. Its noise is a field of `Sensing`.
     """
 
     read: Callable[[Sensors], Vector]
     scale: float = 1.0
-    noise: bool = True
 
 
 def projected_gravity(sensors: Sensors) -> Float[Array, " 3"]:
@@ -88,7 +86,7 @@ SENSED: Final[dict[str, Sensed]] = {
     "servo_torque": Sensed(lambda s: s.servo_torque[: len(ACTED)], 0.1),
     "motor_current": Sensed(current, 0.5),
     "knee_angle": Sensed(lambda s: s.knee_angle),
-    "foot_contact": Sensed(contact, noise=False),
+    "foot_contact": Sensed(contact),
     "gyro": Sensed(lambda s: s.gyro, 3.0),
     "accelerometer": Sensed(lambda s: s.accelerometer, 9.81),
     "projected_gravity": Sensed(projected_gravity),
@@ -232,7 +230,7 @@ class Observer:
         if self.noisy:
             spread = []
             for name in self.sensed:
-                noise = getattr(sensing, f"{name}_noise") if SENSED[name].noise else 0.0
+                noise = getattr(sensing, f"{name}_noise", 0.0)
                 size = len(reading_names(name, ACTED))
                 spread.append(jnp.broadcast_to(jnp.asarray(noise) / SENSED[name].scale, (size,)))
             noise = jax.random.normal(key, readings.shape, readings.dtype)

@@ -27,7 +27,7 @@ from nermo_mjx.specs.described import Described, digest_of
 from nermo_mjx.specs.fields import Fields, Refused, optional, read
 from nermo_mjx.specs.model import Spec, named_section, one_of, written
 from nermo_mjx.specs.reading import Document, SpecError, plain_data
-from nermo_mjx.specs.values import Choice, EndsInUnits, FiniteInUnits, Positive, Way, Whole
+from nermo_mjx.specs.values import Choice, Ends, FiniteInUnits, Positive, Way, Whole
 from nermo_mjx.specs.walk import (
     PilotFields,
     SceneField,
@@ -52,7 +52,7 @@ class SceneFields(Fields):
     corridor: Way = optional("distance from the path at which an episode fails there [m]")
     set: dict[str, FiniteInUnits] = Field({})
     """parameters with one value there"""
-    randomize: dict[str, EndsInUnits] = Field({})
+    randomize: dict[str, Ends] = Field({})
     """what each episode draws there, in addition to the file's own"""
     share: Positive = 1.0
     """of the worlds, relative to those of the other scenes"""
@@ -129,7 +129,7 @@ class EvaluationSpec(Spec):
     """where it is evaluated, by default where it learned"""
     set: dict[str, FiniteInUnits] = dataclasses.field(default_factory=dict)
     """parameters that are not drawn there, such as terrain.height, on the scenes that have them"""
-    randomize: dict[str, EndsInUnits] = dataclasses.field(default_factory=dict)
+    randomize: dict[str, Ends] = dataclasses.field(default_factory=dict)
     """ranges that differ from those of the training's draws"""
     physics: Annotated[str, Choice(tuple(PRESETS))] = None  # type: ignore[assignment]  # none cannot be written
     """physics of its walks and the validation's, with their own time step; by default those of the training"""
@@ -156,7 +156,7 @@ class TrainingFile(WalkFields):
     sources: ClassVar = "'randomize' or 'set'"
     task: Task = Field(default_factory=Task)
     """what a policy does, and what it is rewarded for"""
-    randomize: dict[str, EndsInUnits] = Field({**RANDOMIZED})
+    randomize: dict[str, Ends] = Field({**RANDOMIZED})
     """what each episode draws: a parameter, and its range [low, high]"""
     scenes: list[SceneFields] = optional(
         "instead of 'scene': several, on which one policy learns, the worlds divided among them"

@@ -457,8 +457,8 @@ class Reading:
     doc: str
 
 
-def _axes(name: str, axes: str = "xyz") -> tuple[str, ...]:
-    return tuple(f"{name}_{axis}" for axis in axes)
+def _axes(*names: str, axes: str = "xyz") -> tuple[str, ...]:
+    return tuple(f"{name}_{axis}" for name in names for axis in axes)
 
 
 def _feet(name: str) -> tuple[str, ...]:
@@ -470,7 +470,7 @@ def _feet(name: str) -> tuple[str, ...]:
 READINGS: Final[dict[str, Reading]] = {
     "servo_command": Reading((), "rad", "angle that the servo aims at"),
     "position": Reading(_axes("position"), "m", "place of the IMU in the world"),
-    "orientation": Reading(_axes("orientation", "wxyz"), "1", "quaternion of the IMU"),
+    "orientation": Reading(_axes("orientation", axes="wxyz"), "1", "quaternion of the IMU"),
     "linear_velocity": Reading(_axes("linear_velocity"), "m/s", "of the IMU in the world"),
     "gyro": Reading(_axes("gyro"), "rad/s", "angular velocity in the IMU's frame"),
     "accelerometer": Reading(_axes("accelerometer"), "m/s^2", "in the IMU's frame"),
@@ -479,16 +479,10 @@ READINGS: Final[dict[str, Reading]] = {
     "servo_torque": Reading((), "N m", "torque of the servo"),
     "knee_angle": Reading(_feet("knee_angle"), "rad", "angle of the knee, 0 stretched"),
     "foot_force": Reading(_feet("foot_force"), "N", "normal contact force of the foot"),
-    "foot_position": Reading(
-        tuple(name for foot in _feet("foot_position") for name in _axes(foot)), "m", "of the foot in the world"
-    ),
-    "foot_velocity": Reading(
-        tuple(name for foot in _feet("foot_velocity") for name in _axes(foot)), "m/s", "of the foot in the world"
-    ),
+    "foot_position": Reading(_axes(*_feet("foot_position")), "m", "of the foot in the world"),
+    "foot_velocity": Reading(_axes(*_feet("foot_velocity")), "m/s", "of the foot in the world"),
     "tail_force": Reading(("tail_force",), "N", "normal contact force of the tail"),
-    "contact_distance": Reading(
-        ("contact_distance",), "m", "distance of the deepest contact, negative where bodies overlap"
-    ),
+    "contact_distance": Reading(("contact_distance",), "m", "of the deepest contact, negative where bodies overlap"),
     "attitude": Reading(("roll", "pitch", "yaw"), "rad", "of the torso; positive leans left, noses down, turns left"),
     "speed": Reading(("speed",), "m/s", "horizontal speed of the IMU"),
     "foot_contact": Reading(_feet("foot_contact"), "1", "whether a foot bears load"),

@@ -128,7 +128,7 @@ class Numbers(Checked):
     written: str
     least: int
     most: int | None = None
-    of_parameter: bool = False
+    of_parameter: bool = True
 
     def inner(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         numbers = core_schema.list_schema(core_schema.float_schema(strict=True))
@@ -154,10 +154,8 @@ class _Ends(Numbers):
         return low, high
 
 
-#: A range [low, high].
+#: A range [low, high] of a parameter.
 Ends = Annotated[tuple[float, float], _Ends("[low, high]", 2, 2)]
-#: The same of a parameter.
-EndsInUnits = Annotated[tuple[float, float], _Ends("[low, high]", 2, 2, of_parameter=True)]
 
 
 @dataclasses.dataclass(frozen=True)

@@ -144,7 +144,7 @@ def arms_of_values(source: Source, by: str, base: Value | None) -> tuple[list[Ar
         raise ParameterError(f"by is {by!r}, which has the one value {value_text(values[0])}: nothing can be compared.")
     first = "none" if "none" in values else values[0]
     if base is not None:
-        first = value_among(base, values, "base", unit_of(results, by))
+        first = value_among(base, values, "base", results.schema.field(by))
     values = [first, *(value for value in values if value != first)]
     return [Arm(value_text(value), results, runs[runs[by] == value].drop(columns=by)) for value in values], notes
 
@@ -181,14 +181,9 @@ def check_name(name: str, known: Sequence[str], option: str) -> None:
         )
 
 
-def unit_of(results: Results, name: str) -> str:
-    """The unit of a column."""
-    return meta(results.schema.field(name)).get("unit", "1")
-
-
-def value_among(wanted: Value, values: Sequence[Value], option: str, unit: str = "1") -> Value:
+def value_among(wanted: Value, values: Sequence[Value], option: str, column: pa.Field) -> Value:
     """The requested value, as in the column; numbers may differ in their last digits, and texts have units."""
-    number = Quantity(0.0, unit, -math.inf, math.inf, "of a column").number(str(wanted))
+    number = Quantity(0.0, meta(column).get("unit", "1"), -math.inf, math.inf, "of a column").number(str(wanted))
     number = math.nan if number is None else number
     for value in values:
         close = (
@@ -545,7 +540,7 @@ def compare(
     for i, arm in enumerate(arms):
         for name, wanted in (where or {}).items():
             check_name(name, [*arm.runs], "where")
-            chosen = value_among(wanted, _values(arm.runs[name]), f"where {name}", unit_of(arm.results, name))
+            chosen = value_among(wanted, _values(arm.runs[name]), f"where {name}", arm.results.schema.field(name))
             arm = arm.where(arm.runs[name] == chosen)
         if not len(arm.runs):
             values = ", ".join(f"{name} = {value}" for name, value in (where or {}).items())

@@ -101,10 +101,8 @@ def _skewness(values: np.ndarray) -> float:
     """
     rest = values - values.mean(axis=0) - values.mean(axis=1, keepdims=True) + values.mean()
     second, third = (math.prod(1 - m / size for size in values.shape for m in range(1, upto)) for upto in (2, 3))
-    square = float((rest**2).mean())
-    if third <= 0.0 or square == 0.0:
-        return 0.0
-    return max(0.0, float((rest**3).mean()) / third / (square / second) ** 1.5)
+    square = float((rest**2).mean()) / second
+    return max(0.0, float((rest**3).mean()) / third / square**1.5) if third * square > 0.0 else 0.0
 
 
 @dataclasses.dataclass(frozen=True)
