@@ -25,7 +25,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter
 from pyarrow import csv
-from scipy import optimize, stats
+from scipy import optimize, special, stats
 
 from nermo_mjx.plotting.charts import around, blank, cell_edges, cell_means, colour_bar, set_scales, signed
 from nermo_mjx.plotting.shown import LEVEL, ShownValues, half_width, shown, spoken, titled
@@ -55,19 +55,23 @@ def hsu_margin(points: int, freedom: int, level: float, skew: float = 0.0) -> fl
     """How many standard errors of a difference the best of some points lies below the highest mean by chance, at most.
 
     The quantile of the largest of k - 1 Student's t that share one of their two sides and the estimate of the noise; of
-    means whose noise has a skewness, it is that of Pearson's third kind.
+    means whose noise has a positive skewness, it is that of Pearson's third kind.
 
     >>> round(hsu_margin(2, 10, 0.95), 2), round(hsu_margin(5, 10, 0.95), 2)
     (1.81, 2.46)
     """
-    noise, shares = stats.pearson3(skew), (np.arange(60) + 0.5) / 60
-    places = noise.ppf((np.arange(100) + 0.5) / 100)
+    middle, shares = (np.arange(100) + 0.5) / 100, (np.arange(60) + 0.5) / 60
     scale = np.sqrt(2 * stats.chi2.ppf(shares, freedom) / freedom)
+    below, places = special.ndtr, special.ndtri(middle)
+    if skew:
+        shape = 4.0 / skew**2  # of a gamma distribution
+        below, places = functools.partial(special.gammainc, shape), special.gammaincinv(shape, middle)
+        scale *= math.sqrt(shape)
 
     def beyond(far: float) -> float:
-        return float((noise.cdf(places[:, None] + far * scale) ** (points - 1)).mean()) - level
+        return float((below(places[:, None] + far * scale) ** (points - 1)).mean()) - level
 
-    return float(optimize.brentq(beyond, -50.0, 500.0, xtol=1e-4))
+    return float(optimize.brentq(beyond, 0.0, 500.0, xtol=1e-4))
 
 
 def undistinguished(values: np.ndarray, level: float = LEVEL) -> np.ndarray:
