@@ -12,7 +12,7 @@ from sweep_fake import FakeSimulator, Noisy
 
 from nermo_mjx.sweep import SpecError, Sweep, run_sweep
 from nermo_mjx.sweep.counting import two_stage
-from nermo_mjx.sweep.optimum import hsu_margin, judged
+from nermo_mjx.sweep.optimum import hsu_margin, judged, optimum_in
 from nermo_mjx.sweep.plots import sweep_figures
 from nermo_mjx.sweep.spec import SoughtOptimum
 
@@ -237,6 +237,8 @@ def test_it_may_be_sought_in_a_finished_directory(tmp_path):
     assert answer["at"]["spine.amplitude"] == 0.3
     assert answer["points"] == 6
     assert answer["metrics"]["speed"]["pairs"] == 0
+    (said,) = (each for each in optimum_in(tmp_path).how() if "fresh runs each" in each)
+    assert "3 runs a point, 4 fresh runs each, no pairs (randomize.paired makes them)" in said
     fresh = result.table.slice(len(first)).to_pandas()
     best, base = (fresh[fresh["spine.amplitude"] == each].speed for each in (0.3, 0.0))
     welch = stats.ttest_ind(best, base, equal_var=False)
