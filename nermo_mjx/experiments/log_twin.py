@@ -47,8 +47,8 @@ COMMANDS: Final = ("delay", "bias", "dead_band", "backlash")
 #: Kinds of parameters and their ranges; see `experiments.yaml`.
 KINDS: Final[dict[str, dict[str, Any]]] = texts("log")["kinds"]
 #: Quantities that a model predicts.
-PREDICTED: Final = ("angle", "velocity", "gyro", "acceleration", "position", "yaw", "torque")
-_SENSORS: Final = {"gyro": "GYRO", "acceleration": "ACCELEROMETER"}
+PREDICTED: Final = ("angle", "velocity", "gyro", "accelerometer", "position", "yaw", "torque")
+_SENSORS: Final = {"gyro": "GYRO", "accelerometer": "ACCELEROMETER"}
 
 
 class Body:
@@ -179,7 +179,7 @@ class MjcfBody(Body):
         try:
             free_joints = [joint for joint in spec.joints if joint.type == mujoco.mjtJoint.mjJNT_FREE]
             seen = {each.quantity for one in log for each in one.channels}
-            held = bool(free_joints) and not seen & {"gyro", "acceleration", "position", "yaw"}
+            held = bool(free_joints) and not seen & {"gyro", "accelerometer", "position", "yaw"}
             if held:
                 for key in list(spec.keys):
                     spec.delete(key)

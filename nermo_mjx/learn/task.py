@@ -25,7 +25,7 @@ from nermo_mjx.control.controller import Controller
 from nermo_mjx.control.pilot import OpenLoop
 from nermo_mjx.control.protocol import ControllerLike, user_code
 from nermo_mjx.learn.acting import Acted, Acting, ActionField, ActionKind, Residual
-from nermo_mjx.learn.observing import OBSERVED, SENSED, TOLD, Sensing
+from nermo_mjx.learn.observing import FORMER, OBSERVED, SENSED, TOLD, Sensing
 from nermo_mjx.robot import ModelParameters, ParameterError, Quantity, Robot, Sensors, identified
 from nermo_mjx.robot.model_parameters import is_shaped
 from nermo_mjx.robot.quantity import (
@@ -46,7 +46,7 @@ from nermo_mjx.rollout.setup import Setup, Window, all_parameters
 from nermo_mjx.shapes import Array, Count, Scalar, Truth
 from nermo_mjx.specs.fields import JsonSchema, Refused
 from nermo_mjx.specs.model import Spec
-from nermo_mjx.specs.values import BodiesField, Checked, Choice, Ends, Finite, Positive, Whole
+from nermo_mjx.specs.values import BodiesField, Checked, Choice, Ends, Finite, FiniteInUnits, Seconds, Way, Whole
 
 #: Errors at which the terms that track a command have fallen to 1/e: speed [m/s], yaw rate [rad/s].
 SPEED_WIDTH: Final = 0.05
@@ -302,11 +302,11 @@ class Task(Spec):
     elsewhere = ("randomize",)
     action: ActionField = dataclasses.field(default_factory=Residual)
     """what an action does: `Residual`, `Modulation` or `Targets`"""
-    observe: Annotated[tuple[Annotated[str, Choice((*SENSED, *TOLD))], ...], Field(strict=False)] = OBSERVED
+    observe: Annotated[tuple[Annotated[str, Choice((*SENSED, *TOLD), FORMER)], ...], Field(strict=False)] = OBSERVED
     """what a policy observes: groups of `observing.SENSED` and `TOLD`"""
     rewards: Annotated[Mapping[Any, float], _Rewards()] = dataclasses.field(default_factory=lambda: dict(REWARDS))
     """weights of the reward's terms, see `rewards.TERMS`; in Python also of a custom `Term`"""
-    set: dict[str, Finite] = dataclasses.field(default_factory=dict)
+    set: dict[str, FiniteInUnits] = dataclasses.field(default_factory=dict)
     """value in all episodes of parameters, commands and sensors: command.speed, sensing.delay, ..."""
     randomize: dict[str, Ends] = dataclasses.field(default_factory=lambda: dict(RANDOMIZED))
     """range (low, high) of each parameter that is drawn, uniformly, for each episode"""
@@ -315,11 +315,11 @@ class Task(Spec):
     decimation: Annotated[int, Whole(1, 100)] = 1
     """control ticks for which an action is held. The residual learners on this robot act at each one, and a policy
     costs a tenth of a tick's physics"""
-    duration: Positive = 10.0
+    duration: Annotated[Seconds, Field(gt=0, allow_inf_nan=False)] = 10.0
     """length of an episode [s]"""
-    distance: Positive = None  # type: ignore[assignment]  # none cannot be written in a file
+    distance: Way = None  # type: ignore[assignment]  # none cannot be written in a file
     """distance at which an episode ends [m]; by default it ends at none"""
-    corridor: Positive = None  # type: ignore[assignment]
+    corridor: Way = None  # type: ignore[assignment]
     """distance from the path at which an episode fails [m]; by default it fails at none"""
 
     def __post_init__(self) -> None:
@@ -327,11 +327,17 @@ class Task(Spec):
             raise ParameterError(f"action is {self.action!r}: expected Residual, Modulation or Targets.")
         if not (isinstance(self.decimation, int) and self.decimation >= 1):
             raise ParameterError(f"decimation is {self.decimation!r}: allowed is a whole number from 1 on.")
-        for name in ("duration", "distance", "corridor"):
+        for name, unit in (("duration", "s"), ("distance", "m"), ("corridor", "m")):
             value = getattr(self, name)
+            if isinstance(value, str):
+                value = Quantity(10.0, unit, 0.0, np.inf, "of an episode").numbers(name, value)
+                object.__setattr__(self, name, value)
             if value is not None and not 0.0 < value < np.inf:
                 raise ParameterError(f"{name} is {value!r}: allowed is (0, inf).")
-        object.__setattr__(self, "observe", tuple(self.observe))
+        object.__setattr__(self, "observe", tuple(FORMER.get(name, name) for name in self.observe))
+        for section in ("set", "randomize"):
+            named = {FORMER.get(name, name): value for name, value in getattr(self, section).items()}
+            object.__setattr__(self, section, named)
         if isinstance(self.bodies, bool):
             object.__setattr__(self, "bodies", identified.IDENTIFIED if self.bodies else "")
 
