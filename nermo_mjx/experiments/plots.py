@@ -333,7 +333,7 @@ LEAST, MOST = -0.5, 2.5
 _NEAR: Final = "#e6f1f8"
 _TONES: Final = {"as_published": LINE, "exact": "#b9cbd8", "as_built": "#8a6fb0", "author": "#444444"}
 #: Right ends of the columns of numbers, in widths of the table.
-_COLUMNS: Final = {"published": 0.16, "author": 0.35, "as_published": 0.635, "exact": 0.81, "as_built": 1.0}
+_COLUMNS: Final = {"published": 0.17, "author": 0.39, "as_published": 0.62, "exact": 0.81, "as_built": 1.0}
 
 
 def _number(value: Any) -> float | None:
@@ -352,7 +352,7 @@ def _agreement(outcome: CaseRuns, lines: Lines) -> Drawn:
     if not rows:
         return
     title = f"What was published, and what was measured: {outcome.experiment.replace('-', ' ')}"
-    page = FigurePage(title, (11.4, 1.5 + 0.255 * len(rows)), 1, 2, sharey=True, gridspec_kw={"width_ratios": [1.2, 1]})
+    page = FigurePage(title, (12.6, 1.5 + 0.255 * len(rows)), 1, 2, sharey=True, gridspec_kw={"width_ratios": [1, 1]})
     ax, table = page.axes[0]
     ax.axvspan(1 - AGREES, 1 + AGREES, color=_NEAR, lw=0, zorder=-5)
     ax.axvline(1, color=MUTED, lw=0.8, zorder=0)
@@ -395,7 +395,7 @@ def _agreement(outcome: CaseRuns, lines: Lines) -> Drawn:
     handles += [swatch(f"within {AGREES:.0%}".replace("%", " %"), _NEAR)]
     note = (
         "of an effect, a ratio, the share is of the ratio less 1; arrow: beyond the axis; bracket: published as an "
-        "interval, of which the diamond is the middle; author: his own model and code; orange: does not hold"
+        "interval, of which the diamond is the middle; author: his model and code in MuJoCo 3.17; orange: does not hold"
     )
     yield "report", page.finish(handles, note)
 

@@ -141,4 +141,4 @@ def _smooth(values: np.ndarray) -> np.ndarray:
 def _what(training: Training) -> str:
     setup, several = training.setup, training.scenes
     where = f"{len(several)} scenes" if several else f"scene {scene_name(str(setup.scene))}"
-    return f"{setup.robot}, {where}, seed {training.seed}, {training.worlds:,} worlds"
+    return f"{setup.robot}, {where}, profile {setup.profile}, seed {training.seed}, {training.worlds:,} worlds"

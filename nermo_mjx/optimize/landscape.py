@@ -100,7 +100,7 @@ def points_along(tuning: Tuning, points: int, span: float) -> dict[str, np.ndarr
         low, high = tuned.low + FURTHEST * bounds, tuned.high - FURTHEST * bounds
         length = span * (high - low)
         first = min(max(tuned.start - length / 2, low), high - length)
-        line = np.linspace(first, first + length, points)
+        line = np.linspace(first, first + length, points).round(14) + 0.0  # 0 and not -4e-16
         rows += [(tuned.name, -1, 0.0, 0, x) for x in line]
         # Evenly spread, as far from the line's ends as the widest secants reach.
         margin = min(0.5 * max(WIDTHS) * bounds, _MARGIN * (line[-1] - line[0]))

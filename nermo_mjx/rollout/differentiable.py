@@ -261,7 +261,7 @@ class Rollout:
                 shape = jnp.shape(value)
                 raise ParameterError(f"{name} has shape {shape}: a rollout is one world; use jax.vmap for a batch.")
         known = {name: value for name, value in values.items() if not _traced(value)}
-        self.setup.world(dict.fromkeys(values, 0.0))  # unknown names
+        self.setup.world(values)  # unknown names
         checked = self.setup.world(known, None if _traced(policy) else policy)
         self.setup.check(checked, jointly=len(known) == len(values) and not _traced(policy))
 

@@ -62,12 +62,12 @@ class RecordedGait:
 
     @property
     def title(self) -> str:
-        """The gait in words, after a colon; empty if unknown."""
+        """The gait in words, after a colon, its frequency and the profile; empty if unknown."""
         setup, labels = self.recording.metadata.get("setup", {}), self.recording.metadata.get("labels", {})
         gait = spoken(setup.get("gait") or labels.get("gait") or "")
-        if self.cycle is None:
-            return f": {gait}" if gait else ""
-        return f": {gait} at {self.values['frequency']:.3g} Hz" if gait else f" at {self.values['frequency']:.3g} Hz"
+        rate = "" if self.cycle is None else f" at {self.values['frequency']:.3g} Hz"
+        profile = labels.get("profile") or setup.get("profile")
+        return (f": {gait}" if gait else "") + rate + (f", profile {profile}" if profile else "")
 
     @cached_property
     def shown(self) -> tuple[slice, str]:
