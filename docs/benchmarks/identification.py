@@ -25,7 +25,7 @@ import numpy as np
 
 from nermo_mjx import Run, Setup, Simulator
 from nermo_mjx.experiments.log_identification import Identification, Wanted, identify_log
-from nermo_mjx.experiments.log_twin import STANDS, MjcfBody, NermoBody, nermo_body
+from nermo_mjx.experiments.log_twin import STANDS, MjcfBody, NermoBody
 from nermo_mjx.hardware.log import Channel, Log
 from nermo_mjx.physics.variation import compile_model
 from nermo_mjx.robot import load_robot
@@ -153,12 +153,12 @@ def nermos(robots: int, first: int, tracks: bool, duration: float) -> None:
     rows, free = [], FEW if tracks else FREE
     for seed in range(first, first + robots):
         random = np.random.default_rng((seed, tracks))
-        body = nermo_body("nermo_lite", free)
+        body = NermoBody("nermo_lite", free)
         truth = drawn(body, random)
         log = nermo_log(truth, *walk(duration, seed), random)
         seen = ("command", "position", "yaw") if tracks else ("command", "angle", "gyro", "acceleration")
         log = dataclasses.replace(log, channels=tuple(each for each in log.channels if each.quantity in seen))
-        found = identify_log(lambda kinds: nermo_body("nermo_lite", kinds), [log], Wanted(free))
+        found = identify_log(lambda kinds: NermoBody("nermo_lite", kinds), [log], Wanted(free))
         rows.append({"seed": seed} | compared(found, truth))
         print(json.dumps(rows[-1]), flush=True)
     print(json.dumps(summary(rows)))

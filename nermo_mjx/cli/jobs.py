@@ -796,7 +796,7 @@ def _identify_log(
 
     def make(kinds: Sequence[str]) -> log_twin.Body:
         if model is None:
-            return log_twin.nermo_body(robot, kinds)
+            return log_twin.NermoBody(robot, kinds)
         return log_twin.MjcfBody(model, [*logs, *judges], kinds)
 
     unread = [each.name for each in logs[0].channels if each.quantity not in (*log_twin.PREDICTED, "command")]

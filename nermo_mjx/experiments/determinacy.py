@@ -137,8 +137,7 @@ class Fit:
         share: standard deviation of the posterior along each of the directions, as a share of the prior's (p,).
         directions: orthonormal columns (p, p), the best determined one first.
         draws: of the posterior (draws, p), in coordinates.
-        cost: mean square of the whitened residuals.
-        same: how many of the starts came to this cost, and of how many.
+        same: how many of the starts came to this minimum, and of how many.
     """
 
     space: ParameterSpace
@@ -149,7 +148,6 @@ class Fit:
     share: np.ndarray
     directions: np.ndarray
     draws: np.ndarray
-    cost: float
     same: tuple[int, int]
 
     @property
@@ -287,7 +285,7 @@ class Estimation:
         random = np.random.default_rng(seed)
         draws = x + (random.standard_normal((DRAWS, len(x))) * share) @ vectors.T
         residual = white * sigma[self.measured.channel]
-        return Fit(self.space, x, residual, sigma, jacobian, share, vectors, draws, float(np.mean(white**2)), same)
+        return Fit(self.space, x, residual, sigma, jacobian, share, vectors, draws, same)
 
     def jacobian(self, x: np.ndarray, sigma: np.ndarray) -> np.ndarray:
         """Of the whitened residuals (n, p), by central differences within the bounds, in one batch."""

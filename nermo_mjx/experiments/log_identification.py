@@ -83,7 +83,7 @@ class Identification:
     """The result.
 
     Attributes:
-        body, wanted: that were fitted.
+        body: that was fitted.
         fit: of the whole class.
         simplest: of the simplest class within noise; the whole class if none is simpler.
         left_out: kinds that it leaves out.
@@ -95,7 +95,6 @@ class Identification:
     """
 
     body: Body
-    wanted: Wanted
     fit: Fit
     simplest: Fit
     left_out: tuple[str, ...]
@@ -244,7 +243,7 @@ def identify_log(
     missing = {} if fitted.judgement.right else _missing(make, wanted, fit, whole, heads, twin)
     report(1.0)
     return Identification(
-        body, wanted, fit, simplest, tuple(left if simplest is not fit else ()), missing, before, after, fitted, errors,
+        body, fit, simplest, tuple(left if simplest is not fit else ()), missing, before, after, fitted, errors,
         _repeatability(logs, fit.sigma, whole.problem.labels), time.monotonic() - began,
     )  # fmt: skip
 

@@ -25,7 +25,7 @@ from nermo_mjx.experiments.determinacy import LoggedSamples, Parameter, without
 from nermo_mjx.hardware.log import Channel, Log
 from nermo_mjx.physics.servo_play import Play, played, servo_addresses
 from nermo_mjx.physics.variation import Variation, moves_constants
-from nermo_mjx.robot import ModelParameters, ParameterError, Robot, load_robot
+from nermo_mjx.robot import ModelParameters, ParameterError, load_robot
 from nermo_mjx.robot.masses import mass_values
 from nermo_mjx.robot.quantity import did_you_mean, replace_quantities
 from nermo_mjx.robot.scene import read_mjcf
@@ -193,7 +193,6 @@ class MjcfBody(Body):
             raise ParameterError(f"{path}: MuJoCo cannot compile it ({str(error).splitlines()[0]}).") from None
         if held:
             self.notes.append("No channel sees the base: it is held where the model puts it.")
-        self.path = path
         self._add(tuple(free), {each.of for one in log for each in one.channels if each.quantity == "command"})
 
     def _add(self, free: tuple[str, ...], commanded: set[str]) -> None:
@@ -259,18 +258,17 @@ class MjcfBody(Body):
 
 
 class NermoBody(Body):
-    """Nermo, with the parameters of `ModelParameters`."""
+    """Nermo-Lite or Nermo 4.1 as it comes with the package, with the parameters of `ModelParameters`."""
 
-    def __init__(self, robot: Robot, free: Iterable[str], fixed: Mapping[str, float]) -> None:
+    def __init__(self, robot: str, free: Iterable[str]) -> None:
         """
         Args:
-            robot: standing in its scene.
+            robot: its name.
             free: kinds of parameters that are estimated.
-            fixed: model parameter -> value, of the body that it starts from.
         """
-        super().__init__(robot.physical)
-        self.robot, self._variation = robot, Variation(robot)
-        self.standing = dict(fixed)
+        nermo = load_robot(robot)
+        super().__init__(nermo.physical)
+        self._variation, self.standing = Variation(nermo), dict(mass_values(robot))
         self.model.opt.jacobian = mujoco.mjtJacobian.mjJAC_SPARSE
         known = replace_quantities(ModelParameters(), self.standing)
         for name, about in texts("log")["nermo"].items():
@@ -284,7 +282,7 @@ class NermoBody(Body):
             )
         if "bias" in free:
             low, value, high = KINDS["bias"]["unset"]
-            for servo in robot.servos[:9]:
+            for servo in nermo.servos[:9]:
                 name = f"bias.{servo}"
                 self.parameters[name] = Parameter(name, "bias", "rad", value, low, high, KINDS["bias"]["why"], 0.0)
 
@@ -316,11 +314,6 @@ class NermoBody(Body):
     def joint(self, name: str) -> int:
         """See `Body.joint`: knees and the spine are named after their servos, whose pulleys a log sees."""
         return int(self.model.actuator_trnid[self.actuator(name), 0])
-
-
-def nermo_body(robot: str, free: Iterable[str]) -> NermoBody:
-    """Nermo-Lite or Nermo 4.1, by name, as it comes with the package."""
-    return NermoBody(load_robot(robot), free, mass_values(robot))
 
 
 class LoggedTwin:
