@@ -53,8 +53,7 @@ def training_figures(out: Path) -> Figures:
         raise DirectoryError(f"there is nothing to draw of {out}: no section of it is finished.")
     names = tuple(name for name in history.column_names if name not in ("iteration", "code"))
     rows = np.stack([np.asarray(history.column(name), float) for name in names], axis=1)
-    content = content_of(out / EVALUATION)
-    return figures_of_training(training, Curves(names, rows), None if content is None else parquet_table(content))
+    return figures_of_training(training, Curves(names, rows), parquet_table(content_of(out / EVALUATION) or b""))
 
 
 def curves_figure(training: Training, curves: Curves) -> Figure:
