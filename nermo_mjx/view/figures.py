@@ -393,22 +393,19 @@ def beside_robot(walk: RecordedGait) -> Figure | None:
     return page.finish(handles, "lag: of what was measured behind what was simulated")
 
 
-def figures_of_recording(
-    recording: Recording, notify: Callable[[str], None], robot: Robot | None = None
-) -> Iterator[tuple[str, Figure]]:
+def figures_of_recording(recording: Recording, notify: Callable[[str], None]) -> Iterator[tuple[str, Figure]]:
     """The figures of a recording: `gait-diagram`, `orientation`, `foot-paths`, `foot-paths-over-ground`,
     `servo-angles` and `ground-path`; of one with a robot's log, `beside-robot`.
 
     Args:
         recording: figures of missing data are left out.
         notify: called with a message about each figure that cannot be drawn.
-        robot: that was recorded; by default assembled from the recording's setup.
     """
     walk = RecordedGait(recording)
     for name, draw in (
         ("gait-diagram", gait_diagram),
         ("orientation", orientation),
-        ("foot-paths", lambda walk: leg_paths(walk, robot or robot_of(recording))),
+        ("foot-paths", lambda walk: leg_paths(walk, robot_of(recording))),
         ("foot-paths-over-ground", over_ground),
         ("servo-angles", servo_angles_figure),
         ("ground-path", ground_path),
