@@ -236,7 +236,7 @@ class Environment:
         setup, engine, worlds, task, seed: as given.
         pure: whether `reset` and `step` are pure functions, which can be traced.
         observation_names, privileged_names, action_names: labels of all values that a policy observes, such as
-            `gyro.x`, of those that a critic receives, and of those of an action.
+            `gyro_x`, of those that a critic receives, and of those of an action.
         observation_size, privileged_size, action_size: how many these are.
         step_seconds: simulated seconds of a control step.
     """
