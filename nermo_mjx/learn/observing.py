@@ -15,6 +15,7 @@ from jaxtyping import Float
 
 from nermo_mjx.control.path import PathPoint
 from nermo_mjx.control.pilot import heading
+from nermo_mjx.control.protocol import NAMED
 from nermo_mjx.learn.acting import ACTED
 from nermo_mjx.robot import LIMBS, ParameterError, Sensors
 from nermo_mjx.robot.geometry import Geometry
@@ -49,7 +50,7 @@ class Sensed:
     """A group of readings.
 
     Attributes:
-        labels: of its numbers.
+        labels: of its numbers; "" for one without a label.
         read: the readings of one world, in SI units.
         scale: what is observed is the reading over this, so that it is about 1.
         unit: of the scale.
@@ -154,6 +155,7 @@ class Observer:
         delayed: largest delay of readings, in control ticks.
         noisy: whether there is noise.
         dt: length of a control tick [s].
+        own: name and readings of each group of one's own, observed after those of `SENSED`.
     """
 
     groups: tuple[str, ...]
@@ -164,17 +166,18 @@ class Observer:
     delayed: int
     noisy: bool
     dt: float
+    own: tuple[tuple[str, Sensed], ...] = ()
 
     def __post_init__(self) -> None:
         known = (*SENSED, *TOLD)
         for name in self.groups:
             if name not in known:
-                raise ParameterError(f"observe has {name!r}: allowed is {', '.join(known)}.")
+                raise ParameterError(f"observe has {name!r}: allowed is {', '.join(known)}, or {NAMED}.")
 
     @property
-    def sensed(self) -> tuple[str, ...]:
-        """The groups that come from sensors."""
-        return tuple(name for name in self.groups if name in SENSED)
+    def sensed(self) -> dict[str, Sensed]:
+        """The groups that come from sensors, by name."""
+        return {name: SENSED[name] for name in self.groups if name in SENSED} | dict(self.own)
 
     @property
     def sees_path(self) -> bool:
@@ -191,15 +194,13 @@ class Observer:
             "curvature": ("path",) if self.path else (),
             "action": self.actions,
         }
-        return tuple(
-            f"{group}.{label}"
-            for group in (*self.sensed, *(name for name in TOLD if name in self.groups))
-            for label in (SENSED[group].labels if group in SENSED else told[group])
-        )
+        labels = {name: group.labels for name, group in self.sensed.items()}
+        labels |= {name: told[name] for name in TOLD if name in self.groups}
+        return tuple(f"{name}.{label}".rstrip(".") for name, several in labels.items() for label in several)
 
     def readings(self, sensors: Sensors) -> Vector:
         """Current sensor readings, scaled."""
-        parts = [SENSED[name].read(sensors) / SENSED[name].scale for name in self.sensed]
+        parts = [group.read(sensors) / group.scale for group in self.sensed.values()]
         return jnp.concatenate(parts) if parts else jnp.zeros(0)
 
     def memory(self, readings: Vector) -> Float[Array, "ticks k"]:
@@ -226,7 +227,7 @@ class Observer:
             readings = newest_first[before] + share * (newest_first[before + 1] - newest_first[before])
         if self.noisy:
             spread = []
-            for group in (SENSED[name] for name in self.sensed):
+            for group in self.sensed.values():
                 noise = 0.0 if group.noise is None else getattr(sensing, group.noise)
                 spread.append(jnp.broadcast_to(jnp.asarray(noise) / group.scale, (len(group.labels),)))
             noise = jax.random.normal(key, readings.shape, readings.dtype)
