@@ -223,7 +223,7 @@ def picked(choice: Truth, one: Any, other: Any) -> Any:
 class Environment:
     """A batch of worlds in which a policy drives the robot.
 
-    >>> environment = Environment(worlds=2, task=Task(duration=0.05))
+    >>> environment = Environment(worlds=2, task=Task(episode_length=0.05))
     >>> state = environment.reset(0)
     >>> state = environment.step(state, np.zeros((2, environment.action_size)))
     >>> state.observation.shape == (2, environment.observation_size), environment.step_seconds
@@ -262,7 +262,7 @@ class Environment:
             task: what the policy does there.
             seed: for `reset()` without a key.
             staggered: after `reset`, the time of each world's first episode is over after a random share of the
-                task's duration, so that episodes do not end together in all worlds.
+                task's length, so that episodes do not end together in all worlds.
             threads: processors that `c` uses, or a pool that several environments share; None for
                 `$NERMO_MJX_THREADS`, or all of them.
 
@@ -351,7 +351,7 @@ class Mixture:
     Every part has the same observation and the same action. The critic's input differs: it is the union of the parts'
     inputs, with zeros where a part lacks them, and the index of the part.
 
-    >>> parts = [(Setup(), Task(duration=1.0)), (Setup(pilot="arc"), Task(duration=1.0))]
+    >>> parts = [(Setup(), Task(episode_length=1.0)), (Setup(pilot="arc"), Task(episode_length=1.0))]
     >>> [part.worlds for part in Mixture(parts, worlds=5).parts]
     [3, 2]
 

@@ -70,14 +70,16 @@ def own_readings(config: RobotConfig, observe: Iterable[Any]) -> dict[str, Sense
         name = name_of(given)
         if name in (*SENSED, *TOLD, *found):
             raise ParameterError(f"observe has {given!r}, but {name} is observed already: give it another name.")
-        found[name] = _readings(config, name, own_object("observe", given))
+        group = own_object("observe", given)
+        if not isinstance(group, Sensed):
+            group = Sensed((), own_function("observe", given), 1.0, "1", None, name)
+        found[name] = _readings(config, name, group)
     return found
 
 
 @functools.lru_cache(maxsize=32)
-def _readings(config: RobotConfig, name: str, given: Any) -> Sensed:
-    """A group of readings, of a `Sensed` or of a function of the sensors, whose numbers are about 1."""
-    group = given if isinstance(given, Sensed) else Sensed((), own_function("observe", given), 1.0, "1", None, name)
+def _readings(config: RobotConfig, name: str, group: Sensed) -> Sensed:
+    """A group of readings with a label for each of its numbers."""
     subject = f"observe has {placed(name, group.read)}"
     size = numbers_at_rest(subject, group.read, at_rest(config), several=True)
     if group.noise is not None and group.noise not in dict(quantities(Sensing)):

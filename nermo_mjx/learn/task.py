@@ -345,19 +345,25 @@ class Task(Spec):
     decimation: Annotated[int, Whole(1, 100)] = 1
     """control ticks for which an action is held. The residual learners on this robot act at each one, and a policy
     costs a tenth of a tick's physics"""
-    duration: Positive = 10.0
+    episode_length: Positive = 10.0
     """length of an episode [s]"""
     distance: Positive = None  # type: ignore[assignment]  # none cannot be written in a file
     """distance at which an episode ends [m]; by default it ends at none"""
     corridor: Positive = None  # type: ignore[assignment]
     """distance from the path at which an episode fails [m]; by default it fails at none"""
 
+    @classmethod
+    def _known(cls, given: Any) -> Any:
+        if isinstance(given, dict) and "duration" in given and "episode_length" not in given:  # its former name
+            given = {"episode_length" if key == "duration" else key: value for key, value in given.items()}
+        return super()._known(given)
+
     def __post_init__(self) -> None:
         if not isinstance(self.action, ActionKind):
             raise ParameterError(f"action is {self.action!r}: expected Residual, Modulation or Targets.")
         if not (isinstance(self.decimation, int) and self.decimation >= 1):
             raise ParameterError(f"decimation is {self.decimation!r}: allowed is a whole number from 1 on.")
-        for name in ("duration", "distance", "corridor"):
+        for name in ("episode_length", "distance", "corridor"):
             value = getattr(self, name)
             if value is not None and not 0.0 < value < np.inf:
                 raise ParameterError(f"{name} is {value!r}: allowed is (0, inf).")
@@ -402,7 +408,7 @@ class Task(Spec):
 
     def ticks(self, dt: float) -> int:
         """Control ticks of `dt` seconds in an episode, a whole number of control steps."""
-        return max(1, round(self.duration / dt / self.decimation)) * self.decimation
+        return max(1, round(self.episode_length / dt / self.decimation)) * self.decimation
 
     def check(self, setup: Setup) -> None:
         """Refuse unknown names, values out of range, and names with two sources.
@@ -509,7 +515,7 @@ class Episodes:
     ) -> tuple[EpisodeParameters, ModelParameters, Float[Array, " nq"]]:
         """Parameters, body and first position of the episode of a random key.
 
-        With `cut_short` its time is over after a random share of the task's duration; `steps` are the control steps of
+        With `cut_short` its time is over after a random share of the task's length; `steps` are the control steps of
         the training so far, for its `commands`.
         """
         seed, draw, body = jax.random.split(key, 3)
