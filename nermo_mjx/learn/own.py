@@ -43,7 +43,9 @@ def own_object(field: str, given: Any) -> Any:
 
 def name_of(given: Any) -> str:
     """Of an entry of one's own: that of the object in its file, or of the function."""
-    return given.rpartition(":")[2] if isinstance(given, str) else getattr(given, "__name__", type(given).__name__)
+    if isinstance(given, str):
+        return given.rpartition(":")[2]
+    return getattr(given.read if isinstance(given, Sensed) else given, "__name__", type(given).__name__)
 
 
 def own_function(field: str, given: Any) -> Callable[..., Any]:
@@ -84,14 +86,14 @@ def _readings(config: RobotConfig, name: str, group: Sensed) -> Sensed:
     size = numbers_at_rest(subject, group.read, at_rest(config), several=True)
     if group.noise is not None and group.noise not in dict(quantities(Sensing)):
         raise ParameterError(f"{subject}, whose noise is {group.noise!r}: expected a field of sensing, or None.")
-    labels = group.labels or tuple(map(str, range(size.size if size.ndim else 0)))
-    if len(labels) != size.size and size.ndim:
+    labels = group.labels or (tuple(map(str, range(size.size))) if size.ndim else ("",))
+    if len(labels) != size.size:
         raise ParameterError(f"{subject}, which gives {described(size)}: it has {len(labels)} labels.")
 
     def read(sensors: Sensors) -> Any:
         return jnp.reshape(jnp.asarray(group.read(sensors), sensors.position.dtype), -1)
 
-    return Sensed(labels or ("",), read, group.scale, group.unit, group.noise, first_line(group.read) or group.doc)
+    return Sensed(labels, read, group.scale, group.unit, group.noise, first_line(group.read) or group.doc)
 
 
 def own_terminations(config: RobotConfig, given: Iterable[Any]) -> dict[str, Callable[[Sensors], Any]]:

@@ -308,36 +308,39 @@ def load_policy(path: str | Path, code: str = "") -> Policy:
     """
     subject = f"controller is '{path}'"
     try:
-        content = read_bytes(Path(path), MOST_ARRAYS)
-        own = _stored(content)[0].own
-        if own is not None or code:
-            _check_code(subject, own, path, code)
-        return _policy(content, code)
-    except _CodeError:
-        raise
+        policy = _policy(read_bytes(Path(path), MOST_ARRAYS))
     except OSError as error:
         raise ParameterError(f"{subject}: it cannot be read ({error.strerror}).") from None
     except (FileError, ParameterError) as error:
         reason = str(error).rstrip(".")
         raise ParameterError(f"{subject}, which holds no policy of `nermo-mjx train`: {reason}.") from None
-
-
-class _CodeError(ParameterError):
-    """A policy without the code that it needs, or with code that it does not need."""
-
-
-def _check_code(subject: str, own: _Own | None, path: str | Path, code: str) -> None:
-    """Refuse code that is not that of a policy's file, before any of it is run."""
+    own = policy.about.get("own")
+    if own is None and code:
+        raise ParameterError(f"{subject}, which observes nothing of one's own: leave {code!r} out.")
     if own is None:
-        raise _CodeError(f"{subject}, which observes nothing of one's own: leave {code!r} out.")
-    what = f"which observes {', '.join(own.groups)} of {own.file}"
+        return policy
+    what = f"which observes {', '.join(own['groups'])} of {own['file']}"
     if not code:
-        raise _CodeError(f"{subject}, {what}, code that is run only where you name it: {path}:{own.file}.")
-    if (found := Source.named("controller is", code, NAMED).digest()) != own.digest:
-        raise _CodeError(
-            f"{subject}, {what} with the digest {own.digest}; that of {code} is {found}: give the file with which it "
-            "was trained."
+        raise ParameterError(f"{subject}, {what}, code that is run only where you name it: {path}:{own['file']}.")
+    if (found := Source.named("controller is", code, NAMED).digest()) != own["digest"]:
+        raise ParameterError(
+            f"{subject}, {what} with the digest {own['digest']}; that of {code} is {found}: give the file with which "
+            "it was trained."
         )
+    return _with_code(policy, code)
+
+
+@functools.lru_cache(maxsize=8)
+def _with_code(policy: Policy, code: str) -> Policy:
+    """A policy with the functions that it observes."""
+    named = [f"{code}:{name}" for name in policy.about["own"]["groups"]]
+    own = tuple(own_readings(policy.setup.load().config, named).items())
+    observer = dataclasses.replace(policy.observer, own=own)
+    if len(observer.names) != len(policy.statistics.mean):
+        raise ParameterError(
+            f"controller is a policy of {len(policy.statistics.mean)} observations: {code} gives others."
+        )
+    return dataclasses.replace(policy, observer=observer)
 
 
 def judged_in(setup: Setup) -> dict[str, Any]:
@@ -383,18 +386,12 @@ class _About(BaseModel, extra="forbid"):
     own: _Own | None = None
 
 
-def _stored(content: bytes) -> tuple[_About, dict[str, np.ndarray]]:
-    """What a file says, and its other arrays."""
+@functools.lru_cache(maxsize=8)
+def _policy(content: bytes) -> Policy:
     arrays = arrays_of(content, "the file")
     if arrays.get("about", np.zeros(1)).dtype != np.uint8:
         raise FileError("it has no 'about'")
     about: _About = read_as(arrays.pop("about").tobytes(), _About, "about")
-    return about, arrays
-
-
-@functools.lru_cache(maxsize=8)
-def _policy(content: bytes, code: str) -> Policy:
-    about, arrays = _stored(content)
     for name in about.base:
         choice("base", name, BASE)
     if about.observer.delayed < 0 or about.observer.delayed * about.observer.dt > 2 * LONGEST_DELAY:
@@ -421,10 +418,7 @@ def _policy(content: bytes, code: str) -> Policy:
         about.fixed,
         about.model_dump(include={"trained", "judged", "versions", "own"}, exclude_none=True),
     )
-    if about.own is not None:
-        own = own_readings(policy.setup.load().config, [f"{code}:{name}" for name in about.own.groups])
-        policy = dataclasses.replace(policy, observer=dataclasses.replace(about.observer, own=tuple(own.items())))
-    if policy.observer.names != about.observation:
+    if about.own is None and policy.observer.names != about.observation:
         raise ParameterError("this version observes other numbers under these names")
     # What it acts on is made now, so that nothing is wrong with it later.
     check_quantities(policy.parameters)

@@ -151,8 +151,12 @@ def turning(sensors):
     return sensors.gyro[2]
 
 
+def _turned(sensors):
+    return sensors.gyro[jnp.array([0, 2])]
+
+
 #: The same as an object, with labels and a scale.
-TURNED = Sensed(("left", "up"), lambda s: s.gyro[jnp.array([0, 2])], 1.0, "rad/s", "gyro_noise", "of the torso")
+TURNED = Sensed(("left", "up"), _turned, 1.0, "rad/s", "gyro_noise", "of the torso")
 
 
 def speeds(key, steps):
@@ -169,7 +173,7 @@ def test_own_functions_give_what_those_of_the_package_give():
         episode_length=0.1,
     )
     environment = Environment(SETUP, worlds=3, task=task)
-    names = ("gyro.x", "gyro.y", "gyro.z", "turning", "Sensed.left", "Sensed.up", "command.speed")
+    names = ("gyro.x", "gyro.y", "gyro.z", "turning", "_turned.left", "_turned.up", "command.speed")
     assert environment.observation_names == names
     state = environment.reset(0)
     for _ in range(4):
@@ -187,6 +191,27 @@ def test_own_functions_give_what_those_of_the_package_give():
 
 def _time(moment):
     return moment.seconds
+
+
+def rougher(key, steps):
+    """Planks that grow."""
+    return {"terrain.height": 0.02 * jnp.clip(steps / 100, 0.0, 1.0)}
+
+
+@pytest.mark.compiles
+def test_a_curriculum_raises_the_ground():
+    """What the critic sees of it ahead: nothing at first, planks of one and of two centimetres later."""
+    setup = Setup(scene="planks", physics="fast")
+    environment = Environment(setup, worlds=8, task=Task(commands=rougher, randomize={"start.phase": (0.0, 1.0)}))
+    ground = [name.startswith("ground.") for name in environment.privileged_names]
+    highest = []
+    for steps in (0, 50, 1e9):
+        state = environment.reset(0, steps=steps)
+        for _ in range(2):
+            state = environment.step(state, np.zeros((8, 9)))
+        highest.append(np.abs(state.privileged[:, ground]).max())
+    assert highest[0] == 0.0
+    assert 0.0 < highest[1] < highest[2]
 
 
 def always(sensors):
@@ -253,7 +278,7 @@ def test_a_policy_with_an_own_observation_says_what_it_needs(tmp_path, done):
     other.write_text(code.read_text() + "\n")
     with pytest.raises(ParameterError, match=r"with the digest \w+; that of .* give the file with which"):
         load_policy(done.policy, str(other))
-    with pytest.raises(ParameterError, match=r"away.py cannot be read"):
+    with pytest.raises(ParameterError, match=r"^controller is 'away.py': away.py cannot be read"):
         load_policy(done.policy, "away.py")
     plain = SWEEPS.parent / "docs" / "howto" / "terrain" / "stiff.npz"
     with pytest.raises(ParameterError, match=r"observes nothing of one's own: leave 'away.py' out"):
