@@ -375,10 +375,10 @@ def check_form(controller: Any) -> None:
 
 def named_place(controller: Any, name: str) -> str:
     """A function of a controller and where it stands, for messages: `controller has update (bound.py:37)`."""
-    return f"controller has {placed(name, getattr(controller, name))}"
+    return f"controller has {function_place(name, getattr(controller, name))}"
 
 
-def placed(name: str, function: Any) -> str:
+def function_place(name: str, function: Any) -> str:
     """The name of a function and where it stands, for messages: `yaw_shake (my_metrics.py:4)`."""
     code = getattr(inspect.unwrap(function), "__code__", None)
     return name if code is None else f"{name} ({Path(code.co_filename).name}:{code.co_firstlineno})"

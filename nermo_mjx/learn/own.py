@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from nermo_mjx.control.protocol import load_object, named_object, placed, user_code
+from nermo_mjx.control.protocol import function_place, load_object, named_object, user_code
 from nermo_mjx.learn.observing import SENSED, TOLD, Sensed, Sensing
 from nermo_mjx.robot import ParameterError, RobotConfig, Sensors
 from nermo_mjx.robot.quantity import quantities
@@ -41,7 +41,7 @@ def own_object(field: str, given: Any) -> Any:
     return load_object(named_object(f"{field} has", given)) if isinstance(given, str) else given
 
 
-def name_of(given: Any) -> str:
+def own_name(given: Any) -> str:
     """Of an entry of one's own: that of the object in its file, or of the function."""
     if isinstance(given, str):
         return given.rpartition(":")[2]
@@ -69,7 +69,7 @@ def own_readings(config: RobotConfig, observe: Iterable[Any]) -> dict[str, Sense
     """
     found: dict[str, Sensed] = {}
     for given in filter(is_own, observe):
-        name = name_of(given)
+        name = own_name(given)
         if name in (*SENSED, *TOLD, *found):
             raise ParameterError(f"observe has {given!r}, but {name} is observed already: give it another name.")
         group = own_object("observe", given)
@@ -82,7 +82,7 @@ def own_readings(config: RobotConfig, observe: Iterable[Any]) -> dict[str, Sense
 @functools.lru_cache(maxsize=32)
 def _readings(config: RobotConfig, name: str, group: Sensed) -> Sensed:
     """A group of readings with a label for each of its numbers."""
-    subject = f"observe has {placed(name, group.read)}"
+    subject = f"observe has {function_place(name, group.read)}"
     size = numbers_at_rest(subject, group.read, at_rest(config), several=True)
     if group.noise is not None and group.noise not in dict(quantities(Sensing)):
         raise ParameterError(f"{subject}, whose noise is {group.noise!r}: expected a field of sensing, or None.")
@@ -104,8 +104,8 @@ def own_terminations(config: RobotConfig, given: Iterable[Any]) -> dict[str, Cal
     """
     found: dict[str, Callable[[Sensors], Any]] = {}
     for each in given:
-        name, function = name_of(each), own_function("terminations", each)
-        subject = f"terminations has {placed(name, function)}"
+        name, function = own_name(each), own_function("terminations", each)
+        subject = f"terminations has {function_place(name, function)}"
         value = numbers_at_rest(subject, function, at_rest(config))
         if value.dtype != bool:
             raise ParameterError(f"{subject}, which gives {described(value)}: expected a truth, such as z < 0.02.")
@@ -123,7 +123,7 @@ _TRIED = 64
 def _drawn(given: Any, content: Any) -> tuple[str, dict[str, np.ndarray]]:
     """Where a sampler stands, and values that it draws, by parameter (2 * _TRIED,)."""
     function = own_function("commands", given)
-    subject = f"commands has {placed(name_of(given), function)}"
+    subject = f"commands has {function_place(own_name(given), function)}"
     start_jax()
     keys = jnp.tile(jax.random.split(jax.random.key(0), _TRIED), 2)
     with user_code(f"{subject}, which fails"):

@@ -23,7 +23,7 @@ except ModuleNotFoundError as error:
 
 from nermo_mjx.dynamics.mjx_import import mjx
 from nermo_mjx.learn.environment import Environment, MjxWorlds, World, picked
-from nermo_mjx.learn.own import is_own, name_of
+from nermo_mjx.learn.own import is_own, own_name
 from nermo_mjx.learn.task import Outcome, Task, Term
 from nermo_mjx.robot import ParameterError
 from nermo_mjx.robot.terrains import TERRAINS
@@ -185,7 +185,7 @@ def register(name: str, setup: Setup | None = None, task: Task | None = None) ->
 def _name(term: str | Term) -> str:
     if isinstance(term, Term):
         return term.name
-    return name_of(term) if is_own(term) else term
+    return own_name(term) if is_own(term) else term
 
 
 for _scene in ("flat", *TERRAINS):

@@ -16,7 +16,7 @@ from nermo_mjx.learn.acting import ACTIONS, Acting
 from nermo_mjx.learn.algorithms import PPO, ShortHorizon
 from nermo_mjx.learn.environment import Environment, Mixture, check_alike, check_worlds
 from nermo_mjx.learn.loop import EpisodeLoop
-from nermo_mjx.learn.own import code_place, is_own, name_of
+from nermo_mjx.learn.own import code_place, is_own, own_name
 from nermo_mjx.learn.task import RANDOMIZED, Task, task_parameters
 from nermo_mjx.robot.parameters import PRESETS
 from nermo_mjx.robot.quantity import ParameterError
@@ -25,7 +25,7 @@ from nermo_mjx.rollout import Setup
 from nermo_mjx.rollout.own_metrics import source_of
 from nermo_mjx.rollout.run import too_many
 from nermo_mjx.specs.controllers import (
-    beside,
+    code_beside,
     code_identity,
     kept_code,
     known_names,
@@ -366,8 +366,8 @@ def _read(doc: Document) -> Training:
         for field in ("observe", "rewards", "terminations"):
             for each in filter(is_own, getattr(task, field)):
                 if not isinstance(each, str):
-                    raise ParameterError(f"{field} has {name_of(each)}: name it as {NAMED}, as a file can.")
-        task = task.with_own(functools.partial(beside, doc))
+                    raise ParameterError(f"{field} has {own_name(each)}: name it as {NAMED}, as a file can.")
+        task = task.with_own(functools.partial(code_beside, doc))
         code_place(task.observe)
         task.check_commands(setup)
     with _refusals(doc):

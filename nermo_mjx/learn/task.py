@@ -23,10 +23,10 @@ from pydantic_core.core_schema import CoreSchema
 from nermo_mjx.control import turning
 from nermo_mjx.control.controller import Controller
 from nermo_mjx.control.pilot import OpenLoop
-from nermo_mjx.control.protocol import NAMED, ControllerLike, placed, user_code
+from nermo_mjx.control.protocol import NAMED, ControllerLike, function_place, user_code
 from nermo_mjx.learn.acting import Acted, Acting, ActionField, ActionKind, Residual
 from nermo_mjx.learn.observing import OBSERVED, SENSED, TOLD, Sensing
-from nermo_mjx.learn.own import drawn_by, first_line, is_own, name_of, own_object
+from nermo_mjx.learn.own import drawn_by, first_line, is_own, own_name, own_object
 from nermo_mjx.robot import ModelParameters, ParameterError, Quantity, Robot, Sensors, identified
 from nermo_mjx.robot.model_parameters import is_shaped
 from nermo_mjx.robot.quantity import (
@@ -113,7 +113,7 @@ class Term:
     @property
     def subject(self) -> str:
         """The beginning of messages about it."""
-        return f"rewards has {placed(self.name, self.value)}"
+        return f"rewards has {function_place(self.name, self.value)}"
 
 
 def _kernel(error: Scalar, width: float) -> Scalar:
@@ -239,7 +239,7 @@ def _own_term(given: Any) -> Term:
     found = own_object("rewards", given)
     if not isinstance(found, Term) and not callable(found):
         raise ParameterError(f"rewards has {given!r}, which is {described(found)}: expected a Term, or a function.")
-    name = name_of(given)
+    name = own_name(given)
     return found if isinstance(found, Term) else Term(name, "1", first_line(found) or name, found)
 
 

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from pydantic import BaseModel, Field
 
-from nermo_mjx.control.protocol import Source, placed, user_code
+from nermo_mjx.control.protocol import Source, function_place, user_code
 from nermo_mjx.files import MOST_JSON, json_of, read_bytes
 from nermo_mjx.robot import LIMBS, ParameterError, RobotConfig, Sensors, load_robot
 from nermo_mjx.robot.quantity import did_you_mean
@@ -166,7 +166,7 @@ class OwnMetric(Metric):
     @property
     def place(self) -> str:
         """Location of the function, for messages: `yaw_shake (my_metrics.py:4)`."""
-        return placed(self.name, self.function)
+        return function_place(self.name, self.function)
 
 
 def metric(

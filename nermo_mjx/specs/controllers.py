@@ -31,14 +31,14 @@ def named_controller(doc: Document) -> str | None:
         return None
     if not isinstance(given, str):
         doc.fail(("controller",), f"is {describe(given)}: expected {CONTROLLER_FORM}.")
-    return beside(doc, given)
+    return code_beside(doc, given)
 
 
-def beside(doc: Document, where: str) -> str:
+def code_beside(doc: Document, where: str) -> str:
     """Custom code that a document names, with the path of its file, which is relative to the document's folder."""
     if (data := data_of(where)) is not None:
         path, code = data
-        return f"{_beside(doc, path)}:{beside(doc, code)}" if code else str(_beside(doc, path))
+        return f"{_beside(doc, path)}:{code_beside(doc, code)}" if code else str(_beside(doc, path))
     if where.endswith(".py"):
         return str(_beside(doc, where))
     source, colon, name = where.rpartition(":")
@@ -57,7 +57,7 @@ def named_metrics(doc: Document) -> tuple[str, ...]:
             source_of(each)
         except ParameterError as error:
             doc.fail(("metrics",), str(error).removeprefix("metrics "))
-        found.append(beside(doc, each))
+        found.append(code_beside(doc, each))
     return tuple(found)
 
 

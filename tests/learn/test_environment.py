@@ -270,11 +270,14 @@ def test_a_step_refuses_actions_of_another_shape_and_states_that_are_gone(enviro
     [
         (
             lambda m: m.sensors.servo_velocity,
-            r"has own, which gives an array of shape \(\d+,\): expected one number",
+            r"has own \(test_environment.py:\d+\), which gives an array of shape \(\d+,\): expected one number",
         ),
-        (lambda m: m.sensors.servo_speed[8], "own, which fails at .*: AttributeError.* Sensors are position"),
-        (lambda m: 1.0 if m.speed > 0.1 else 0.0, "own, which fails at .*: it cannot be compiled"),
-        (lambda m: None, "own, which gives NoneType: expected one number"),
+        (
+            lambda m: m.sensors.servo_speed[8],
+            r"own \(test_environment.py:\d+\), which fails at .*: AttributeError.* Sensors are position",
+        ),
+        (lambda m: 1.0 if m.speed > 0.1 else 0.0, r"own \(.*\), which fails at .*: it cannot be compiled"),
+        (lambda m: None, r"own \(.*\), which gives NoneType: expected one number"),
     ],
 )
 def test_a_term_that_gives_no_number_is_refused_before_anything_runs(value, message):
