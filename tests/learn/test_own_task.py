@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import shutil
 from pathlib import Path
@@ -219,7 +218,7 @@ def always(sensors):
 
 
 @pytest.mark.compiles
-def test_an_own_termination_fails_the_episode_and_the_walk_of_an_evaluation():
+def test_an_own_termination_fails_the_episode_and_the_walk_of_an_evaluation(tmp_path, monkeypatch):
     environment = Environment(SETUP, worlds=2, task=Task(terminations=(always,), rewards={"failed": -2.0}))
     state = environment.reset(0)
     assert not state.terminated.any()
@@ -228,8 +227,10 @@ def test_an_own_termination_fails_the_episode_and_the_walk_of_an_evaluation():
         assert state.terminated.all()
         assert {SENTENCES[code] for code in state.status} == {Outcome.terminated.value}
         np.testing.assert_array_equal(state.reward, -2.0)
-    training = Training.from_dict({"physics": "fast", "run": {"duration": 0.2, "warmup": 0.1}})
-    ending = dataclasses.replace(training, task=dataclasses.replace(training.task, terminations=(always,)))
+    monkeypatch.chdir(tmp_path)
+    Path("my.py").write_text("def always(sensors):\n    return sensors.position[2] > -1.0\n")
+    fields = {"physics": "fast", "run": {"duration": 0.2, "warmup": 0.1}}
+    training, ending = (Training.from_dict(fields | {"task": {"terminations": of}}) for of in ([], ["my.py:always"]))
     for which, share in ((training, 1.0), (ending, 0.0)):
         table = PolicyEvaluator(which, "c")(None, draws=Draws(2, UNSEEN), walkers=("alone",))
         assert table["success"].to_pylist() == [bool(share)] * 2
