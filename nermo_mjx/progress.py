@@ -1,4 +1,5 @@
-"""Progress on standard error: a bar on a terminal, otherwise an occasional line, nothing when quiet.
+"""Progress on standard error: a bar on a terminal, a line that is written over in a notebook, otherwise an occasional
+line, nothing when quiet.
 
 In Python jobs and walks show it where somebody looks: on a terminal, and in IPython.
 """
@@ -36,7 +37,7 @@ class ProgressBar:
         unit: what is counted, "runs".
         quiet: show nothing; by default as the present command is told.
         compiles: mention compilation if there is no progress at first.
-        every: seconds between two lines without a terminal.
+        every: seconds between two lines without a terminal; in a notebook 20 states of the line in this time.
         stream: where to write; standard error by default.
     """
 
@@ -60,6 +61,8 @@ class ProgressBar:
         self._start: tuple[float, float] | None = None
         self._pace_start = (0.0, 0.0)
         self._last_line = time.monotonic()
+        self._writes_over, self._width = not self._stream.isatty() and _is_notebook(), 0
+        self._every = 0.05 * every if self._writes_over else every
 
     def __enter__(self) -> ProgressBar:
         if not self._quiet and self._stream.isatty():
@@ -74,6 +77,9 @@ class ProgressBar:
         self._timer.cancel()
         if self._bar is not None:
             self._bar.stop()
+        if self._width:
+            self._width = 0
+            self._stream.write("\n")
 
     def count(self, done: int, total: int) -> None:
         """Report how many of all are done."""
@@ -108,7 +114,10 @@ class ProgressBar:
         if self._bar is not None:
             self._bar.update(self._task, note=text)
         elif not self._quiet:
-            self._stream.write(f"{self._what}: {text}\n")
+            line = f"{self._what}: {text}"
+            # Spaces cover the rest of a longer line; the next one begins where this one did.
+            self._stream.write(f"{line:<{self._width}}\r" if self._writes_over else f"{line}\n")
+            self._width = len(line) if self._writes_over else 0
             self._stream.flush()
 
     def _name_compilation(self) -> None:
@@ -180,8 +189,13 @@ def _is_watched() -> bool:
     """Whether somebody looks, and nothing else tells: no command, and no job."""
     if _WORKING.get() or click.get_current_context(silent=True) is not None:
         return False
+    return sys.stderr.isatty() or _is_notebook()
+
+
+def _is_notebook() -> bool:
+    """Whether this is IPython, which is a notebook's where there is no terminal."""
     shell = sys.modules.get("IPython")
-    return sys.stderr.isatty() or (shell is not None and shell.get_ipython() is not None)
+    return shell is not None and shell.get_ipython() is not None
 
 
 @contextlib.contextmanager

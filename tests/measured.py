@@ -87,7 +87,7 @@ def write_log(
         lines.append(f"  pos_{each}: {{quantity: angle, of: {each}, unit: deg}}")
     lines += [
         "  gyro: {quantity: gyro, columns: [gx, gy, gz], unit: deg/s}",
-        "  accelerometer: {quantity: acceleration, columns: [ax, ay, az], unit: g}",
+        "  accelerometer: {quantity: accelerometer, columns: [ax, ay, az], unit: g}",
         "  marker: {quantity: position, columns: [x, y], unit: mm}",
         "  heading: {quantity: yaw, unit: deg}",
     ]

@@ -114,3 +114,42 @@ def work(out, log="", chunk=4, delay=0.0, hold_at=None):
 if __name__ == "__main__":
     Path(sys.argv[2]).write_text("")
     work(*sys.argv[1:], hold_at=3)
+
+
+#: A sweep that seeks an optimum, for `Noisy`.
+OPTIMUM = {
+    "run": {"duration": 0.2, "warmup": 0},
+    "plots": False,
+    "vary": {
+        "gait": ["trot", "lateral_walk"],
+        "spine": ["none", "stride_extension"],
+        "spine.amplitude": [0.1, 0.3],
+        "spine.phase": [-1.0, 0.0, 1.0],
+    },
+    "randomize": {
+        "repeats": 3,
+        "paired": ["spine.amplitude", "spine.phase"],
+        "contact.friction": {"uniform": [0.8, 1.4]},
+    },
+    "optimum": {
+        "over": ["spine.amplitude", "spine.phase"],
+        "for": ["gait"],
+        "base": {"spine": "none"},
+        "fresh": 4,
+        "budget": 30,
+        "until": 1,
+    },
+}
+
+
+class Noisy(FakeSimulator):
+    """Adds noise that depends on the run alone: 0.02 at the phases 0 and 1, which are alike."""
+
+    def run(self, values, run, **more):
+        alike = {"spine.phase": np.minimum(values["spine.phase"], 0.0)} if "spine.phase" in values else {}
+        result = super().run({**values, **alike}, run)
+        parts = [values[name] for name in ("spine.amplitude", "spine.phase", "start.x") if name in values]
+        speed = result.metrics["speed"] + 2e-4 * np.sin(1e4 * sum(parts) + 1e5 * values.get("contact.friction", 1.0))
+        costs = {"cost_of_transport": 1.0 - speed, "electrical_cost_of_transport": 8.0 + speed}
+        result.metrics.update(speed=speed, **costs)
+        return result

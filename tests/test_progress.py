@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import itertools
 import sys
 import tempfile
 import types
@@ -51,13 +52,22 @@ def test_a_job_is_mute_where_it_is_told_to_be_and_where_nobody_looks(monkeypatch
     assert quiet.getvalue() == ""
 
 
-def test_in_ipython_a_job_writes_a_line(monkeypatch):
+def test_in_a_notebook_a_job_writes_one_line_over_and_over(monkeypatch):
     stream = io.StringIO()
     monkeypatch.setattr(sys, "stderr", stream)
     monkeypatch.setitem(sys.modules, "IPython", types.SimpleNamespace(get_ipython=object))
+    clock = itertools.count()
+    monkeypatch.setattr("nermo_mjx.progress.time", types.SimpleNamespace(monotonic=lambda: float(next(clock))))
     swept()
-    assert stream.getvalue().startswith("sweep: 100%, 36 of 36 runs")
-    assert stream.getvalue().count("\n") == 1
+    text = stream.getvalue()
+    assert (text.count("\n"), text[-2:]) == (1, "\r\n")
+    states = text.split("\r")[:-1]
+    assert len(states) > 2
+    assert states[-1].startswith("sweep: 100%, 36 of 36 runs")
+    widths = [len(state) for state in states]
+    assert all(after >= len(state.rstrip()) for state, after in zip(states, widths[1:], strict=False)), (
+        "nothing is left"
+    )
 
 
 @pytest.mark.parametrize("watch", [3, "no", None, print])

@@ -9,6 +9,7 @@ import shapes
 
 import nermo_mjx
 from nermo_mjx import ParameterError, Rollout, Run, Setup, Simulator, Sweep, Tuning
+from nermo_mjx.learn import Task
 
 NAMES = ("gait", "spine", "steering", "profile", "pilot", "trajectory", "head", "tail_motion", "physics", "robot")
 NUMBERS = ("cycles", "warmup_cycles", "duration", "warmup", "distance")
@@ -55,7 +56,7 @@ CALLS: dict[str, tuple[Any, str]] = {
     "Setup.schedule.one": (lambda value: Setup(schedule=[value]), "schedule"),
     **{f"Setup.{name}": (lambda value, name=name: Setup(**{name: value}), name) for name in NAMES},
     **{f"Setup.{name}s": (lambda value, name=name: Setup(**{name: [value]}), name) for name in NAMES},
-    **{f"Run.{name}": (lambda value, name=name: Run(**{name: str(value)}), f"run.{name}") for name in NUMBERS},
+    **{f"Run.{name}": (lambda value, name=name: Run(**{name: f"{value} kg"}), f"run.{name}") for name in NUMBERS},
 }
 
 
@@ -89,8 +90,26 @@ def test_names_of_parameters_are_texts(simulator):
         simulator("c").run({3: 1.0})
 
 
-@pytest.mark.parametrize("value", [True, "3", {}, object(), [None]])
+@pytest.mark.parametrize("value", [True, {}, object(), [None]])
 @pytest.mark.parametrize("name", NUMBERS)
 def test_a_run_is_of_numbers(name, value):
     with pytest.raises(ParameterError, match=rf"^run\.{name} is .*: expected a number, or an array of such\.$"):
         Run(**{name: value})
+
+
+def test_a_length_of_a_run_may_have_a_unit():
+    assert Run(duration="8 s", warmup="500 ms") == Run(duration=8.0, warmup=0.5)
+    assert Run(cycles=3, distance="30 cm").distance == pytest.approx(0.3)
+    assert Run(duration=["2 s", 3]).duration == [2.0, 3.0]
+    for name, other in (("cycles", "duration"), ("warmup_cycles", "warmup")):
+        with pytest.raises(ParameterError, match=rf"^run.{name} is '8 s': .* such; seconds are run.{other}\.$"):
+            Run(**{name: "8 s"})
+    with pytest.raises(ParameterError, match=r"^run.duration is '8 min': expected a number in s or ms, such as 8 s\.$"):
+        Run(duration="8 min")
+
+
+def test_an_episode_may_have_units():
+    task = Task(duration="8 s", distance="500 mm", corridor="10 cm")
+    assert (task.duration, task.distance, task.corridor) == (8.0, 0.5, 0.1)
+    with pytest.raises(ParameterError, match=r"^corridor is '3 kg': expected a number in m, mm or cm, such as"):
+        Task(corridor="3 kg")

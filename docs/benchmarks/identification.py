@@ -25,7 +25,7 @@ import numpy as np
 
 from nermo_mjx import Run, Setup, Simulator
 from nermo_mjx.experiments.log_identification import Identification, Wanted, identify_log
-from nermo_mjx.experiments.log_twin import STANDS, MjcfBody, NermoBody, nermo_body
+from nermo_mjx.experiments.log_twin import STANDS, MjcfBody, NermoBody
 from nermo_mjx.hardware.log import Channel, Log
 from nermo_mjx.physics.variation import compile_model
 from nermo_mjx.robot import load_robot
@@ -37,7 +37,7 @@ RATE = 100
 NOISE = {
     "angle": (math.radians(0.2), math.radians(0.3)),
     "gyro": (0.02, 0.001),
-    "acceleration": (0.3, 0.005),
+    "accelerometer": (0.3, 0.005),
     "position": (1e-3, 1e-4),
     "yaw": (math.radians(0.5), 1e-4),
 }
@@ -95,7 +95,7 @@ def nermo_log(values: dict[str, float], times: np.ndarray, commands: np.ndarray,
     ]
     channels += [
         Channel("gyro", "gyro", "imu", at, measured("gyro", seen[:, n : n + 3], random)),
-        Channel("acceleration", "acceleration", "imu", at, measured("acceleration", seen[:, n + 3 : n + 6], random)),
+        Channel("accelerometer", "accelerometer", "imu", at, measured("accelerometer", seen[:, n + 3 : n + 6], random)),
         Channel("position", "position", "torso", at, measured("position", seen[:, n + 6 : n + 8], random)),
         Channel("yaw", "yaw", "torso", at, measured("yaw", np.unwrap(seen[:, n + 8]), random)),
     ]
@@ -153,12 +153,12 @@ def nermos(robots: int, first: int, tracks: bool, duration: float) -> None:
     rows, free = [], FEW if tracks else FREE
     for seed in range(first, first + robots):
         random = np.random.default_rng((seed, tracks))
-        body = nermo_body("nermo_lite", free)
+        body = NermoBody("nermo_lite", free)
         truth = drawn(body, random)
         log = nermo_log(truth, *walk(duration, seed), random)
-        seen = ("command", "position", "yaw") if tracks else ("command", "angle", "gyro", "acceleration")
+        seen = ("command", "position", "yaw") if tracks else ("command", "angle", "gyro", "accelerometer")
         log = dataclasses.replace(log, channels=tuple(each for each in log.channels if each.quantity in seen))
-        found = identify_log(lambda kinds: nermo_body("nermo_lite", kinds), [log], Wanted(free))
+        found = identify_log(lambda kinds: NermoBody("nermo_lite", kinds), [log], Wanted(free))
         rows.append({"seed": seed} | compared(found, truth))
         print(json.dumps(rows[-1]), flush=True)
     print(json.dumps(summary(rows)))

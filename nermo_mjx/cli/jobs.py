@@ -365,7 +365,7 @@ def _print_search(result: SearchResult) -> None:
         (number,), shown = in_unit(name, unit, best[kind][name])
         rows.append([name, f"{number + 0.0:.4g}", shown])
     middle = "In the middle of the front" if search.aim.pareto else "Best"
-    print_table(f"{middle}: row {best['row']}", ", best>, ", rows)
+    print_table(f"{middle}: row {best['row']}, profile {search.setup.profile}", ", best>, ", rows)
     effort = f"{best['evaluations']:,} evaluations, {duration(best['simulated_seconds'])} simulated"
     click.echo(f"{effort}; {best['failed']:,} fell" if best["failed"] else effort)
     if "front" in best:
@@ -461,7 +461,7 @@ def _print_tuning(result: TuningResult) -> None:
         ends = verified["best"] if verified["walks"] > 1 else None
         spread = f"; the best gave {ends['lowest']:.4g} to {ends['highest']:.4g}" if ends else ""
         click.echo(f"Engine {verified['engine']}: {many}{fallen}{spread}.")
-    click.echo(f"{best['iterations']} iterations ({effort})")
+    click.echo(f"{best['iterations']} iterations in the profile {tuning.setup.profile} ({effort})")
     if best["stopped"]:
         click.echo(best["stopped"])
     if not result.start["ok"]:
@@ -603,8 +603,8 @@ def _print_training(result: TrainingResult, exported: Path | None) -> None:
             rows.append([scene, name, f"{100 * found['success']:.0f}", f"{1e3 * found['speed']:.1f}", *costs])
     if rows:
         headings = ["scene", "walks", "success [%]>", "speed [mm/s]>", "cost of transport, mechanical>", "electrical>"]
-        physics = summary["judged"]["physics"]
-        title = f"On {result.training.evaluation.bodies:,} unseen bodies and starts, in physics {physics}"
+        how = f"physics {summary['judged']['physics']}, profile {result.training.setup.profile}"
+        title = f"On {result.training.evaluation.bodies:,} unseen bodies and starts, in {how}"
         print_table(title, headings, rows)
     cpu = summary["environment_cpu"] + summary["learner_cpu"]
     click.echo(
@@ -796,7 +796,7 @@ def _identify_log(
 
     def make(kinds: Sequence[str]) -> log_twin.Body:
         if model is None:
-            return log_twin.nermo_body(robot, kinds)
+            return log_twin.NermoBody(robot, kinds)
         return log_twin.MjcfBody(model, [*logs, *judges], kinds)
 
     unread = [each.name for each in logs[0].channels if each.quantity not in (*log_twin.PREDICTED, "command")]

@@ -399,6 +399,6 @@ def with_gait_factor(values: Mapping[str, Any]) -> dict[str, Any]:
     While a foot is in stance, for the share d of a cycle, the body moves by one stride: 1 / d strides per cycle
     (erratum 20).
     """
-    if "duty" in values and "gait_factor" not in values:
-        return {**values, "gait_factor": 1.0 / values["duty"]}
-    return dict(values)
+    duty = values.get("duty", 0.0)
+    zero = isinstance(duty, int | float | np.ndarray) and not np.all(duty)  # it has none, and is refused elsewhere
+    return dict(values) if zero or "gait_factor" in values else {**values, "gait_factor": 1.0 / duty}

@@ -113,10 +113,6 @@ class LoggedSamples:
         """A number for each channel from its residuals and its index (channels,)."""
         return np.array([of(residual[self.channel == i], i) for i in range(len(self.quantum))])
 
-    def part(self, rows: np.ndarray) -> LoggedSamples:
-        """Some of the numbers; every channel stays."""
-        return LoggedSamples(self.values[rows], self.channel[rows], self.time[rows], self.quantum)
-
 
 def rms(residual: np.ndarray) -> float:
     """Root mean square; 0 of nothing."""
@@ -141,8 +137,7 @@ class Fit:
         share: standard deviation of the posterior along each of the directions, as a share of the prior's (p,).
         directions: orthonormal columns (p, p), the best determined one first.
         draws: of the posterior (draws, p), in coordinates.
-        cost: mean square of the whitened residuals.
-        same: how many of the starts came to this cost, and of how many.
+        same: how many of the starts came to this minimum, and of how many.
     """
 
     space: ParameterSpace
@@ -153,7 +148,6 @@ class Fit:
     share: np.ndarray
     directions: np.ndarray
     draws: np.ndarray
-    cost: float
     same: tuple[int, int]
 
     @property
@@ -282,9 +276,16 @@ class Estimation:
         same: tuple[int, int] = (1, 1),
         seed: int = 0,
     ) -> Fit:
-        """The estimate from a start, by default the defaults; see `search` and `Fit`."""
+        """The estimate from a start, by default the defaults, with its uncertainty; see `search` and `Fit`."""
         x, sigma = self.search(np.zeros(len(self.space)) if start is None else start, sigma, iterations, rounds)
-        return self.described(x, sigma, same, seed)
+        jacobian, white = self.jacobian(x, sigma), self.residual(x[:, None], sigma)[:, 0]
+        values, vectors = np.linalg.eigh(jacobian.T @ jacobian)
+        values, vectors = np.maximum(values[::-1], 0.0), vectors[:, ::-1]
+        share = self._shares(jacobian @ vectors, white, values, seed)
+        random = np.random.default_rng(seed)
+        draws = x + (random.standard_normal((DRAWS, len(x))) * share) @ vectors.T
+        residual = white * sigma[self.measured.channel]
+        return Fit(self.space, x, residual, sigma, jacobian, share, vectors, draws, same)
 
     def jacobian(self, x: np.ndarray, sigma: np.ndarray) -> np.ndarray:
         """Of the whitened residuals (n, p), by central differences within the bounds, in one batch."""
@@ -293,17 +294,6 @@ class Estimation:
         down = np.maximum(x[:, None] - steps, self.space.low[:, None])
         both = self.residual(np.concatenate([up, down], axis=1), sigma)
         return (both[:, : len(x)] - both[:, len(x) :]) / np.diag(up - down)
-
-    def described(self, x: np.ndarray, sigma: np.ndarray, same: tuple[int, int], seed: int) -> Fit:
-        """The estimate at coordinates, with its uncertainty."""
-        jacobian, white = self.jacobian(x, sigma), self.residual(x[:, None], sigma)[:, 0]
-        values, vectors = np.linalg.eigh(jacobian.T @ jacobian)
-        values, vectors = np.maximum(values[::-1], 0.0), vectors[:, ::-1]
-        share = self._shares(jacobian @ vectors, white, values, seed)
-        random = np.random.default_rng(seed)
-        draws = x + (random.standard_normal((DRAWS, len(x))) * share) @ vectors.T
-        residual = white * sigma[self.measured.channel]
-        return Fit(self.space, x, residual, sigma, jacobian, share, vectors, draws, float(np.mean(white**2)), same)
 
     def _shares(self, along: np.ndarray, white: np.ndarray, values: np.ndarray, seed: int) -> np.ndarray:
         """Standard deviation of the posterior along each direction (p,).
@@ -378,24 +368,9 @@ def combinations(fit: Fit) -> list[tuple[str, float, tuple[str, ...]]]:
             continue
         group = {k: group[i] if g == group[j] else g for k, g in group.items()}
         one, other = space.parameters[i].name, space.parameters[j].name
-        found.append((_formula(one, other, exponent), deviation, (one, other)))
+        power = "" if abs(exponent) == 1 else f"^{abs(exponent):g}"
+        found.append((f"{one} {'/' if exponent < 0 else '*'} {other}{power}", deviation, (one, other)))
     return found
-
-
-def _formula(one: str, other: str, exponent: float) -> str:
-    power = "" if abs(exponent) == 1 else f"^{abs(exponent):g}"
-    return f"{one} {'/' if exponent < 0 else '*'} {other}{power}"
-
-
-def directions(fit: Fit, most: int = 8) -> list[tuple[float, str]]:
-    """The least known directions: share of the prior's width that is left, and its main parts, the worst first."""
-    names, rows = [each.name for each in fit.space.parameters], list[tuple[float, str]]()
-    for k in range(len(names) - 1, max(len(names) - 1 - most, -1), -1):
-        parts = fit.directions[:, k]
-        main = [i for i in np.argsort(-np.abs(parts))[:3] if abs(parts[i]) > 0.2]
-        sign = math.copysign(1.0, parts[main[0]])
-        rows.append((float(fit.share[k]), " ".join(f"{sign * parts[i]:+.2f} {names[i]}" for i in main)))
-    return rows
 
 
 def percent(share: float) -> str:

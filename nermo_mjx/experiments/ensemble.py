@@ -252,7 +252,7 @@ TOLERANCE: Final = 0.5
 
 @dataclasses.dataclass(frozen=True)
 class Bodies:
-    """An ensemble of n bodies; the first is the default body, if that is within the tolerance.
+    """An ensemble of n bodies; the first is the best of the search, if that is within the tolerance.
 
     Attributes:
         values: model parameter -> (n,).
@@ -322,21 +322,21 @@ def correlations(columns: Mapping[str, np.ndarray], weights: np.ndarray) -> dict
 
 
 def csv_text(content: Mapping[str, Any]) -> str:
-    """ensemble.csv: its origin, then one body per row; the default body comes first if it is one of them."""
-    ensemble = content["ensemble"]
+    """ensemble.csv: its origin, then one body per row; the best of the search comes first if it is one of them."""
+    ensemble, settings = content["ensemble"], content["settings"]
     tried = sum(sweep["candidates"] for sweep in ensemble["sweeps"])
     units = {name: about.unit for name, about in quantities(ModelParameters)}
-    options = " ".join(f"--{name} {value}" for name, value in content["settings"].items())
+    options = " ".join(f"--{name} {value}" for name, value in settings.items())
     columns = ensemble["bodies"]
     about = (
-        f"Bodies whose objective on the straight line is at most {ensemble['tolerance']:g}; the first is the default.",
+        f"Bodies whose objective on the straight line, in the profile {settings['profile']}, is at most "
+        f"{ensemble['tolerance']:g}; the first is the best found.",
         f"{ensemble['found']} of {tried} candidates were; these stand for them. Made by: nermo-mjx identify {options}",
         f"Engine {content['engine']}, MuJoCo {content['versions']['mujoco']}.",
         "Units: " + ", ".join(f"{name} {units[name]}" for name in columns if units.get(name, "1") != "1"),
     )
+    forms = [{"objective": "{:.4f}", "weight": "{:.6f}"}.get(name, "{:.4g}") for name in columns]
     rows = zip(*columns.values(), strict=True)
-    texts = {"objective": "{:.4f}", "weight": "{:.6f}"}
-    forms = [texts.get(name, "{:.4g}") for name in columns]
     lines = [",".join(form.format(value) for form, value in zip(forms, row, strict=True)) for row in rows]
     return "\n".join([*(f"# {line}" for line in about), ",".join(columns), *lines]) + "\n"
 
@@ -356,10 +356,8 @@ def ensemble_section(content: Mapping[str, Any]) -> str:
     for name, about in ensemble["parameters"].items():
         unit = "" if units.get(name, "1") == "1" else f" [{units[name]}]"
         bounds = f"{about['low']:g} to {about['high']:g}"
-        default = rounded(ensemble["bodies"][name][0])
-        rows.append(
-            [", ".join(about["names"]) + unit, *map(rounded, about["quantiles"]), default, bounds, about["why"]]
-        )
+        numbers = map(rounded, (*about["quantiles"], ensemble["bodies"][name][0]))
+        rows.append([", ".join(about["names"]) + unit, *numbers, bounds, about["why"]])
     sweeps = [
         [
             str(i) if i else "even",
@@ -381,7 +379,7 @@ def ensemble_section(content: Mapping[str, Any]) -> str:
             worth=_WORTH,
             related="; ".join(related) or "none",
             parameter_table=table(
-                ["parameter", "5 %", "median", "95 %", "default", "bounds", "why these"], rows, "lrrrrll"
+                ["parameter", "5 %", "median", "95 %", "best", "bounds", "why these"], rows, "lrrrrll"
             ),
             sweep_table=table(
                 ["sweep", "candidates", "begun from bodies within", "within the tolerance"], sweeps, "lrrr"
@@ -399,11 +397,12 @@ _PANEL: Final = 1.42
 _SHORT: Final = {"damping.knee": "damping of\nknee, ankle"}
 
 
-def ensemble_figure(content: Mapping[str, Any]) -> Figure:
+def ensemble_figure(content: Mapping[str, Any], profile: str) -> Figure:
     """Marginals on the diagonal, pairs below it; axes are the bounds, logarithmic.
 
     Args:
         content: `ensemble` of identification.json, with bodies.
+        profile: that of the walks, in words.
     """
     names, bodies = list(content["parameters"]), content["bodies"]
     values = [np.asarray(bodies[name], float) for name in names]
@@ -432,7 +431,7 @@ def ensemble_figure(content: Mapping[str, Any]) -> Figure:
             ax.spines["left"].set_visible(False)
         else:
             ax.scatter(values[j][order], values[i][order], c=objective[order], s=7, lw=0, cmap=COLOURS, norm=shades)
-            ax.plot(values[j][0], values[i][0], marker="+", ms=9, mew=1.6, color=BEST)
+            ax.plot(values[j][0], values[i][0], marker="+", ms=9, mew=1.6, color=BEST, clip_on=False)
             _scale(ax, bounds[i], "y")
         _scale(ax, bounds[j], "x")
         # Names at the left and at the bottom only.
@@ -452,9 +451,9 @@ def ensemble_figure(content: Mapping[str, Any]) -> Figure:
         Patch(color=BAND, label="share of the bodies"),
         Line2D([], [], color=LINE, ls="--", lw=1, label="5 and 95 %"),
         Line2D([], [], color=MUTED, lw=1, label="share in the prior"),
-        Line2D([], [], color=BEST, marker="+", ms=9, mew=1.6, lw=1.6, label="default body"),
+        Line2D([], [], color=BEST, marker="+", ms=9, mew=1.6, lw=1.6, label="best found"),
     ]
-    return page.finish(handles, f"{content['size']} bodies; an axis spans a parameter's bounds.")
+    return page.finish(handles, f"{content['size']} bodies, {profile}; an axis spans a parameter's bounds.")
 
 
 def _scale(ax: Axes, bounds: tuple[float, float], axis: str) -> None:

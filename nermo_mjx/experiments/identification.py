@@ -583,10 +583,11 @@ _SHOWN: Final = 2.0
 
 def figures_of_identification(content: Mapping[str, Any]) -> Iterator[tuple[str, Figure]]:
     """The figures of identification.json's content."""
-    yield "identification-search", _search(content)
-    yield "identification-residuals", _residuals(content)
+    profile = f"profile {content['settings'].get('profile', 'exact')}"
+    yield "identification-search", _search(content, profile)
+    yield "identification-residuals", _residuals(content, profile)
     if (several := content.get("ensemble")) and several["size"]:
-        yield "identification-ensemble", ensemble.ensemble_figure(several)
+        yield "identification-ensemble", ensemble.ensemble_figure(several, profile)
 
 
 def drawn(out: Path) -> Figures:
@@ -665,9 +666,9 @@ def _result(out: Path) -> dict[str, Any] | None:
         raise DirectoryError(f"{str(error).rstrip('.')}: move it away, and run the identification again.") from None
 
 
-def _search(content: Mapping[str, Any]) -> Figure:
+def _search(content: Mapping[str, Any], note: str) -> Figure:
     costs, end = np.asarray(content["costs"], float), content["objective"]
-    figure = blank_page("Objective of every candidate, in the order tried", 7.0, 3.6)
+    figure = blank_page("Objective of every candidate, in the order tried", 7.0, 3.6, note)
     ax = figure.subplots()
     top = _SHOWN * max(end["start"], end["end"])
     ax.scatter(np.arange(len(costs)), np.minimum(costs, top), s=9, color=BAND, lw=0, label="candidate")
@@ -683,9 +684,9 @@ def _search(content: Mapping[str, Any]) -> Figure:
     return figure
 
 
-def _residuals(content: Mapping[str, Any]) -> Figure:
+def _residuals(content: Mapping[str, Any], note: str) -> Figure:
     targets = content["targets"]
-    figure = blank_page("Deviation from the published speeds", 7.0, 1.5 + 0.3 * len(targets))
+    figure = blank_page("Deviation from the published speeds", 7.0, 1.5 + 0.3 * len(targets), note)
     ax, y = figure.subplots(), np.arange(len(targets))
     for shift, key, colour, label in (
         (-0.18, "start_residual", BAND, "at the start"),

@@ -49,14 +49,12 @@ class Wanted:
     Attributes:
         free: kinds of parameters.
         ranges: name or kind -> (low, high), inside which it is searched.
-        window: see `LoggedTwin`.
         starts: of Gauss-Newton.
         seed: of starts and draws.
     """
 
     free: tuple[str, ...] = FREE
     ranges: Mapping[str, tuple[float, float]] = dataclasses.field(default_factory=dict)
-    window: float | None = None
     starts: int = STARTS
     seed: int = 0
 
@@ -85,7 +83,7 @@ class Identification:
     """The result.
 
     Attributes:
-        body, wanted: that were fitted.
+        body: that was fitted.
         fit: of the whole class.
         simplest: of the simplest class within noise; the whole class if none is simpler.
         left_out: kinds that it leaves out.
@@ -97,7 +95,6 @@ class Identification:
     """
 
     body: Body
-    wanted: Wanted
     fit: Fit
     simplest: Fit
     left_out: tuple[str, ...]
@@ -192,7 +189,7 @@ def identify_log(
     heads = list(logs) if judges else [until(log, FITTED * log.duration) for log in logs]
 
     def twin(of: Sequence[Log], names: Sequence[str], own: Body = body, only: Any = None) -> LoggedTwin:
-        return LoggedTwin(own, of, names, wanted.window, only=only)
+        return LoggedTwin(own, of, names, only)
 
     # Starts are compared on a piece, where wrong ones are told from right ones as well.
     pieces = [until(log, min(log.duration, max(PIECE[0] * log.duration, PIECE[1]))) for log in heads]
@@ -232,7 +229,8 @@ def identify_log(
     left, simplest = determinacy.dispensable(fit), fit
     kept = [each for each in space.parameters if each.kind not in left]
     if left and kept:
-        lean = _without(body, space, left)
+        fixed = [each for each in space.parameters if each.kind in left]
+        lean = body.at({each.name: float(np.clip(each.neutral, each.low, each.high)) for each in fixed})
         smaller = ParameterSpace(kept)
         start = smaller.coordinates(np.array([fit.values[names.index(each.name)] for each in kept]))
         own = [each.name for each in kept]
@@ -245,7 +243,7 @@ def identify_log(
     missing = {} if fitted.judgement.right else _missing(make, wanted, fit, whole, heads, twin)
     report(1.0)
     return Identification(
-        body, wanted, fit, simplest, tuple(left if simplest is not fit else ()), missing, before, after, fitted, errors,
+        body, fit, simplest, tuple(left if simplest is not fit else ()), missing, before, after, fitted, errors,
         _repeatability(logs, fit.sigma, whole.problem.labels), time.monotonic() - began,
     )  # fmt: skip
 
@@ -267,12 +265,6 @@ def _narrowed(parameters: list[Parameter], ranges: Mapping[str, tuple[float, flo
             value = min(max(each.value, low), high)
             parameters[i] = dataclasses.replace(each, low=low, high=high, value=value, why="as given")
     return parameters
-
-
-def _without(body: Body, space: ParameterSpace, kinds: Sequence[str]) -> Body:
-    """A body whose parameters of some kinds have their neutral values: a class that is smaller."""
-    fixed = [each for each in space.parameters if each.kind in kinds]
-    return body.at({each.name: float(np.clip(each.neutral, each.low, each.high)) for each in fixed})
 
 
 def _missing(

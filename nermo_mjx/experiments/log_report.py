@@ -38,6 +38,8 @@ SHOWN: Final = 24
 #: Duration of an experiment that is proposed, and its rate of commands [s, Hz].
 LASTS: Final = 6.0
 RATE: Final = 50.0
+#: Times of its commands [s].
+TIMES: Final = np.arange(round(LASTS * RATE)) / RATE
 #: An experiment that leaves more of the least known direction is not worth its time.
 USEFUL: Final = 0.9
 #: Amplitude and range of frequencies of a chirp [rad, Hz].
@@ -50,14 +52,13 @@ def _excitations(found: Identification) -> dict[str, dict[str, np.ndarray]]:
     body, log = found.body, found.after.twin.logs[0]
     names = [each.of for each in log.channels if each.quantity == "command"]
     rest = {name: np.asarray(log.channel("command", name).values) for name in names}  # type: ignore[union-attr]
-    time = np.arange(round(LASTS * RATE)) / RATE
-    begun = np.clip(time / 0.5, 0.0, 1.0) * np.clip((LASTS - time) / 0.5, 0.0, 1.0)
+    begun = np.clip(TIMES / 0.5, 0.0, 1.0) * np.clip((LASTS - TIMES) / 0.5, 0.0, 1.0)
     middle = {name: float(np.median(values)) for name, values in rest.items()}
 
     def chirp(chosen: Sequence[str], factor: float = 1.0) -> dict[str, np.ndarray]:
         """Of these servos, one after the other in phase; the others stand."""
-        turned = 2 * np.pi * factor * (SWEPT[0] * time + (SWEPT[1] - SWEPT[0]) * time**2 / (2 * LASTS))
-        made = {name: np.full(len(time), middle[name]) for name in names}
+        turned = 2 * np.pi * factor * (SWEPT[0] * TIMES + (SWEPT[1] - SWEPT[0]) * TIMES**2 / (2 * LASTS))
+        made = {name: np.full(len(TIMES), middle[name]) for name in names}
         for i, name in enumerate(chosen):
             limits = body.model.actuator_ctrlrange[body.actuator(name)]
             swing = middle[name] + SWING * begun * np.sin(turned + 2.4 * i)
@@ -69,7 +70,7 @@ def _excitations(found: Identification) -> dict[str, dict[str, np.ndarray]]:
     near = [name for name in names if any(part in (name, f"{name}_servo") for part in parts)] or names[:2]
     made = {f"chirp of {name}": chirp([name]) for name in near[:3]}
     again = {
-        name: np.interp(time, log.channel("command", name).times, values)  # type: ignore[union-attr]
+        name: np.interp(TIMES, log.channel("command", name).times, values)  # type: ignore[union-attr]
         for name, values in rest.items()
     }
     return made | {
@@ -88,14 +89,13 @@ def next_experiment(found: Identification) -> tuple[str, float, dict[str, np.nda
     fit, best = found.fit, ("", 1.0, dict[str, np.ndarray]())
     log = found.after.twin.logs[0]
     for name, commands in _excitations(found).items():
-        time = np.arange(round(LASTS * RATE)) / RATE
-        channels = [Channel(n, "command", n, time, values) for n, values in commands.items()]
+        channels = [Channel(n, "command", n, TIMES, values) for n, values in commands.items()]
         for each in log.channels:
             if each.name in found.fitted.twin.labels:
                 at = np.arange(0.0, LASTS, max(each.interval, 1e-3))
                 channels.append(dataclasses.replace(each, times=at, values=np.zeros((len(at), *each.values.shape[1:]))))
         names = [each.name for each in fit.space.parameters]
-        twin = LoggedTwin(found.body, [Log(tuple(channels), name)], names, found.wanted.window)
+        twin = LoggedTwin(found.body, [Log(tuple(channels), name)], names)
         tried = Estimation(fit.space, twin)
         order = [found.fitted.twin.labels.index(label) for label in twin.labels]
         left = determinacy.contribution(tried.jacobian(fit.x, fit.sigma[order]), fit)
@@ -116,11 +116,11 @@ def estimate_rows(found: Identification) -> list[list[str]]:
         known += f", at its {bounds[i]} bound" if bounds[i] else ""
         name = f"{each.name} [{each.unit}]" if each.unit != "1" else each.name
         numbers = [f"{each.value:.4g}", f"{found.fit.values[i]:.4g}", f"{low:.4g} to {high:.4g}"]
-        rows.append([name, *numbers, known, f"{each.low:.3g} to {each.high:.3g}: {each.why}"])
+        rows.append([name, known, *numbers, f"{each.low:.3g} to {each.high:.3g}: {each.why}"])
     return rows
 
 
-HEADINGS: Final = ("parameter", "start", "value", "90 %", "", "range and its reason")
+HEADINGS: Final = ("parameter", "", "start", "value", "90 %", "range and its reason")
 
 
 def write_identification(found: Identification, out: Path, command: str) -> dict[str, Any]:
@@ -156,7 +156,6 @@ def write_identification(found: Identification, out: Path, command: str) -> dict
             for i, each in enumerate(found.fit.space.parameters)
         },
         "combinations": {formula: deviation for formula, deviation, _ in determinacy.combinations(found.fit)},
-        "directions": [{"share": share, "of": of} for share, of in determinacy.directions(found.fit)],
         "singular_values": np.sqrt(np.maximum(1.0 / np.maximum(found.fit.share, 1e-12) ** 2 - 1.0, 0.0)).tolist(),
         "left_out": list(found.left_out),
         "missing": dict(found.missing),
@@ -175,34 +174,34 @@ def write_identification(found: Identification, out: Path, command: str) -> dict
     figures = list(figures_of(found))
     write_figures(figures, out / "plots")
     said = "".join(f"<p>{html.escape(each)}</p>" for each in sentences)
-    cells = "".join(f"<tr>{''.join(f'<td>{html.escape(c)}</td>' for c in row)}</tr>" for row in estimate_rows(found))
-    head = "".join(f"<th>{each}</th>" for each in HEADINGS)
-    directions = "".join(
-        f"<li>{percent(share)}: {html.escape(of)}</li>" for share, of in determinacy.directions(found.fit)
-    )
+    wrapped = ' style="text-align: left; white-space: normal"'
+    cells = ""
+    for row in estimate_rows(found):
+        *shown, reason = map(html.escape, row)
+        cells += f"<tr>{''.join(f'<td>{each}</td>' for each in shown)}<td{wrapped}>{reason}</td></tr>"
+    head = "".join(f"<th>{each}</th>" for each in HEADINGS[:-1]) + f"<th{wrapped}>{HEADINGS[-1]}</th>"
     parts = [
         f"<h2>Verdict</h2>{said}",
         f'<h2>Parameters</h2><div class="wide"><table><tr>{head}</tr>{cells}</table></div>',
-        f"<h2>Least known directions</h2><p>Share of the range's width that is left.</p><ul>{directions}</ul>",
         f"<h2>To make it again</h2><pre>{html.escape(command)}</pre>",
     ]
-    page = offline_page(html.escape(out.resolve().name), "an identification", parts, figures)
+    logs = ", ".join(dict.fromkeys(Path(each.file).name for each in found.after.twin.logs))
+    page = offline_page(html.escape(f"What {logs} says of the robot"), "an identification", parts, figures)
     replace_file(out / "report.html", page.encode())
     return content
 
 
 def _written_commands(found: Identification, commands: Mapping[str, np.ndarray], out: Path) -> str:
     """The file of an experiment: a recording that `servos` plays, or for another robot a table."""
-    time = np.arange(round(LASTS * RATE)) / RATE
     if isinstance(found.body, NermoBody):
         model = found.body.model
-        ctrl = np.zeros((len(time), model.nu))
+        ctrl = np.zeros((len(TIMES), model.nu))
         for name, values in commands.items():
             ctrl[:, found.body.actuator(name)] = values
-        still = np.repeat(found.body.start()[None], len(time), axis=0)
-        Recording(time, still, np.zeros((len(time), model.nv)), ctrl).save(out / "next.npz")
+        still = np.repeat(found.body.start()[None], len(TIMES), axis=0)
+        Recording(TIMES, still, np.zeros((len(TIMES), model.nv)), ctrl).save(out / "next.npz")
         return "next.npz"
-    rows = [["time", *commands], *np.column_stack([time, *commands.values()]).round(6).astype(str).tolist()]
+    rows = [["time", *commands], *np.column_stack([TIMES, *commands.values()]).round(6).astype(str).tolist()]
     replace_file(out / "next.csv", "".join(",".join(row) + "\n" for row in rows).encode())
     return "next.csv"
 
@@ -243,6 +242,7 @@ def _predicted(found: Identification, most: int = 6) -> Figure:
     low, high = np.quantile(drawn, determinacy.ENDS, axis=0)
     best = twin.measured.values + found.after.residual
     before = twin.measured.values + found.before.residual
+    units = {each.name: each.unit for log in twin.logs for each in log.channels}
     worst = np.argsort(-found.after.judgement.rms / found.after.judgement.noise)[:most]
     figure = blank_page(
         "Predicted and measured, where nothing was fitted", 7.5, 1.0 + 1.35 * len(worst),
@@ -257,16 +257,16 @@ def _predicted(found: Identification, most: int = 6) -> Figure:
         ax.fill_between(time, low[rows], high[rows], color=BAND, lw=0, alpha=0.7)
         ax.plot(time, before[rows], color=MUTED, lw=0.9, ls="--", label="default body")
         ax.plot(time, best[rows], color=LINE, lw=1.2, label="identified")
-        ax.set_ylabel(twin.labels[i])
+        ax.set_ylabel(f"{twin.labels[i]} [{units[twin.labels[i]]}]")
     ax.set_xlabel("time [s]")
-    figure.legend(*ax.get_legend_handles_labels(), loc="outside upper right", ncols=3)
+    figure.axes[0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3)
     return figure
 
 
 def _residuals(found: Identification) -> Figure:
     labels, judged = found.after.twin.labels, found.after.judgement
     figure = blank_page(
-        "Residuals where nothing was fitted, in the noise of each channel", 7.0, 1.4 + 0.25 * len(labels)
+        "Residuals where nothing was fitted, in the noise of each channel", 7.0, 1.7 + 0.25 * len(labels)
     )
     ax, y = figure.subplots(), np.arange(len(labels))
     for shift, of, colour, label in (
@@ -277,7 +277,7 @@ def _residuals(found: Identification) -> Figure:
     ax.axvline(1.0, color=BEST, lw=0.9, label="noise")
     ax.set_yticks(y, labels)
     ax.set(xscale="log", xlabel="root mean square [noise]", ylim=(len(labels) - 0.4, -0.6))
-    ax.legend(loc="lower right")
+    ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3)
     return figure
 
 
@@ -285,12 +285,8 @@ def _intervals(found: Identification) -> Figure:
     """Intervals in the ranges of the parameters."""
     space, fit = found.fit.space, found.fit
     span = space.high - space.low
-    ends = (
-        space.coordinates(
-            np.clip(found.intervals.T, [p.low for p in space.parameters], [p.high for p in space.parameters])
-        )
-        - space.low
-    ) / span
+    low, high = ([getattr(each, end) for each in space.parameters] for end in ("low", "high"))
+    ends = (space.coordinates(np.clip(found.intervals.T, low, high)) - space.low) / span
     figure = blank_page("90 % intervals in the ranges that were searched", 7.0, 1.2 + 0.2 * len(space))
     ax, y = figure.subplots(), np.arange(len(space))
     colours = [LINE if known else BAND for known in fit.determined]

@@ -23,9 +23,9 @@ from mujoco.batch import Batch, SimulationError
 from nermo_mjx.experiments.cases import texts
 from nermo_mjx.experiments.determinacy import LoggedSamples, Parameter, without
 from nermo_mjx.hardware.log import Channel, Log
-from nermo_mjx.physics.servo_play import Play, played
+from nermo_mjx.physics.servo_play import Play, played, servo_addresses
 from nermo_mjx.physics.variation import Variation, moves_constants
-from nermo_mjx.robot import ModelParameters, ParameterError, Robot, load_robot
+from nermo_mjx.robot import ModelParameters, ParameterError, load_robot
 from nermo_mjx.robot.masses import mass_values
 from nermo_mjx.robot.quantity import did_you_mean, replace_quantities
 from nermo_mjx.robot.scene import read_mjcf
@@ -47,8 +47,8 @@ COMMANDS: Final = ("delay", "bias", "dead_band", "backlash")
 #: Kinds of parameters and their ranges; see `experiments.yaml`.
 KINDS: Final[dict[str, dict[str, Any]]] = texts("log")["kinds"]
 #: Quantities that a model predicts.
-PREDICTED: Final = ("angle", "velocity", "gyro", "acceleration", "position", "yaw", "torque")
-_SENSORS: Final = {"gyro": "GYRO", "acceleration": "ACCELEROMETER"}
+PREDICTED: Final = ("angle", "velocity", "gyro", "accelerometer", "position", "yaw", "torque")
+_SENSORS: Final = {"gyro": "GYRO", "accelerometer": "ACCELEROMETER"}
 
 
 class Body:
@@ -179,7 +179,7 @@ class MjcfBody(Body):
         try:
             free_joints = [joint for joint in spec.joints if joint.type == mujoco.mjtJoint.mjJNT_FREE]
             seen = {each.quantity for one in log for each in one.channels}
-            held = bool(free_joints) and not seen & {"gyro", "acceleration", "position", "yaw"}
+            held = bool(free_joints) and not seen & {"gyro", "accelerometer", "position", "yaw"}
             if held:
                 for key in list(spec.keys):
                     spec.delete(key)
@@ -193,15 +193,15 @@ class MjcfBody(Body):
             raise ParameterError(f"{path}: MuJoCo cannot compile it ({str(error).splitlines()[0]}).") from None
         if held:
             self.notes.append("No channel sees the base: it is held where the model puts it.")
-        self.path = path
         self._add(tuple(free), {each.of for one in log for each in one.channels if each.quantity == "command"})
 
     def _add(self, free: tuple[str, ...], commanded: set[str]) -> None:
         model = self.model
-        data = mujoco.MjData(model)
+        data, mass = mujoco.MjData(model), np.zeros((model.nv, model.nv))
         data.qpos[:] = self.start()
         mujoco.mj_forward(model, data)
-        inertia = np.maximum(np.diag(mujoco_mass(model, data)), 1e-9)
+        mujoco.mj_fullM(model, data, mass)
+        inertia = np.maximum(np.diag(mass), 1e-9)
         driven = sorted(self.actuator(name) for name in commanded)
         joints = [int(model.actuator_trnid[a, 0]) for a in driven]
         dofs = [int(model.jnt_dofadr[j]) for j in joints]
@@ -257,26 +257,18 @@ class MjcfBody(Body):
         return str(spec.to_xml())
 
 
-def mujoco_mass(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
-    """The mass matrix (nv, nv)."""
-    full = np.zeros((model.nv, model.nv))
-    mujoco.mj_fullM(model, data, full)
-    return full
-
-
 class NermoBody(Body):
-    """Nermo, with the parameters of `ModelParameters`."""
+    """Nermo-Lite or Nermo 4.1 as it comes with the package, with the parameters of `ModelParameters`."""
 
-    def __init__(self, robot: Robot, free: Iterable[str], fixed: Mapping[str, float]) -> None:
+    def __init__(self, robot: str, free: Iterable[str]) -> None:
         """
         Args:
-            robot: standing in its scene.
+            robot: its name.
             free: kinds of parameters that are estimated.
-            fixed: model parameter -> value, of the body that it starts from.
         """
-        super().__init__(robot.physical)
-        self.robot, self._variation = robot, Variation(robot)
-        self.standing = dict(fixed)
+        nermo = load_robot(robot)
+        super().__init__(nermo.physical)
+        self._variation, self.standing = Variation(nermo), dict(mass_values(robot))
         self.model.opt.jacobian = mujoco.mjtJacobian.mjJAC_SPARSE
         known = replace_quantities(ModelParameters(), self.standing)
         for name, about in texts("log")["nermo"].items():
@@ -290,7 +282,7 @@ class NermoBody(Body):
             )
         if "bias" in free:
             low, value, high = KINDS["bias"]["unset"]
-            for servo in robot.servos[:9]:
+            for servo in nermo.servos[:9]:
                 name = f"bias.{servo}"
                 self.parameters[name] = Parameter(name, "bias", "rad", value, low, high, KINDS["bias"]["why"], 0.0)
 
@@ -324,11 +316,6 @@ class NermoBody(Body):
         return int(self.model.actuator_trnid[self.actuator(name), 0])
 
 
-def nermo_body(robot: str, free: Iterable[str]) -> NermoBody:
-    """Nermo-Lite or Nermo 4.1, by name, as it comes with the package."""
-    return NermoBody(load_robot(robot), free, mass_values(robot))
-
-
 class LoggedTwin:
     """The predictions of a body for logs: the problem that an `Estimation` solves."""
 
@@ -337,8 +324,6 @@ class LoggedTwin:
         body: Body,
         logs: Sequence[Log],
         names: Sequence[str],
-        window: float | None = None,
-        threads: int | None = None,
         only: Callable[[np.ndarray, float], np.ndarray] | None = None,
     ) -> None:
         """
@@ -346,17 +331,14 @@ class LoggedTwin:
             body: that is driven.
             logs: one or several.
             names: of the parameters that the values of `predict` are of.
-            window: interval at which the model is set to the measured angles again [s]; by default `AGAIN` where motors
-                push, and else the whole log.
-            threads: processors, by default all.
             only: which samples count, of times (n,) and the duration of their log: (n,) bool.
 
         Raises:
             ParameterError: a channel of a part that the model does not have, or nothing to compare.
         """
-        self.body, self.names, self.threads, self.logs = body, tuple(names), thread_count(threads), tuple(logs)
+        self.body, self.names, self.logs = body, tuple(names), tuple(logs)
         pushed = not body.servos.all() and body.model.nu > 0
-        self._legs = [_Driven(body, log, AGAIN if pushed and window is None else window) for log in logs]
+        self._legs = [_Driven(body, log, AGAIN if pushed else None) for log in logs]
         if not all(leg.channels for leg in self._legs):
             raise ParameterError("no channel of the log is one that a model predicts: give angles, an IMU, or a track.")
         labels = list(dict.fromkeys(each.name for leg in self._legs for each in leg.channels))
@@ -383,7 +365,7 @@ class LoggedTwin:
         """Predictions (k, n) of the samples that count for values (k, p)."""
         rows = []
         for block in np.array_split(values, -(-len(values) // LANES)):
-            parts = [leg.predict(self.names, block, self.threads) for leg in self._legs]
+            parts = [leg.predict(self.names, block) for leg in self._legs]
             rows.append(np.concatenate(parts, axis=1)[:, self.keep])
         return np.concatenate(rows)
 
@@ -391,7 +373,7 @@ class LoggedTwin:
         """Linearize what depends on unknown starts, at values (p,)."""
         self._around, first = [], 0
         for leg in self._legs:
-            columns, window = leg.nuisance(self.names, values, self.threads)
+            columns, window = leg.nuisance(self.names, values)
             kept = self.keep[first : first + len(window)]
             place = np.cumsum(self.keep)[first : first + len(window)] - 1
             first += len(window)
@@ -523,7 +505,7 @@ class _Driven:
                     found[:, :, a] += column[name][:, None]
         return found
 
-    def predict(self, names: Sequence[str], values: np.ndarray, threads: int, starts: Any = None) -> np.ndarray:
+    def predict(self, names: Sequence[str], values: np.ndarray, starts: Any = None) -> np.ndarray:
         """Predictions of all samples (k, n) for values (k, p); NaN where a simulation fails.
 
         Args:
@@ -532,7 +514,7 @@ class _Driven:
         model, body, k, w = self.body.model, self.body, len(values), self.windows
         names = (*names, *body.fixed)
         values = np.concatenate([values, np.tile(list(body.fixed.values()), (k, 1))], axis=1)
-        batch = Batch(model, k * w, nthread=threads)
+        batch = Batch(model, k * w, nthread=thread_count(None))
         fields = body.fields(names, values)
         for name, field in fields.items():
             batch.expand(name)[...] = np.repeat(field, w, axis=0)
@@ -554,7 +536,7 @@ class _Driven:
                     return batch.rollout(steps.shape[1], steps, record=wanted)
                 rows: list[dict[str, np.ndarray]] = []
                 of = Play(*(np.repeat(np.broadcast_to(leaf, (k, np.shape(leaf)[-1])), w, axis=0) for leaf in play))
-                addresses = model.jnt_qposadr[model.actuator_trnid[:, 0]], model.jnt_dofadr[model.actuator_trnid[:, 0]]
+                addresses = servo_addresses(model)
                 position, velocity = batch.bind("qpos"), batch.bind("qvel")
                 for i in range(steps.shape[1]):
                     q, v = position[:, addresses[0]], velocity[:, addresses[1]]
@@ -607,7 +589,7 @@ class _Driven:
         high = np.minimum(low + 1, series.shape[2] - 1)
         return ((1 - share) * series[:, window, low] + share * series[:, window, high]).reshape(k, -1)
 
-    def nuisance(self, names: Sequence[str], values: np.ndarray, threads: int) -> tuple[np.ndarray, np.ndarray]:
+    def nuisance(self, names: Sequence[str], values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Derivatives of the samples to unknown starts (n, m), and the window of each sample (n,)."""
         which = np.concatenate([self._window(each) for each in self.channels])
         columns = self._frame()
@@ -615,7 +597,7 @@ class _Driven:
             # The whole of a log that servos drive is one window, whose start they soon forget.
             early = self if self.windows > 1 else _Driven(self.body, until(self.log, FORGOTTEN), None)
             near = np.concatenate([np.repeat(e.times < FORGOTTEN, e.values[:1].size) for e in self.channels])
-            columns += early.to_starts(names, values, threads, near | (self.windows > 1))
+            columns += early.to_starts(names, values, near | (self.windows > 1))
         return (np.stack(columns, axis=1) if columns else np.zeros((len(which), 0))), which
 
     def _window(self, channel: Channel) -> np.ndarray:
@@ -623,7 +605,7 @@ class _Driven:
         own = np.clip((channel.times / (self.steps * self.step)).astype(int), 0, self.windows - 1)
         return np.repeat(own, channel.values[:1].size)
 
-    def to_starts(self, names: Sequence[str], values: np.ndarray, threads: int, rows: np.ndarray) -> list[np.ndarray]:
+    def to_starts(self, names: Sequence[str], values: np.ndarray, rows: np.ndarray) -> list[np.ndarray]:
         """Derivatives of the samples `rows` (n,) to positions and velocities of the starts, (n,) each, normalized."""
         model, starts, columns = self.body.model, list[Any](), list[np.ndarray]()
         for way in np.eye(2 * model.nv):
@@ -634,7 +616,7 @@ class _Driven:
                 starts.append((qpos, qvel))
         for i in range(0, len(starts), LANES):
             both = tuple(np.stack(part) for part in zip(*starts[i : i + LANES], strict=True))
-            found = self.predict(names, np.repeat(values[None], len(both[0]), axis=0), threads, both)
+            found = self.predict(names, np.repeat(values[None], len(both[0]), axis=0), both)
             for change in np.nan_to_num(found[0::2] - found[1::2]):
                 columns.append(np.zeros(len(rows)))
                 columns[-1][rows] = change / max(float(np.abs(change).max()), 1e-30)

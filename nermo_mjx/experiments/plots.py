@@ -12,7 +12,6 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any, Final
 
-import jax.numpy as jnp
 import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
@@ -25,13 +24,13 @@ from matplotlib.ticker import FuncFormatter, MultipleLocator
 from nermo_mjx.experiments import walks
 from nermo_mjx.experiments.cases import PROFILES, SIMULATED, CaseRuns, clock, texts
 from nermo_mjx.experiments.published import AGREES, Line
-from nermo_mjx.kinematics.body import attitude
 from nermo_mjx.plotting.charts import FigurePage, horizontal_grid, light
 from nermo_mjx.plotting.shown import shown as in_shown_unit
 from nermo_mjx.plotting.shown import spoken
 from nermo_mjx.plotting.style import BEST, FOOT, GRID, INK, LINE, MISSING, MUTED, OKABE_ITO, SERIES, SHADE
 from nermo_mjx.recording import Recording
 from nermo_mjx.robot import LIMBS, load_robot
+from nermo_mjx.view.recorded import attitude_of
 
 Drawn = Iterator[tuple[str, Figure | None]]
 Lines = Sequence[Line]
@@ -157,13 +156,6 @@ def shade_phases(ax: Axes, phases: Mapping[str, Sequence[float]], *, named: bool
             ax.text((begin + end) / 2, 1.01, name, transform=ax.get_xaxis_transform(), **above)
     ends = [time for phase in phases.values() for time in phase]
     ax.set_xlim(min(ends), max(ends))
-
-
-def angles(recording: Recording) -> np.ndarray:
-    """Roll, pitch and yaw of the torso over time, (T, 3) [deg]; with unwrapped yaw."""
-    found = np.array(attitude(jnp.asarray(recording.sensors["orientation"])), float)
-    found[:, 2] = np.unwrap(found[:, 2])
-    return np.degrees(found)
 
 
 def seen_from_above(ax: Axes, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -341,7 +333,7 @@ LEAST, MOST = -0.5, 2.5
 _NEAR: Final = "#e6f1f8"
 _TONES: Final = {"as_published": LINE, "exact": "#b9cbd8", "as_built": "#8a6fb0", "author": "#444444"}
 #: Right ends of the columns of numbers, in widths of the table.
-_COLUMNS: Final = {"published": 0.16, "author": 0.35, "as_published": 0.635, "exact": 0.81, "as_built": 1.0}
+_COLUMNS: Final = {"published": 0.17, "author": 0.39, "as_published": 0.62, "exact": 0.81, "as_built": 1.0}
 
 
 def _number(value: Any) -> float | None:
@@ -360,7 +352,7 @@ def _agreement(outcome: CaseRuns, lines: Lines) -> Drawn:
     if not rows:
         return
     title = f"What was published, and what was measured: {outcome.experiment.replace('-', ' ')}"
-    page = FigurePage(title, (11.4, 1.5 + 0.255 * len(rows)), 1, 2, sharey=True, gridspec_kw={"width_ratios": [1.2, 1]})
+    page = FigurePage(title, (12.6, 1.5 + 0.255 * len(rows)), 1, 2, sharey=True, gridspec_kw={"width_ratios": [1, 1]})
     ax, table = page.axes[0]
     ax.axvspan(1 - AGREES, 1 + AGREES, color=_NEAR, lw=0, zorder=-5)
     ax.axvline(1, color=MUTED, lw=0.8, zorder=0)
@@ -403,7 +395,7 @@ def _agreement(outcome: CaseRuns, lines: Lines) -> Drawn:
     handles += [swatch(f"within {AGREES:.0%}".replace("%", " %"), _NEAR)]
     note = (
         "of an effect, a ratio, the share is of the ratio less 1; arrow: beyond the axis; bracket: published as an "
-        "interval, of which the diamond is the middle; author: his own model and code; orange: does not hold"
+        "interval, of which the diamond is the middle; author: his model and code in MuJoCo 3.17; orange: does not hold"
     )
     yield "report", page.finish(handles, note)
 
@@ -512,7 +504,7 @@ def _orientation(outcome: CaseRuns, lines: Lines) -> Figure | None:
         cycles = run.time * labels["frequency"] / clock(labels["profile"])
         begin = max(0.0, np.floor(cycles[-1] + 0.01) - 2)
         inside = (cycles >= begin - 1e-9) & (cycles <= begin + 2 + 1e-9)
-        for ax, angle in zip(page.axes[:, 0], angles(run)[inside].T, strict=True):
+        for ax, angle in zip(page.axes[:, 0], attitude_of(run.sensors["orientation"])[inside].T, strict=True):
             ax.plot(cycles[inside] - begin, angle, color=SPINE[bool(run.metadata["labels"]["spine"])], lw=1.7)
     largest, handles = published(lines, LARGEST_ROLL), spine_strokes()
     if isinstance(largest, float):
@@ -874,7 +866,7 @@ def _sway(outcome: CaseRuns, runs: Mapping[str, Mapping[bool, Recording]]) -> Fi
             time, end = run.time / clock(profile), _arrival(outcome, profile, on)
             begin = _FROM * (end if np.isfinite(end) else time[-1])
             part = (time >= begin) & (time <= begin + _SECONDS)
-            for ax, angle in zip(pair, angles(run)[part].T, strict=False):
+            for ax, angle in zip(pair, attitude_of(run.sensors["orientation"])[part].T, strict=False):
                 ax.plot(time[part] - begin, angle, color=SPINE[on], lw=1.2)
         for ax, name in zip(pair, ("roll", "pitch"), strict=True):
             ax.set_ylabel(f"{name} [deg]")

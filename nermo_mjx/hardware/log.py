@@ -47,21 +47,22 @@ QUANTITIES: Final[dict[str, dict[str, float]]] = {
     "angle": _ANGLE | _LENGTH,
     "velocity": {"rad/s": 1.0, "deg/s": _DEGREE, "rpm": 6.0 * _DEGREE, "m/s": 1.0, "mm/s": 1e-3},
     "gyro": {"rad/s": 1.0, "deg/s": _DEGREE},
-    "acceleration": {"m/s^2": 1.0, "g": 9.80665, "mg": 9.80665e-3},
+    "accelerometer": {"m/s^2": 1.0, "g": 9.80665, "mg": 9.80665e-3},
     "position": _LENGTH,
     "yaw": _ANGLE,
-    "contact": {"switch": 1.0} | _FORCE,
+    "force": _FORCE,
+    "contact": {"switch": 1.0},
     "current": {"A": 1.0, "mA": 1e-3},
     "torque": _TORQUE,
 }
 #: What a channel is of where a file does not say it: the only such sensor of this robot.
-_OF: Final = {"gyro": "imu", "acceleration": "imu", "position": "torso", "yaw": "torso"}
+_OF: Final = {"gyro": "imu", "accelerometer": "imu", "position": "torso", "yaw": "torso"}
 #: How many columns a channel may have: one for each axis of these quantities.
-_AXES: Final = {"gyro": (3,), "acceleration": (3,), "position": (2, 3)}
+_AXES: Final = {"gyro": (3,), "accelerometer": (3,), "position": (2, 3)}
 _SECONDS: Final = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 #: Quantities that never stand still when they are measured; an angle may, unless its command moves by more than this
 #: [rad, m].
-_MOVING: Final = ("velocity", "gyro", "acceleration", "position", "yaw")
+_MOVING: Final = ("velocity", "gyro", "accelerometer", "position", "yaw")
 MOVED: Final = 0.05
 #: Rows in a row that may be stamped before an earlier one: more are of a clock that was set back.
 _LATE_ROWS: Final = 10
@@ -86,7 +87,9 @@ class SignalFields(Fields):
     what: ClassVar = "a field of a channel"
     expected: ClassVar = "a mapping such as {quantity: angle, of: front_left_hip, unit: deg}"
     example: ClassVar = expected
-    quantity: Annotated[str, Choice(tuple(QUANTITIES))] = Field(description="what it is")
+    quantity: Annotated[str, Choice(tuple(QUANTITIES), {"acceleration": "accelerometer"})] = Field(
+        description="what it is"
+    )
     unit: Any = Field(description="of the column's numbers: a name, or the SI units of a count")
     of: str = optional("name of the servo, joint, sensor, foot or body that it is of")
     column: str = optional("name of its column; by default the channel's name")
@@ -94,6 +97,13 @@ class SignalFields(Fields):
     sign: float = optional("-1 where the column counts against the robot's model", enum=[1, -1])
     zero: Finite = optional("number in the column where the model has 0")
     time: ClockFields = optional("its own clock")
+
+    @classmethod
+    def written_out(cls, given: Any) -> Any:
+        """With a force, which former versions called a contact, as one."""
+        if isinstance(given, dict) and given.get("quantity") == "contact" and given.get("unit") in [*_FORCE]:
+            return given | {"quantity": "force"}
+        return given
 
 
 class LogFields(Fields):

@@ -188,11 +188,11 @@ def _own_findings(channel: Channel, expected: np.ndarray | None) -> Iterator[str
         yield f"{channel.name} reaches {most:.3g} rad: is its unit deg, or its zero another one?"
     if channel.quantity == "gyro" and most > _FASTEST:
         yield f"{channel.name} reaches {most:.3g} rad/s: is its unit deg/s?"
-    if channel.quantity == "acceleration":
+    if channel.quantity == "accelerometer":
         weight = float(np.median(np.linalg.norm(channel.values, axis=-1)))
         if not _WEIGHT[0] < weight < _WEIGHT[1]:
             yield f"{channel.name} has a median of {weight:.3g} m/s^2, not of gravity: has it another unit?"
-    if channel.quantity in ("angle", "velocity", "gyro", "acceleration", "current"):
+    if channel.quantity in ("angle", "velocity", "gyro", "accelerometer", "current"):
         for name, axis in axes_of(channel):
             for sign, end in ((1.0, "upper"), (-1.0, "lower")):
                 if _is_saturated(sign * axis.values, expected):

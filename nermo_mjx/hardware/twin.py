@@ -16,6 +16,7 @@ from nermo_mjx.hardware.signals import Difference, axes_of, channel_differences,
 from nermo_mjx.kinematics.body import attitude
 from nermo_mjx.recording import BESIDE, Recording
 from nermo_mjx.robot import LIMBS, ParameterError, Robot, ServoAngles
+from nermo_mjx.robot.parameters import READINGS
 from nermo_mjx.robot.quantity import choice
 from nermo_mjx.rollout import Run, Setup, Simulator
 
@@ -134,26 +135,23 @@ def twin_signals(recording: Recording, robot: Robot) -> Log:
         return dict(zip(names, values.T, strict=True))
 
     add("command", "rad", each(robot.servos, recording.ctrl), begin)
-    add("angle", "rad", each(robot.servos, sensors["servo_angle"]))
-    add("velocity", "rad/s", each(robot.servos, sensors["servo_velocity"]))
-    add("torque", "N m", each(robot.servos, sensors["servo_torque"]))
-    add("gyro", "rad/s", {"imu": sensors["gyro"]})
-    add("acceleration", "m/s^2", {"imu": sensors["accelerometer"]})
-    add("position", "m", {"torso": sensors["position"]})
+    for last in ("angle", "velocity", "torque"):
+        add(last, READINGS[f"servo_{last}"].unit, each(robot.servos, sensors[f"servo_{last}"]))
+    for name, of in (("gyro", "imu"), ("accelerometer", "imu"), ("position", "torso")):
+        add(name, READINGS[name].unit, {of: sensors[name]})
     add("yaw", "rad", {"torso": np.unwrap(np.asarray(attitude(jnp.asarray(sensors["orientation"])))[:, 2])})
-    add("contact", "N", each(LIMBS, sensors["foot_force"]))
+    add("force", "N", each(LIMBS, sensors["foot_force"]))
+    add("contact", "switch", each(LIMBS, (sensors["foot_force"] > _SWITCH).astype(float)))
     return Log(tuple(made), "the twin")
 
 
 def beside(log: Log, twin: Log) -> Log:
-    """What a twin measures of a log's channels, as the log has it: its switches, and in the frame of its track."""
+    """What a twin measures of a log's channels, as the log has it: in the frame of its track."""
     found = []
     for channel in log.channels:
         if channel.quantity == "command":
             continue
         other = twin.of_quantity(channel.quantity).get(channel.of)
-        if other is not None and channel.unit == "switch":
-            other = dataclasses.replace(other, values=(other.values > _SWITCH).astype(float), unit="switch")
         if other is not None:
             found.append(dataclasses.replace(in_frame_of(other, channel), name=channel.name))
     return Log(tuple(found), twin.file)

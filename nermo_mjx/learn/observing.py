@@ -6,6 +6,7 @@ A critic may know more (`privileged`), since it is not used after training.
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Callable, Sequence
 from typing import Any, Final, NamedTuple
 
@@ -20,6 +21,7 @@ from nermo_mjx.learn.acting import ACTED
 from nermo_mjx.robot import LIMBS, ParameterError, Sensors
 from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.model_parameters import ModelParameters
+from nermo_mjx.robot.parameters import reading_names
 from nermo_mjx.robot.quantity import parameter_tree, quantity
 from nermo_mjx.rollout.metrics import LOADED
 from nermo_mjx.shapes import Array, Scalar
@@ -37,36 +39,30 @@ class Sensing:
 
     delay: Any = quantity(0.0, "s", 0.0, LONGEST_DELAY, "age of the readings that a policy gets")
     servo_angle_noise: Any = quantity(0.0, "rad", 0.0, 1.0, "of the servos' angles")
-    servo_load_noise: Any = quantity(0.0, "N m", 0.0, 1.0, "of the servos' torques")
-    servo_current_noise: Any = quantity(0.0, "A", 0.0, 1.0, "of the servos' currents")
+    servo_torque_noise: Any = quantity(0.0, "N m", 0.0, 1.0, "of the servos' torques")
+    motor_current_noise: Any = quantity(0.0, "A", 0.0, 1.0, "of the servos' currents")
     knee_angle_noise: Any = quantity(0.0, "rad", 0.0, 1.0, "of the knees' angles")
     gyro_noise: Any = quantity(0.0, "rad/s", 0.0, 10.0, "of the IMU's angular velocity")
     accelerometer_noise: Any = quantity(0.0, "m/s^2", 0.0, 50.0, "of the IMU's acceleration")
-    tilt_noise: Any = quantity(0.0, "1", 0.0, 1.0, "of the direction of gravity")
+    projected_gravity_noise: Any = quantity(0.0, "1", 0.0, 1.0, "of the direction of gravity")
 
 
 @dataclasses.dataclass(frozen=True)
 class Sensed:
-    """A group of readings.
+    """What a policy observes of a reading.
 
     Attributes:
-        labels: of its numbers; "" for one without a label.
         read: the readings of one world, in SI units.
-        scale: what is observed is the reading over this, so that it is about 1.
-        unit: of the scale.
-        noise: field of `Sensing`; None for a reading without noise.
-        doc: what it is.
+        scale: what is observed is the reading over this, so that it is about 1. Its noise is a field of `Sensing`.
+        labels: of the numbers of one's own; "" for one without a label.
     """
 
-    labels: tuple[str, ...]
     read: Callable[[Sensors], Vector]
-    scale: float
-    unit: str
-    noise: str | None
-    doc: str
+    scale: float = 1.0
+    labels: tuple[str, ...] = ()
 
 
-def down(sensors: Sensors) -> Float[Array, " 3"]:
+def projected_gravity(sensors: Sensors) -> Float[Array, " 3"]:
     """Direction of the world's -z in the IMU's frame."""
     w, x, y, z = sensors.orientation
     return -jnp.stack([2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)])
@@ -88,30 +84,42 @@ def current(sensors: Sensors) -> Float[Array, " k"]:
     return servo.idle_current + per_torque * jnp.abs(sensors.servo_torque[: len(ACTED)])
 
 
-#: What the robot senses. Loads are the servos' torques, currents what their motors' supply shows of them: no sign.
+#: What the robot senses, by names of `READINGS`. Currents are what a motor's supply shows of its torque: no sign.
 SENSED: Final[dict[str, Sensed]] = {
-    "servo_angle": Sensed(
-        ACTED, lambda s: s.servo_angle[: len(ACTED)], 1.0, "rad", "servo_angle_noise", "angles of the servos"
-    ),
-    "servo_load": Sensed(
-        ACTED, lambda s: s.servo_torque[: len(ACTED)], 0.1, "N m", "servo_load_noise", "torques of the servos"
-    ),
-    "servo_current": Sensed(ACTED, current, 0.5, "A", "servo_current_noise", "currents of the servos' motors"),
-    "knee_angle": Sensed(LIMBS, lambda s: s.knee_angle, 1.0, "rad", "knee_angle_noise", "angles of the knees"),
-    "foot_contact": Sensed(LIMBS, contact, 1.0, "1", None, "whether a foot bears load"),
-    "gyro": Sensed(_AXES, lambda s: s.gyro, 3.0, "rad/s", "gyro_noise", "angular velocity of the torso"),
-    "accelerometer": Sensed(
-        _AXES, lambda s: s.accelerometer, 9.81, "m/s^2", "accelerometer_noise", "acceleration of the torso"
-    ),
-    "tilt": Sensed(_AXES, down, 1.0, "1", "tilt_noise", "direction of gravity, which an IMU with fusion knows"),
+    "servo_angle": Sensed(lambda s: s.servo_angle[: len(ACTED)]),
+    "servo_torque": Sensed(lambda s: s.servo_torque[: len(ACTED)], 0.1),
+    "motor_current": Sensed(current, 0.5),
+    "knee_angle": Sensed(lambda s: s.knee_angle),
+    "foot_contact": Sensed(contact),
+    "gyro": Sensed(lambda s: s.gyro, 3.0),
+    "accelerometer": Sensed(lambda s: s.accelerometer, 9.81),
+    "projected_gravity": Sensed(projected_gravity),
 }
+_RENAMED: Final = {"servo_load": "servo_torque", "servo_current": "motor_current", "tilt": "projected_gravity"}
+#: What files of former versions call readings and their noise.
+FORMER: Final = _RENAMED | {f"sensing.{old}_noise": f"sensing.{new}_noise" for old, new in _RENAMED.items()}
+
+
+def today(name: str) -> str:
+    """The name of an observation's number, of which a former version wrote `servo_load.spine` and `gyro.x`.
+
+    >>> today("servo_load.spine"), today("gyro.x"), today("phase.cos")
+    ('spine_servo_torque', 'gyro_x', 'phase.cos')
+    """
+    group, _, label = name.partition(".")
+    group = FORMER.get(group, group)
+    if not label or group not in SENSED:
+        return name
+    return f"{group}_{label}" if label in _AXES else f"{label}_{group}"
+
+
 #: Other inputs of a policy: the gait's phase as cosine and sine, the command, where it is beside the path, the path's
 #: curvature there, and its own last action.
 TOLD: Final = ("phase", "command", "path", "curvature", "action")
 #: Default observation of a policy.
 OBSERVED: Final = (
     "servo_angle",
-    "servo_load",
+    "servo_torque",
     "knee_angle",
     "foot_contact",
     "gyro",
@@ -169,6 +177,7 @@ class Observer:
     own: tuple[tuple[str, Sensed], ...] = ()
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "groups", tuple(FORMER.get(name, name) for name in self.groups))
         known = (*SENSED, *TOLD)
         for name in self.groups:
             if name not in known:
@@ -186,7 +195,7 @@ class Observer:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of every number of an observation, such as `gyro.x`."""
+        """Of every number of an observation, such as `gyro_x`."""
         told = {
             "phase": ("cos", "sin") if self.phase else (),
             "command": self.commands,
@@ -194,9 +203,9 @@ class Observer:
             "curvature": ("path",) if self.path else (),
             "action": self.actions,
         }
-        labels = {name: group.labels for name, group in self.sensed.items()}
-        labels |= {name: told[name] for name in TOLD if name in self.groups}
-        return tuple(f"{name}.{label}".rstrip(".") for name, several in labels.items() for label in several)
+        labels = {name: _names(name, group) for name, group in self.sensed.items()}
+        labels |= {name: tuple(f"{name}.{label}" for label in told[name]) for name in TOLD if name in self.groups}
+        return tuple(itertools.chain.from_iterable(labels.values()))
 
     def readings(self, sensors: Sensors) -> Vector:
         """Current sensor readings, scaled."""
@@ -227,9 +236,9 @@ class Observer:
             readings = newest_first[before] + share * (newest_first[before + 1] - newest_first[before])
         if self.noisy:
             spread = []
-            for group in self.sensed.values():
-                noise = 0.0 if group.noise is None else getattr(sensing, group.noise)
-                spread.append(jnp.broadcast_to(jnp.asarray(noise) / group.scale, (len(group.labels),)))
+            for name, group in self.sensed.items():
+                noise = getattr(sensing, f"{name}_noise", 0.0)
+                spread.append(jnp.broadcast_to(jnp.asarray(noise) / group.scale, (len(_names(name, group)),)))
             noise = jax.random.normal(key, readings.shape, readings.dtype)
             readings = readings + jnp.concatenate(spread) * noise
         return jnp.concatenate([readings, self.told(told, sensors)])
@@ -253,18 +262,24 @@ class Observer:
         return jnp.concatenate(chosen) if chosen else jnp.zeros(0)
 
 
+def _names(name: str, group: Sensed) -> tuple[str, ...]:
+    """Of every number of a group of readings."""
+    own = tuple(f"{name}.{label}".rstrip(".") for label in group.labels)
+    return own or tuple(reading_names(name, ACTED))
+
+
 def privileged_names(observed: Sequence[str], drawn: Sequence[str], path: bool) -> tuple[str, ...]:
     """Of every number that `privileged` gives."""
     return (
         *(f"exact.{name}" for name in observed),
         *(f"velocity.{axis}" for axis in _AXES),
-        *(f"down.{axis}" for axis in _AXES),
+        *reading_names("projected_gravity"),
         "height",
-        *(f"foot_force.{limb}" for limb in LIMBS),
+        *reading_names("foot_force"),
         "tail_force",
-        *(f"foot_height.{limb}" for limb in LIMBS),
+        *(f"{limb}_foot_height" for limb in LIMBS),
         *(f"ground.{side:g}.{ahead:g}" for side, ahead in SCANNED),
-        *(() if path else ("course",)),
+        *(() if path else ("yaw",)),
         "time_left",
         *(f"drawn.{name}" for name in drawn),
     )
@@ -302,7 +317,7 @@ def privileged(
         [
             exact,
             ours / 0.1,
-            down(sensors),
+            projected_gravity(sensors),
             height / 0.05,
             jnp.tanh(force / 2.0),
             feet / 0.01,

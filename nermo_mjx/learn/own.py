@@ -17,9 +17,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from nermo_mjx.control.protocol import function_place, load_object, named_object, user_code
-from nermo_mjx.learn.observing import SENSED, TOLD, Sensed, Sensing
+from nermo_mjx.learn.observing import SENSED, TOLD, Sensed
 from nermo_mjx.robot import ParameterError, RobotConfig, Sensors
-from nermo_mjx.robot.quantity import quantities
 from nermo_mjx.rollout.own_metrics import at_rest, described, numbers_at_rest
 from nermo_mjx.runtime import start_jax
 
@@ -74,7 +73,7 @@ def own_readings(config: RobotConfig, observe: Iterable[Any]) -> dict[str, Sense
             raise ParameterError(f"observe has {given!r}, but {name} is observed already: give it another name.")
         group = own_object("observe", given)
         if not isinstance(group, Sensed):
-            group = Sensed((), own_function("observe", given), 1.0, "1", None, name)
+            group = Sensed(own_function("observe", given))
         found[name] = _readings(config, name, group)
     return found
 
@@ -84,8 +83,6 @@ def _readings(config: RobotConfig, name: str, group: Sensed) -> Sensed:
     """A group of readings with a label for each of its numbers."""
     subject = f"observe has {function_place(name, group.read)}"
     size = numbers_at_rest(subject, group.read, at_rest(config), several=True)
-    if group.noise is not None and group.noise not in dict(quantities(Sensing)):
-        raise ParameterError(f"{subject}, whose noise is {group.noise!r}: expected a field of sensing, or None.")
     labels = group.labels or (tuple(map(str, range(size.size))) if size.ndim else ("",))
     if len(labels) != size.size:
         raise ParameterError(f"{subject}, which gives {described(size)}: it has {len(labels)} labels.")
@@ -93,7 +90,7 @@ def _readings(config: RobotConfig, name: str, group: Sensed) -> Sensed:
     def read(sensors: Sensors) -> Any:
         return jnp.reshape(jnp.asarray(group.read(sensors), sensors.position.dtype), -1)
 
-    return Sensed(labels, read, group.scale, group.unit, group.noise, first_line(group.read) or group.doc)
+    return Sensed(read, group.scale, labels)
 
 
 def own_terminations(config: RobotConfig, given: Iterable[Any]) -> dict[str, Callable[[Sensors], Any]]:

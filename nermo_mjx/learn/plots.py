@@ -53,8 +53,7 @@ def training_figures(out: Path) -> Figures:
         raise DirectoryError(f"there is nothing to draw of {out}: no section of it is finished.")
     names = tuple(name for name in history.column_names if name not in ("iteration", "code"))
     rows = np.stack([np.asarray(history.column(name), float) for name in names], axis=1)
-    content = content_of(out / EVALUATION)
-    return figures_of_training(training, Curves(names, rows), None if content is None else parquet_table(content))
+    return figures_of_training(training, Curves(names, rows), parquet_table(content_of(out / EVALUATION) or b""))
 
 
 def curves_figure(training: Training, curves: Curves) -> Figure:
@@ -142,4 +141,4 @@ def _smooth(values: np.ndarray) -> np.ndarray:
 def _what(training: Training) -> str:
     setup, several = training.setup, training.scenes
     where = f"{len(several)} scenes" if several else f"scene {scene_name(str(setup.scene))}"
-    return f"{setup.robot}, {where}, seed {training.seed}, {training.worlds:,} worlds"
+    return f"{setup.robot}, {where}, profile {setup.profile}, seed {training.seed}, {training.worlds:,} worlds"

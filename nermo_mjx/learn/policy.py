@@ -29,7 +29,7 @@ from nermo_mjx.files import MOST_ARRAYS, FileError, arrays_of, check_arrays, rea
 from nermo_mjx.learn.acting import ACTIONS, Acted, ActedState, Acting, ActionField, ActionKind
 from nermo_mjx.learn.environment import Environment
 from nermo_mjx.learn.experience import Actor, Learned, Statistics
-from nermo_mjx.learn.observing import LONGEST_DELAY, Observer
+from nermo_mjx.learn.observing import FORMER, LONGEST_DELAY, Observer, today
 from nermo_mjx.learn.own import code_place, drawn_by, own_readings
 from nermo_mjx.learn.task import GIVEN, Given, commanded
 from nermo_mjx.robot import ParameterError, Sensors, ServoAngles
@@ -415,10 +415,10 @@ def _policy(content: bytes) -> Policy:
         about.observer,
         about.decimation,
         about.base,
-        about.fixed,
+        {FORMER.get(name, name): value for name, value in about.fixed.items()},
         about.model_dump(include={"trained", "judged", "versions", "own"}, exclude_none=True),
     )
-    if about.own is None and policy.observer.names != about.observation:
+    if about.own is None and policy.observer.names != tuple(map(today, about.observation)):
         raise ParameterError("this version observes other numbers under these names")
     # What it acts on is made now, so that nothing is wrong with it later.
     check_quantities(policy.parameters)

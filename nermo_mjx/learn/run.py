@@ -334,10 +334,8 @@ class _Learning:
 
 def _evaluated(directory: TrainingDirectory, policy: Policy, evaluator: PolicyEvaluator, watch: Watch) -> pa.Table:
     """The evaluation of this policy, which is made once."""
-    content = content_of(directory.out / EVALUATION)
-    known = None if content is None else parquet_table(content)
-    key = f"{directory.training.digest()} {directory.training.evaluation} {directory.training.run}"
-    policy_key = f"{key} {policy.about['trained']['steps']}"
+    known, training = parquet_table(content_of(directory.out / EVALUATION) or b""), directory.training
+    policy_key = f"{training.digest()} {training.evaluation} {training.run} {policy.about['trained']['steps']}"
     if known is not None and (known.schema.metadata or {}).get(b"evaluated") == policy_key.encode():
         return known
     table = evaluator(policy, lambda share: watch.progress(Progress(share, what="evaluation")))

@@ -16,8 +16,9 @@ from nermo_mjx.learn.acting import ACTIONS, Acting
 from nermo_mjx.learn.algorithms import PPO, ShortHorizon
 from nermo_mjx.learn.environment import Environment, Mixture, check_alike, check_worlds
 from nermo_mjx.learn.loop import EpisodeLoop
+from nermo_mjx.learn.observing import FORMER
 from nermo_mjx.learn.own import code_place, is_own, own_name
-from nermo_mjx.learn.task import RANDOMIZED, Task, task_parameters
+from nermo_mjx.learn.task import GIVEN, RANDOMIZED, Task, task_parameters
 from nermo_mjx.robot.parameters import PRESETS
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.robot.terrains import terrain_values
@@ -36,7 +37,7 @@ from nermo_mjx.specs.described import Described, digest_of
 from nermo_mjx.specs.fields import Fields, Refused, optional, read
 from nermo_mjx.specs.model import Spec, named_section, one_of, written
 from nermo_mjx.specs.reading import Document, SpecError, plain_data
-from nermo_mjx.specs.values import Choice, Ends, EndsInUnits, Finite, Positive, Whole
+from nermo_mjx.specs.values import Choice, Ends, FiniteInUnits, Positive, Way, Whole
 from nermo_mjx.specs.walk import (
     PilotFields,
     SceneField,
@@ -59,8 +60,8 @@ class SceneFields(Fields):
     scene: SceneField
     """where it walks, as the file's own 'scene'"""
     pilot: PilotFields = optional("what steers the robot there, by default the file's own")
-    corridor: Positive = optional("distance from the path at which an episode fails there [m]")
-    set: dict[str, Finite] = Field({})
+    corridor: Way = optional("distance from the path at which an episode fails there [m]")
+    set: dict[str, FiniteInUnits] = Field({})
     """parameters with one value there"""
     randomize: dict[str, Ends] = Field({})
     """what each episode draws there, in addition to the file's own"""
@@ -137,7 +138,7 @@ class EvaluationSpec(Spec):
     """distance required for success [m]"""
     scenes: Annotated[tuple[str, ...], Field(strict=False)] = ()
     """where it is evaluated, by default where it learned"""
-    set: dict[str, Finite] = dataclasses.field(default_factory=dict)
+    set: dict[str, FiniteInUnits] = dataclasses.field(default_factory=dict)
     """parameters that are not drawn there, such as terrain.height, on the scenes that have them"""
     randomize: dict[str, Ends] = dataclasses.field(default_factory=dict)
     """ranges that differ from those of the training's draws"""
@@ -166,7 +167,7 @@ class TrainingFile(WalkFields):
     sources: ClassVar = "'randomize' or 'set'"
     task: Task = Field(default_factory=Task)
     """what a policy does, and what it is rewarded for"""
-    randomize: dict[str, EndsInUnits] = Field({**RANDOMIZED})
+    randomize: dict[str, Ends] = Field({**RANDOMIZED})
     """what each episode draws: a parameter, and its range [low, high]"""
     scenes: list[SceneFields] = optional(
         "instead of 'scene': several, on which one policy learns, the worlds divided among them"
@@ -345,7 +346,7 @@ def changed(training: Training, **values: Any) -> Training:
 
 def _read(doc: Document) -> Training:
     with known_names(doc):
-        doc = in_numbers(doc)
+        doc = in_numbers(doc, GIVEN | {old: GIVEN[new] for old, new in FORMER.items() if new in GIVEN})
         file = read(doc, TrainingFile)
     if wrong := too_many(file.worlds):
         doc.fail(("worlds",), f"is {file.worlds:,}: {wrong}")

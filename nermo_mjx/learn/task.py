@@ -25,7 +25,7 @@ from nermo_mjx.control.controller import Controller
 from nermo_mjx.control.pilot import OpenLoop
 from nermo_mjx.control.protocol import NAMED, ControllerLike, function_place, user_code
 from nermo_mjx.learn.acting import Acted, Acting, ActionField, ActionKind, Residual
-from nermo_mjx.learn.observing import OBSERVED, SENSED, TOLD, Sensing
+from nermo_mjx.learn.observing import FORMER, OBSERVED, SENSED, TOLD, Sensing
 from nermo_mjx.learn.own import drawn_by, first_line, is_own, own_name, own_object
 from nermo_mjx.robot import ModelParameters, ParameterError, Quantity, Robot, Sensors, identified
 from nermo_mjx.robot.model_parameters import is_shaped
@@ -47,7 +47,7 @@ from nermo_mjx.rollout.setup import Setup, Window, all_parameters
 from nermo_mjx.shapes import Array, Count, Scalar, Truth
 from nermo_mjx.specs.fields import JsonSchema, Refused
 from nermo_mjx.specs.model import Spec
-from nermo_mjx.specs.values import BodiesField, Checked, Ends, Finite, OwnOr, Positive, Whole
+from nermo_mjx.specs.values import BodiesField, Checked, Ends, Finite, FiniteInUnits, OwnOr, Seconds, Way, Whole
 from nermo_mjx.trust import RUNS_CODE
 
 #: Errors at which the terms that track a command have fallen to 1/e: speed [m/s], yaw rate [rad/s].
@@ -326,7 +326,7 @@ class Task(Spec):
     elsewhere = ("randomize",)
     action: ActionField = dataclasses.field(default_factory=Residual)
     """what an action does: `Residual`, `Modulation` or `Targets`"""
-    observe: Annotated[tuple[Annotated[Any, OwnOr((*SENSED, *TOLD))], ...], Field(strict=False)] = OBSERVED
+    observe: Annotated[tuple[Annotated[Any, OwnOr((*SENSED, *TOLD), FORMER)], ...], Field(strict=False)] = OBSERVED
     """what a policy observes: groups of `observing.SENSED` and `TOLD`, and functions of the sensors as FILE.py:NAME"""
     rewards: Annotated[Mapping[Any, float], _Rewards()] = dataclasses.field(default_factory=lambda: dict(REWARDS))
     """weights of the reward's terms, see `rewards.TERMS`, and of functions of a `Moment` as FILE.py:NAME; in Python
@@ -336,7 +336,7 @@ class Task(Spec):
     commands: Annotated[Any, OwnOr(())] = None
     """a function, as FILE.py:NAME, from a random key and the training's control steps so far to values of parameters
     and commands, by name, of an episode: a sampler, or a curriculum; an evaluation has infinitely many steps"""
-    set: dict[str, Finite] = dataclasses.field(default_factory=dict)
+    set: dict[str, FiniteInUnits] = dataclasses.field(default_factory=dict)
     """value in all episodes of parameters, commands and sensors: command.speed, sensing.delay, ..."""
     randomize: dict[str, Ends] = dataclasses.field(default_factory=lambda: dict(RANDOMIZED))
     """range (low, high) of each parameter that is drawn, uniformly, for each episode"""
@@ -345,11 +345,11 @@ class Task(Spec):
     decimation: Annotated[int, Whole(1, 100)] = 1
     """control ticks for which an action is held. The residual learners on this robot act at each one, and a policy
     costs a tenth of a tick's physics"""
-    episode_length: Positive = 10.0
+    episode_length: Annotated[Seconds, Field(gt=0, allow_inf_nan=False)] = 10.0
     """length of an episode [s]"""
-    distance: Positive = None  # type: ignore[assignment]  # none cannot be written in a file
+    distance: Way = None  # type: ignore[assignment]  # none cannot be written in a file
     """distance at which an episode ends [m]; by default it ends at none"""
-    corridor: Positive = None  # type: ignore[assignment]
+    corridor: Way = None  # type: ignore[assignment]
     """distance from the path at which an episode fails [m]; by default it fails at none"""
 
     @classmethod
@@ -363,12 +363,19 @@ class Task(Spec):
             raise ParameterError(f"action is {self.action!r}: expected Residual, Modulation or Targets.")
         if not (isinstance(self.decimation, int) and self.decimation >= 1):
             raise ParameterError(f"decimation is {self.decimation!r}: allowed is a whole number from 1 on.")
-        for name in ("episode_length", "distance", "corridor"):
+        for name, unit in (("episode_length", "s"), ("distance", "m"), ("corridor", "m")):
             value = getattr(self, name)
+            if isinstance(value, str):
+                value = Quantity(10.0, unit, 0.0, np.inf, "of an episode").numbers(name, value)
+                object.__setattr__(self, name, value)
             if value is not None and not 0.0 < value < np.inf:
                 raise ParameterError(f"{name} is {value!r}: allowed is (0, inf).")
-        for name in ("observe", "terminations"):
-            object.__setattr__(self, name, tuple(getattr(self, name)))
+        object.__setattr__(self, "terminations", tuple(self.terminations))
+        observe = (each if is_own(each) else FORMER.get(each, each) for each in self.observe)
+        object.__setattr__(self, "observe", tuple(observe))
+        for section in ("set", "randomize"):
+            named = {FORMER.get(name, name): value for name, value in getattr(self, section).items()}
+            object.__setattr__(self, section, named)
         if isinstance(self.bodies, bool):
             object.__setattr__(self, "bodies", identified.IDENTIFIED if self.bodies else "")
 

@@ -43,12 +43,12 @@ from nermo_mjx.hardware.live import (
     linked,
     servo_message,
 )
-from nermo_mjx.hardware.log import QUANTITIES
 from nermo_mjx.hardware.table import channels_of, sent_angles
 from nermo_mjx.live.driving import Appended, Driving
 from nermo_mjx.physics.c_engine import CBodies, CEngine
 from nermo_mjx.recording import Recording
 from nermo_mjx.robot import LIMBS, ParameterError, Robot, Sensors
+from nermo_mjx.robot.parameters import READINGS, reading_names
 from nermo_mjx.rollout import Run, Setup, Simulator
 from nermo_mjx.rollout.metrics import DIVERGED_SPEED
 from nermo_mjx.runs.job import interruptible
@@ -63,6 +63,8 @@ SENSORS_TYPE: Final = "mouse_controller/mouse_sensors"
 _LEG_SERVOS: Final = 8
 #: Parts of `imu_sensor`, in its order, and their lengths.
 _IMU: Final = {"position": 3, "orientation": 4, "linear_velocity": 3, "accelerometer": 3, "gyro": 3}
+#: Vectors among what is logged.
+_LOGGED: Final = ("gyro", "accelerometer", "position")
 #: How long a robot may say nothing before it is driven in an open loop [s].
 QUIET: Final = 2.0
 #: Speed at which servos go to the pose in which the gait begins [rad/s].
@@ -250,16 +252,15 @@ class LinkLog(Appended):
         super().__init__(path)
         self.about, self._begun, self._offset = path.with_suffix(".yaml"), clock(), math.inf
         self._robot, self._servos = robot, {c.servo: i for i, c in enumerate(channels) if c.servo in robot.servos}
-        sizes = {"gyro": "gyro", "accelerometer": "acceleration", "position": "position"}
-        axes = {name: [f"{name}_{axis}" for axis in "xyz"] for name in sizes}
+        axes = {name: list(reading_names(name)) for name in _LOGGED}
         told: dict[str, dict[str, Any]] = {}
         for each in (channel for channel in channels if channel.servo in robot.servos):
             sent = {"unit": "deg", "sign": each.direction, "zero": each.zero}
-            told[f"command_{each.servo}"] = {"quantity": "command", "of": each.servo, **sent}
-            told[f"angle_{each.servo}"] = {"quantity": "angle", "of": each.servo, "unit": "rad"}
-        told |= {f"foot_force_{limb}": {"quantity": "contact", "of": limb, "unit": "N"} for limb in LIMBS}
-        for name, quantity in sizes.items():
-            told[name] = {"quantity": quantity, "columns": axes[name], "unit": next(iter(QUANTITIES[quantity]))}
+            told[f"{each.servo}_servo_command"] = {"quantity": "command", "of": each.servo, **sent}
+            told[f"{each.servo}_servo_angle"] = {"quantity": "angle", "of": each.servo, "unit": "rad"}
+        feet = zip(reading_names("foot_force"), LIMBS, strict=True)
+        told |= {name: {"quantity": "force", "of": limb, "unit": "N"} for name, limb in feet}
+        told |= {name: {"quantity": name, "columns": axes[name], "unit": READINGS[name].unit} for name in _LOGGED}
         self._told = told | {"yaw": {"quantity": "yaw", "unit": "rad"}}
         self._names = [name for key in self._told for name in axes.get(key, [key])] + ["stamp"]
         self._counts, self._new, self._written = Counter[str](), deque[str](), b""
@@ -268,17 +269,14 @@ class LinkLog(Appended):
 
     def command(self, now: float, degrees: Float[np.ndarray, " channels"]) -> None:
         """What was sent at a time [s], of all channels [deg]."""
-        self._add(now, {f"command_{servo}": degrees[i] for servo, i in self._servos.items()})
+        self._add(now, {f"{servo}_servo_command": degrees[i] for servo, i in self._servos.items()})
 
     def measured(self, now: float, stamp: float | None, found: Mapping[str, np.ndarray]) -> None:
         """A message that came at a time [s], by field of `Sensors`, and its own time."""
         row = {} if stamp is None else {"stamp": stamp}
         self._offset = min(self._offset, now - self._begun - row.get("stamp", -math.inf))
-        for name, ends in (("foot_force", LIMBS), *((name, "xyz") for name in ("gyro", "accelerometer", "position"))):
-            row |= {f"{name}_{end}": value for end, value in zip(ends, found.get(name, ()), strict=False)}
-        if "servo_angle" in found:
-            angles = dict(zip(self._robot.servos, found["servo_angle"], strict=True))
-            row |= {f"angle_{servo}": angles[servo] for servo in self._servos}
+        for name in ("servo_angle", "foot_force", *_LOGGED):
+            row |= dict(zip(reading_names(name, self._robot.servos), found.get(name, ()), strict=False))
         if "orientation" in found:
             row["yaw"] = math.radians(attitude_of(found["orientation"][None])[0, 2])
         self._add(now, row)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import hashlib
 import itertools
 import json
 import math
@@ -56,6 +55,7 @@ from nermo_mjx.runs import RunDirectory, stamp
 from nermo_mjx.runs.files import DirectoryError, parquet_table
 from nermo_mjx.runs.job import Progress, Watch
 from nermo_mjx.runs.rows import Runs, Warn, keys_of, part_files, retire
+from nermo_mjx.specs.described import digest_of
 from nermo_mjx.sweep.plots import chosen_figure, survey_figures
 from nermo_mjx.sweep.simulating import SimulatorLike
 from nermo_mjx.sweep.table import Columns, Results, meta, profile_text, profiles_of
@@ -389,8 +389,8 @@ def landscape_runs(
     """
     axes = grid_axes(tuning)
     others = {name: best[name] for name in tuning.names if name not in axes}
-    decisive = [tuning.without_path().digest(), [nodes.tolist() for nodes in axes.values()], others]
-    return Runs(out, hashlib.sha256(json.dumps(decisive).encode()).hexdigest()[:16], warn=warn, held=held)
+    group = digest_of(tuning.without_path().digest(), [nodes.tolist() for nodes in axes.values()], others)
+    return Runs(out, group, warn=warn, held=held)
 
 
 def grid_axes(tuning: Tuning) -> dict[str, np.ndarray]:

@@ -13,7 +13,6 @@ DIR/plots/              a figure for each parameter
 from __future__ import annotations
 
 import dataclasses
-import hashlib
 import itertools
 import json
 import math
@@ -62,7 +61,7 @@ from nermo_mjx.runs.files import (
 from nermo_mjx.runs.job import SILENT, Interrupted, Progress, Watch
 from nermo_mjx.runs.rows import Columns, Runs, keys_of, part_files
 from nermo_mjx.runs.status import Status, last_command, metadata_of
-from nermo_mjx.specs.described import write_described
+from nermo_mjx.specs.described import digest_of, write_described
 from nermo_mjx.specs.model import written
 from nermo_mjx.specs.reading import changes
 from nermo_mjx.sweep.table import joined, profile_text
@@ -101,7 +100,7 @@ def points_along(tuning: Tuning, points: int, span: float) -> dict[str, np.ndarr
         low, high = tuned.low + FURTHEST * bounds, tuned.high - FURTHEST * bounds
         length = span * (high - low)
         first = min(max(tuned.start - length / 2, low), high - length)
-        line = np.linspace(first, first + length, points)
+        line = np.linspace(first, first + length, points).round(14) + 0.0  # 0 and not -4e-16
         rows += [(tuned.name, -1, 0.0, 0, x) for x in line]
         # Evenly spread, as far from the line's ends as the widest secants reach.
         margin = min(0.5 * max(WIDTHS) * bounds, _MARGIN * (line[-1] - line[0]))
@@ -227,10 +226,10 @@ def stored_points(runs: Runs) -> pa.Table:
 
 def check_directory(out: Path, wanted: Mapping[str, Any]) -> None:
     """Raise `WrongDirectory` if a directory holds all points of another landscape; see `identity`."""
-    content = content_of(out / TABLE)
-    points = None if content is None else parquet_table(content)
-    notes = {} if points is None else points.schema.metadata or {}
-    if points is not None and notes.get(KEY.encode()) != key(wanted).encode():
+    if (points := parquet_table(content_of(out / TABLE) or b"")) is None:
+        return
+    notes = points.schema.metadata or {}
+    if notes.get(KEY.encode()) != key(wanted).encode():
         there = json.loads(notes.get(IDENTITY.encode(), b"null")) or wanted
         apart = changes(*({name: each[name] for name in each if name != "digest"} for each in (there, wanted)))
         which = f", with another {', '.join(apart)}" if apart else ""
@@ -247,8 +246,7 @@ def identity(tuning: Tuning, points: int, span: float) -> dict[str, Any]:
 
 def key(identity: Mapping[str, Any]) -> str:
     """A hash of an identity."""
-    decisive = [identity[name] for name in ("digest", "points", "span", "centres", "widths")]
-    return hashlib.sha256(json.dumps(decisive).encode()).hexdigest()[:16]
+    return digest_of(*(identity[name] for name in ("digest", "points", "span", "centres", "widths")))
 
 
 def _evaluate(
@@ -579,8 +577,7 @@ def landscape_figures(out: Path) -> Figures:
         SpecError: its landscape.yaml cannot be read.
         DirectoryError: there is nothing to draw, or it cannot be read.
     """
-    tuning, content = Tuning.from_file(out / TUNING, recorded=False), content_of(out / TABLE)
-    points = None if content is None else parquet_table(content)
+    tuning, points = read_stored(out / TUNING), parquet_table(content_of(out / TABLE) or b"")
     if points is None or not set(tuning.names) <= set(points.column_names):
         raise DirectoryError(
             f"{out / TABLE} is missing, damaged, or another landscape's: run nermo-mjx landscape again."

@@ -45,7 +45,7 @@ from nermo_mjx.specs.values import (
     ByParameter,
     Checked,
     Choice,
-    EndsInUnits,
+    Ends,
     Finite,
     Numbers,
     Positive,
@@ -219,7 +219,7 @@ class Tuned(Spec):
     what = "a field of a tuned parameter"
     expected = "{bounds: [low, high], start: number}, both optional"
     elsewhere = ("name",)
-    bounds: EndsInUnits = None  # type: ignore[assignment]  # none cannot be written in a file
+    bounds: Ends = None  # type: ignore[assignment]  # none cannot be written in a file
     """by default its range"""
     start: Annotated[float, Field(json_schema_extra=MEASURED_TEXT)] = None  # type: ignore[assignment]
     """value of the first start, by default the parameter's"""
@@ -747,7 +747,7 @@ class SearchFile(WalkFields):
     """searched parameters with their bounds"""
     objective: Annotated[list[ObjectiveTerm], OneOrMore()] = optional("a term, or several whose sum is minimized")
     pareto: list[ObjectiveTerm] = optional("several objectives, each a term")
-    atlas: dict[str, Annotated[list[float], Numbers("[low, high, cells]", 3, 3)]] = Field({})
+    atlas: dict[str, Annotated[list[float], Numbers("[low, high, cells]", 3, 3, of_parameter=False)]] = Field({})
     """measures by metric: [low, high, cells] of each"""
     subject_to: dict[str, Limit] = Field({})
     """constraints by metric: {max: x}, {min: x}"""

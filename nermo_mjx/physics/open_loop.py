@@ -50,6 +50,21 @@ FREE, BALL = int(mujoco.mjtJoint.mjJNT_FREE), int(mujoco.mjtJoint.mjJNT_BALL)
 #: Activations whose next value follows from themselves and the control.
 _SIMPLE: Final = ("NONE", "INTEGRATOR", "FILTER", "FILTEREXACT", "MUSCLE")
 _FULL: Final = mujoco.mjtState.mjSTATE_FULLPHYSICS
+_FIRST_ONLY: Final = "A trajectory on MuJoCo C has first derivatives only: for second ones take nermo_mjx.physics.step."
+
+
+def first_order_callback(function: Callable[..., Any], shapes: Any, refusal: str, *given: Array) -> Any:
+    """A callback under `jit` and `vmap`, which has no further derivative: who asks for one gets the refusal."""
+
+    @jax.custom_jvp
+    def called(*given: Array) -> Any:
+        return jax.pure_callback(function, shapes, *given, vmap_method="broadcast_all")
+
+    @called.defjvp
+    def refused(at: Any, tangents: Any) -> NoReturn:
+        raise ParameterError(refusal)
+
+    return called(*given)
 
 
 class States(NamedTuple):
@@ -154,19 +169,6 @@ class Trajectory:
         m = self.model
         nx = 2 * m.nv + m.na
 
-        def callback(function: Callable[..., Any], shapes: Any, *given: Array) -> Any:
-            @jax.custom_jvp
-            def called(*given: Array) -> Any:
-                return jax.pure_callback(function, shapes, *given, vmap_method="broadcast_all")
-
-            @called.defjvp
-            def refused(at: Any, tangents: Any) -> NoReturn:
-                raise ParameterError(
-                    "A trajectory on MuJoCo C has first derivatives only: for second ones take nermo_mjx.physics.step."
-                )
-
-            return called(*given)
-
         def shapes(steps: int) -> tuple[States, tuple[Any, ...]]:
             real = jnp.zeros(()).dtype
             parts: Any = [jax.ShapeDtypeStruct((steps + 1, size), real) for size in (m.nq, m.nv, m.na)]
@@ -199,16 +201,15 @@ class Trajectory:
                     stacklevel=2,
                 )
             parts = self._parts(states)
-            found = (parts, (a, b, self._turns(parts.qpos)))
-            return like(found, lead, shapes(controls.shape[1]))
+            return like((parts, (a, b, self._turns(parts.qpos))), lead, shapes(controls.shape[1]))
 
         @jax.custom_jvp
         def simulated(*given: Array) -> States:
-            return callback(values, shapes(given[-1].shape[0])[0], *given)
+            return first_order_callback(values, shapes(given[-1].shape[0])[0], _FIRST_ONLY, *given)
 
         @simulated.defjvp
         def rule(given: tuple[Array, ...], tangents: tuple[Array, ...]) -> tuple[States, States]:
-            states, (a, b, turns) = callback(slopes, shapes(given[-1].shape[0]), *given)
+            states, (a, b, turns) = first_order_callback(slopes, shapes(given[-1].shape[0]), _FIRST_ONLY, *given)
             dqpos, dqvel, dact, dctrl = tangents
             # Of a quaternion only what turns it counts: its rows have the square 1/4.
             scale = jnp.where((turns[0] ** 2).sum(axis=0) < 0.5, 4.0, 1.0)

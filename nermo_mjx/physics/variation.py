@@ -323,8 +323,7 @@ def compile_model(robot: Robot, values: Mapping[str, float]) -> mujoco.MjModel:
     standing = mass_values(robot.config.robot) | terrain_values(str(robot.config.scene))
     parameters = replace_quantities(ModelParameters(), standing | dict(values))
     # Built with its geometry, so that its meshes match.
-    shaped = is_shaped(values)
-    model = robot.with_geometry(parameters.geometry, parameters.build) if shaped else copy.copy(robot.model)
+    model = robot.with_geometry(parameters.geometry, parameters.build) if is_shaped(values) else copy.copy(robot.model)
     for name, field in variation.batch(parameters, 1, values).items():
         if name in _BUILT or name in PLAY_FIELDS:
             continue

@@ -96,7 +96,7 @@ def horizontal_grid(ax: Axes) -> None:
 # ---
 # The page: title above the axes, legend and note below, with as much space as they need.
 
-#: Inches around a page, between its lines of text, and of a line of text.
+#: Inches around a page (half beside labels, which are drawn wider than laid out), between lines of text, and of a line.
 _EDGE: Final = 0.1
 _GAP: Final = 0.08
 _LINE: Final = 0.15
@@ -156,8 +156,8 @@ def around(figure: Figure, title: str, note: str, handles: Sequence[Artist] = ()
     if handles:
         below += _legend(figure, handles, below) + _GAP
     above = _EDGE + _TITLE_LINE * len(head) + 0.07
-    engine = figure.get_layout_engine()
-    engine.set(rect=(0, below / height, 1 - _EDGE / width, 1 - (below + above) / height), hspace=0.05, wspace=0.05)  # type: ignore[union-attr, call-arg]
+    rect = (0.5 * _EDGE / width, below / height, 1 - 1.5 * _EDGE / width, 1 - (below + above) / height)
+    figure.get_layout_engine().set(rect=rect, hspace=0.05, wspace=0.05)  # type: ignore[union-attr, call-arg]
     return figure
 
 

@@ -446,3 +446,55 @@ class Sensors:
     joint_velocity: Float[Array, "*batch n_compliant"]
     tail_force: Scalars
     contact_distance: Scalars
+
+
+@dataclasses.dataclass(frozen=True)
+class Reading:
+    """What a robot's sensors give under one name: the names of its numbers, their SI unit, and what they are."""
+
+    names: tuple[str, ...]
+    unit: str
+    doc: str
+
+
+def _axes(*names: str, axes: str = "xyz") -> tuple[str, ...]:
+    return tuple(f"{name}_{axis}" for name in names for axis in axes)
+
+
+def _feet(name: str) -> tuple[str, ...]:
+    return tuple(f"{limb}_{name}" for limb in LIMBS)
+
+
+#: Every reading by its one name, in the model, recordings, saved signals, observations, metrics and messages. A log
+#: says apart what a channel is of, and has the last word: its `angle` of the servo `spine` is `spine_servo_angle`.
+READINGS: Final[dict[str, Reading]] = {
+    "servo_command": Reading((), "rad", "angle that the servo aims at"),
+    "position": Reading(_axes("position"), "m", "place of the IMU in the world"),
+    "orientation": Reading(_axes("orientation", axes="wxyz"), "1", "quaternion of the IMU"),
+    "linear_velocity": Reading(_axes("linear_velocity"), "m/s", "of the IMU in the world"),
+    "gyro": Reading(_axes("gyro"), "rad/s", "angular velocity in the IMU's frame"),
+    "accelerometer": Reading(_axes("accelerometer"), "m/s^2", "in the IMU's frame"),
+    "servo_angle": Reading((), "rad", "angle of the servo"),
+    "servo_velocity": Reading((), "rad/s", "velocity of the servo"),
+    "servo_torque": Reading((), "N m", "torque of the servo"),
+    "knee_angle": Reading(_feet("knee_angle"), "rad", "angle of the knee, 0 stretched"),
+    "foot_force": Reading(_feet("foot_force"), "N", "normal contact force of the foot"),
+    "foot_position": Reading(_axes(*_feet("foot_position")), "m", "of the foot in the world"),
+    "foot_velocity": Reading(_axes(*_feet("foot_velocity")), "m/s", "of the foot in the world"),
+    "tail_force": Reading(("tail_force",), "N", "normal contact force of the tail"),
+    "contact_distance": Reading(("contact_distance",), "m", "of the deepest contact, negative where bodies overlap"),
+    "attitude": Reading(("roll", "pitch", "yaw"), "rad", "of the torso; positive leans left, noses down, turns left"),
+    "speed": Reading(("speed",), "m/s", "horizontal speed of the IMU"),
+    "foot_contact": Reading(_feet("foot_contact"), "1", "whether a foot bears load"),
+    "motor_current": Reading((), "A", "current in the servo's motor, by its torque"),
+    "projected_gravity": Reading(_axes("projected_gravity"), "1", "direction of gravity in the IMU's frame"),
+}
+
+
+def reading_names(name: str, servos: tuple[str, ...] = SERVOS) -> tuple[str, ...]:
+    """The names of a reading's numbers, of a robot with these servos.
+
+    >>> reading_names("gyro"), reading_names("servo_angle")[8]
+    (('gyro_x', 'gyro_y', 'gyro_z'), 'spine_servo_angle')
+    """
+    return READINGS[name].names or tuple(f"{servo}_{name}" for servo in servos)

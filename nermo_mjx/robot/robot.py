@@ -21,7 +21,7 @@ from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.masses import MassModel, is_front, physical_model, reduced_model
 from nermo_mjx.robot.meshes.body import redraw
 from nermo_mjx.robot.model_parameters import Build, Damping, gravity_values
-from nermo_mjx.robot.parameters import LIMBS, Sensors
+from nermo_mjx.robot.parameters import LIMBS, Sensors, reading_names
 from nermo_mjx.robot.quantity import ParameterError, quantities, replace_quantities, values_of
 from nermo_mjx.robot.scene import Scene, Terrain, scene_geoms, scene_name
 from nermo_mjx.shapes import Array
@@ -73,23 +73,11 @@ class _Compiled:
     @functools.cached_property
     def sensor_slices(self) -> dict[str, slice]:
         """Entries of `sensordata` by field of `Sensors`, in the order of `add_sensors`."""
-        n = self.model.nu
-        sizes = {
-            "position": 3,
-            "orientation": 4,
-            "linear_velocity": 3,
-            "gyro": 3,
-            "accelerometer": 3,
-            "servo_angle": n,
-            "servo_velocity": n,
-            "servo_torque": n,
-            "knee_angle": np.size(self.joints.knee),
-            "foot_force": 4,
-            "foot_position": 12,
-            "foot_velocity": 12,
-            "joint_velocity": len(self.compliant),
-        }
-        sizes |= {"tail_force": self.model.nsensordata - sum(sizes.values()) - 1, "contact_distance": 1}
+        servos = tuple(self.model.actuator(i).name for i in range(self.model.nu))
+        own = {"knee_angle": np.size(self.joints.knee), "joint_velocity": len(self.compliant), "tail_force": 0}
+        names = [field.name for field in dataclasses.fields(Sensors)]
+        sizes = {name: own[name] if name in own else len(reading_names(name, servos)) for name in names}
+        sizes["tail_force"] = self.model.nsensordata - sum(sizes.values())  # one of each geom that touches the ground
         ends = itertools.accumulate(sizes.values())
         return {name: slice(end - size, end) for (name, size), end in zip(sizes.items(), ends, strict=True)}
 

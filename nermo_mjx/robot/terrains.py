@@ -284,16 +284,15 @@ def field_shares() -> np.ndarray:
     return np.clip(field_share(*_field_points()), 0.0, 1.0)
 
 
-def add_terrain(spec: mujoco.MjSpec, scene: str, values: Mapping[str, float] | None = None) -> None:
-    """Put the geoms of a terrain into a scene.
+def add_terrain(spec: mujoco.MjSpec, scene: str) -> None:
+    """Put the geoms of a terrain of its default shape into a scene.
 
     Args:
         spec: the floor's; it has the default classes `ground` and `obstacle`.
         scene: name of the terrain.
-        values: of its shape, by their names without `terrain.`; the others keep their defaults.
     """
     kind = TERRAINS[scene]
-    shape = TerrainShape(**(dict(kind.defaults) | dict(values or {})))
+    shape = TerrainShape(**kind.defaults)
     layout = kind.layout(shape, np)
     if kind.geom == mujoco.mjtGeom.mjGEOM_HFIELD:
         shares = field_shares()

@@ -14,7 +14,7 @@ import math
 import threading
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, NoReturn
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -27,6 +27,7 @@ from nermo_mjx.control.controller import Controller, canonical
 from nermo_mjx.control.protocol import ControllerLike
 from nermo_mjx.dynamics.checkpointing import checkpointed_scan
 from nermo_mjx.dynamics.precision import full_precision
+from nermo_mjx.physics.open_loop import first_order_callback
 from nermo_mjx.physics.variation import Variation
 from nermo_mjx.robot.model_parameters import is_shaped
 from nermo_mjx.robot.quantity import ParameterError, Quantity, choice, of_type
@@ -50,6 +51,7 @@ ENGINES: Final = ("auto", "c", "mjx")
 MOST_DIFFERENCES: Final = 20
 #: Cost of value and gradient in MJX, in runs of it without: 4.5 were measured for any number of parameters.
 MJX_GRADIENT: Final = 5.0
+_FIRST_ONLY: Final = "A second derivative of a walk is not computed on engine c: take Rollout(..., engine='mjx')."
 #: Half-width of the differences, as a share of a parameter's scale; tolerance of the solver. Widths from 1e-8 to 1e-6
 #: give the same derivative; from 1e-5 on contacts change within the width.
 WIDTH: Final = 1e-7
@@ -259,7 +261,7 @@ class Rollout:
                 shape = jnp.shape(value)
                 raise ParameterError(f"{name} has shape {shape}: a rollout is one world; use jax.vmap for a batch.")
         known = {name: value for name, value in values.items() if not _traced(value)}
-        self.setup.world(dict.fromkeys(values, 0.0))  # unknown names
+        self.setup.world(values)  # unknown names
         checked = self.setup.world(known, None if _traced(policy) else policy)
         self.setup.check(checked, jointly=len(known) == len(values) and not _traced(policy))
 
@@ -400,13 +402,14 @@ class WalkDifferences:
 
         @jax.custom_jvp
         def walk(*at: Array) -> tuple[list[Array], ...]:
-            metrics, *path = _call(values, one, *at)
+            metrics, *path = first_order_callback(values, one, _FIRST_ONLY, *at)
             return [metrics[i] for i in range(len(self.metrics))], *path
 
         def rule(at: tuple[Array, ...], tangents: tuple[Any, ...]) -> tuple[Any, Any]:
             moved = tuple(i for i, tangent in enumerate(tangents) if not isinstance(tangent, SymbolicZero))
             columns = [jax.ShapeDtypeStruct((*each.shape, len(moved)), real) for each in one]
-            found, derivative = _call(functools.partial(slopes, moved), (one, columns), *at)
+            own = functools.partial(slopes, moved)
+            found, derivative = first_order_callback(own, (one, columns), _FIRST_ONLY, *at)
 
             def along(columns: Array) -> Array:
                 """Linear in the tangents, so that JAX transposes it; a sum, which all transformations round alike."""
@@ -516,22 +519,6 @@ class WalkDifferences:
         point, moved = np.array([[values[name] for name in names]]), tuple(range(len(names)))
         _, (slopes, *_) = self._slopes(simulate, names, point, moved, width)
         return dict(zip(self.metrics, slopes[0], strict=True))
-
-
-def _call(function: Callable[..., Any], shapes: Any, *at: Array) -> Any:
-    """A callback under `jit` and `vmap`, which has no further derivative."""
-
-    @jax.custom_jvp
-    def called(*at: Array) -> Any:
-        return jax.pure_callback(function, shapes, *at, vmap_method="broadcast_all")
-
-    @called.defjvp
-    def refused(at: Any, tangents: Any) -> NoReturn:
-        raise ParameterError(
-            "A second derivative of a walk is not computed on engine c: take Rollout(..., engine='mjx')."
-        )
-
-    return called(*at)
 
 
 def _rows(at: Sequence[Any]) -> tuple[tuple[int, ...], np.ndarray]:

@@ -18,7 +18,7 @@ from nermo_mjx.dynamics.precision import full_precision
 from nermo_mjx.kinematics import spine
 from nermo_mjx.kinematics.body import feet_positions, hips, shoulders
 from nermo_mjx.kinematics.leg import forward_kinematics, four_legs
-from nermo_mjx.robot import LIMBS, ModelParameters, ParameterError, Robot
+from nermo_mjx.robot import LIMBS, ModelParameters, ParameterError, Quantity, Robot
 from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.terrains import TerrainShape
 from nermo_mjx.rollout.setup import Start
@@ -28,6 +28,8 @@ from nermo_mjx.shapes import Array
 Length = float | np.ndarray
 #: Largest number of seconds, cycles or metres of a run.
 LONGEST: Final = 1e5
+#: Units of what is no number of cycles.
+_UNITS: Final = {"duration": "s", "warmup": "s", "distance": "m"}
 #: Worlds of one batch, and what the engine c takes for one of them [bytes]; others take as much or more.
 MOST_WORLDS: Final = 65_536
 WORLD_BYTES: Final = 50_000
@@ -53,7 +55,8 @@ class Run:
     Traceback (most recent call last):
     nermo_mjx.robot.quantity.ParameterError: run.warmup is 2.5: allowed is less than the run's length, 2.
 
-    Each number holds for all worlds, or is an array (n,) with one entry per world.
+    Each number holds for all worlds, or is an array (n,) with one entry per world. Seconds and metres may be texts,
+    such as "8 s", "500 ms" or "30 cm".
 
     Attributes:
         cycles, warmup_cycles: length of the run, and of its unmeasured start, in gait cycles.
@@ -66,9 +69,9 @@ class Run:
 
     cycles: Length | None = None
     warmup_cycles: Length | None = None
-    duration: Length | None = None
-    warmup: Length | None = None
-    distance: Length | None = None
+    duration: Any = None
+    warmup: Any = None
+    distance: Any = None
 
     def __post_init__(self) -> None:
         for name in ("cycles", "warmup_cycles", "duration", "warmup", "distance"):
@@ -76,8 +79,14 @@ class Run:
             if value is None:
                 continue
             given = np.asarray(value)
+            if given.dtype.kind == "U" and name in _UNITS:
+                value = Quantity(8.0, _UNITS[name], 0.0, LONGEST, "of a run").numbers(f"run.{name}", value)
+                given = np.asarray(value)
+                object.__setattr__(self, name, value)
             if given.dtype.kind not in "iuf":
-                raise ParameterError(f"run.{name} is {value!r}: expected a number, or an array of such.")
+                instead = {"cycles": "duration", "warmup_cycles": "warmup"}.get(name)
+                seconds = f"; seconds are run.{instead}" if isinstance(value, str) else ""
+                raise ParameterError(f"run.{name} is {value!r}: expected a number, or an array of such{seconds}.")
             bad = ~((given <= LONGEST) & ((given > 0) | (zero_ok & (given == 0))))
             if bad.any():
                 range_ = f"{'[' if zero_ok else '('}0, {LONGEST:g}]"

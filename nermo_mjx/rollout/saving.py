@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import re
 from typing import Final
 
 import jax
@@ -17,43 +18,17 @@ from jaxtyping import Float, Int
 
 from nermo_mjx.kinematics.body import attitude
 from nermo_mjx.physics import Trace
-from nermo_mjx.robot import LIMBS, ParameterError, Robot, Sensors
+from nermo_mjx.robot import ParameterError, Robot, Sensors
+from nermo_mjx.robot.parameters import READINGS, reading_names
 from nermo_mjx.robot.quantity import did_you_mean
 
-_XYZ: Final = ("x", "y", "z")
-_WXYZ: Final = ("w", *_XYZ)
-#: Group of sensors: names of its signals (those of servos by the robot's servos), their unit and meaning.
-_SENSORS: Final = {
-    "position": (tuple(f"position_{axis}" for axis in _XYZ), "m", "place of the IMU in the world"),
-    "orientation": (tuple(f"orientation_{axis}" for axis in _WXYZ), "1", "quaternion of the IMU"),
-    "linear_velocity": (tuple(f"linear_velocity_{axis}" for axis in _XYZ), "m/s", "of the IMU in the world"),
-    "gyro": (tuple(f"gyro_{axis}" for axis in _XYZ), "rad/s", "angular velocity in the IMU's frame"),
-    "accelerometer": (tuple(f"accelerometer_{axis}" for axis in _XYZ), "m/s^2", "in the IMU's frame"),
-    "servo_angle": ((), "rad", "angle of the servo"),
-    "servo_velocity": ((), "rad/s", "velocity of the servo"),
-    "servo_torque": ((), "N m", "torque of the servo"),
-    "knee_angle": (tuple(f"{limb}_knee_angle" for limb in LIMBS), "rad", "angle of the knee, 0 stretched"),
-    "foot_force": (tuple(f"{limb}_foot_force" for limb in LIMBS), "N", "normal contact force of the foot"),
-    "foot_position": (
-        tuple(f"{limb}_foot_position_{axis}" for limb in LIMBS for axis in _XYZ),
-        "m",
-        "of the foot in the world",
-    ),
-    "foot_velocity": (
-        tuple(f"{limb}_foot_velocity_{axis}" for limb in LIMBS for axis in _XYZ),
-        "m/s",
-        "of the foot in the world",
-    ),
-    "tail_force": (("tail_force",), "N", "normal contact force of the tail"),
-    "contact_distance": (("contact_distance",), "m", "distance of the deepest contact, negative where bodies overlap"),
-    "attitude": (("roll", "pitch", "yaw"), "rad", "of the torso; positive leans left, noses down, turns left"),
-    "speed": (("speed",), "m/s", "horizontal speed of the IMU"),
-}
 #: Names of the root's free joint in positions and velocities, with units.
 _ROOT: Final = {
-    "qpos": [*((f"_{axis}", "m") for axis in _XYZ), *((f"_q{axis}", "1") for axis in _WXYZ)],
-    "qvel": [*((f"_{axis}", "m/s") for axis in _XYZ), *((f"_w{axis}", "rad/s") for axis in _XYZ)],
+    "qpos": [*((f"_{axis}", "m") for axis in "xyz"), *((f"_q{axis}", "1") for axis in "wxyz")],
+    "qvel": [*((f"_{axis}", "m/s") for axis in "xyz"), *((f"_w{axis}", "rad/s") for axis in "xyz")],
 }
+#: The readings that a simulation can store; the others are a policy's.
+SAVED: Final = tuple(name for name in READINGS if name not in ("foot_contact", "motor_current", "projected_gravity"))
 _STATE: Final = {"qpos": ("rad", "generalised position"), "qvel": ("rad/s", "generalised velocity")}
 
 
@@ -64,7 +39,7 @@ class Signal:
     Attributes:
         name: of the column.
         unit, doc: as in a table.
-        source: `qpos`, `qvel`, `ctrl`, or a group of sensors; `place`: index in the flattened source.
+        source: `qpos`, `qvel`, or one of `SAVED`; `place`: index in the flattened source.
     """
 
     name: str
@@ -133,13 +108,8 @@ def all_signals(robot: Robot) -> tuple[Signal, ...]:
             for part, each in _ROOT[kind] if free else [("", unit)]:
                 found.append(Signal(f"{kind}_{joint}{part}", each, f"{doc} of {joint}", kind, place))
                 place += 1
-    found += [
-        Signal(f"{servo}_ctrl", "rad", "angle that the servo aims at", "ctrl", i)
-        for i, servo in enumerate(robot.servos)
-    ]
-    for group, (names, unit, doc) in _SENSORS.items():
-        if group.startswith("servo_"):
-            names = tuple(f"{servo}_{group}" for servo in robot.servos)
+    for group in SAVED:
+        names, unit, doc = reading_names(group, robot.servos), READINGS[group].unit, READINGS[group].doc
         found += [Signal(name, unit, doc, group, i) for i, name in enumerate(names)]
     return tuple(found)
 
@@ -152,7 +122,9 @@ def chosen_signals(robot: Robot, saving: Saving) -> tuple[Signal, ...]:
     """
     every, chosen = all_signals(robot), dict[str, Signal]()
     for name in saving.sensors:
-        found = [each for each in every if name in each.names]
+        # Former versions said `ctrl` and `spine_ctrl`.
+        wanted = re.sub("(^|_)ctrl$", r"\1servo_command", name)
+        found = [each for each in every if wanted in each.names]
         if not found:
             groups = dict.fromkeys(each.source for each in every)
             hint = did_you_mean(name, dict.fromkeys(known for each in every for known in each.names))
@@ -225,8 +197,8 @@ class Keeper:
 
 def _read(source: str, trace: Trace, sensors: Sensors) -> np.ndarray:
     """The values of a source (n, samples, ...), with the trailing axes flattened."""
-    if source in ("qpos", "qvel", "ctrl"):
-        return np.asarray(getattr(trace, source))
+    if source in ("qpos", "qvel", "servo_command"):
+        return np.asarray(trace.ctrl if source == "servo_command" else getattr(trace, source))
     if source == "speed":
         return np.hypot(sensors.linear_velocity[..., 0], sensors.linear_velocity[..., 1])[..., None]
     if source == "attitude":

@@ -195,9 +195,7 @@ def stored_table(path: Path, what: str) -> pa.Table:
     Raises:
         DirectoryError: there is none, it is damaged, or cannot be read now; the message names the directory and `what`.
     """
-    content = content_of(path)
-    table = None if content is None else parquet_table(content)
-    if table is None:
+    if (table := parquet_table(content_of(path) or b"")) is None:
         raise DirectoryError(f"{path.parent} holds no {what}.")
     return table
 

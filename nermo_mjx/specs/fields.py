@@ -64,7 +64,7 @@ def read(doc: Document, model: type[M]) -> M:
         name, _, message = str(refused).partition(" ")
         path = at = (*path, *name.split(".")[1:]) if path and name.split(".")[0] == path[-1] else path
     else:
-        shown = f"{given:g}" if first["type"] in _RANGES else describe(given)
+        shown = f"{given:g}" if first["type"] in _RANGES and not isinstance(given, str) else describe(given)
         allowed = (_TYPES | _RANGES)[first["type"]].format(**first.get("ctx", {}))
         at, message = path, f"is {shown}: expected {allowed}."
     doc.fail(at, message, model.called(path))

@@ -30,6 +30,7 @@ Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 #: A parameter's number to an editor: a text may have a unit.
 MEASURED_TEXT: Final[JsonSchema] = {"type": ["number", "string"], "pattern": r"^\s*[-+]?\.?[0-9]"}
+FiniteInUnits = Annotated[Finite, Field(json_schema_extra=MEASURED_TEXT)]
 Share = Annotated[float, Field(ge=0, le=1)]
 
 
@@ -80,14 +81,16 @@ class Whole(Checked):
 
 @dataclasses.dataclass(frozen=True)
 class Choice(Checked):
-    """One of these names."""
+    """One of these names; some of them had a former one."""
 
     names: tuple[str, ...]
+    former: Mapping[str, str] = dataclasses.field(default_factory=dict)
 
     def inner(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         return core_schema.any_schema()
 
     def check(self, value: Any) -> str:
+        value = self.former.get(value, value) if isinstance(value, str) else value
         if not isinstance(value, str) or value not in self.names:
             allowed = f"allowed {'are' if len(self.names) > 1 else 'is'} {', '.join(self.names)}"
             raise Refused(f"is {describe(value)}: {allowed}{did_you_mean(str(value), self.names)}")
@@ -145,7 +148,7 @@ class Numbers(Checked):
     written: str
     least: int
     most: int | None = None
-    of_parameter: bool = False
+    of_parameter: bool = True
 
     def inner(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         numbers = core_schema.list_schema(core_schema.float_schema(strict=True))
@@ -171,10 +174,8 @@ class _Ends(Numbers):
         return low, high
 
 
-#: A range [low, high].
+#: A range [low, high] of a parameter.
 Ends = Annotated[tuple[float, float], _Ends("[low, high]", 2, 2)]
-#: The same of a parameter.
-EndsInUnits = Annotated[tuple[float, float], _Ends("[low, high]", 2, 2, of_parameter=True)]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -198,6 +199,7 @@ class InUnits(Checked):
 
 
 Metres = Annotated[float, InUnits(Quantity(1.0, "m", -math.inf, math.inf, "a length"))]
+Way = Annotated[Metres, Field(gt=0, allow_inf_nan=False)]
 Seconds = Annotated[float, InUnits(Quantity(1.0, "s", -math.inf, math.inf, "a time"))]
 
 

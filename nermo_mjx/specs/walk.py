@@ -37,6 +37,7 @@ from nermo_mjx.specs.values import (
     PARAMETERS,
     ByParameter,
     Finite,
+    FiniteInUnits,
     InUnits,
     Metres,
     Positive,
@@ -204,11 +205,7 @@ class SwitchFields(Fields):
     spine: str = optional("modes of the spine from then on", enum=[*SPINES])
     head: str = optional("what the head does from then on", enum=[*HEADS])
     tail_motion: str = optional("what the tail does from then on", enum=[*TAIL_MOTIONS])
-    set: dict[str, Finite] = Field(
-        {},
-        description="parameters of the controller from then on",
-        json_schema_extra={"additionalProperties": MEASURED_TEXT},
-    )
+    set: dict[str, FiniteInUnits] = Field({}, description="parameters of the controller from then on")
 
 
 class WalkFields(SetupFields):
@@ -560,13 +557,14 @@ def written_out(doc: Document) -> Document:
     return in_numbers(dataclasses.replace(doc, data=data, lines=lines))
 
 
-def in_numbers(doc: Document) -> Document:
-    """The document with SI numbers in the place of texts such as `-45 deg`, wherever a parameter's name stands before.
+def in_numbers(doc: Document, more: Mapping[str, Quantity] | None = None) -> Document:
+    """The document with SI numbers in the place of texts such as `-45 deg`, wherever a parameter's name stands before,
+    or one of `more`.
 
     Raises:
         SpecError: a text has a unit that does not convert.
     """
-    known = NAMES.get()
+    known = {**NAMES.get(), **(more or {})}
 
     def number(given: Any, path: FieldPath, name: str) -> Any:
         if isinstance(given, dict):

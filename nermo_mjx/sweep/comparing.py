@@ -24,7 +24,7 @@ from nermo_mjx.plotting.files import Figures
 from nermo_mjx.plotting.shown import ShownValues, shown, spoken, titled
 from nermo_mjx.plotting.style import BEST, GRID, INK, LINE, MUTED, SERIES
 from nermo_mjx.robot.parameters import GAIT_CODES
-from nermo_mjx.robot.quantity import ParameterError, did_you_mean, of_type
+from nermo_mjx.robot.quantity import ParameterError, Quantity, did_you_mean, of_type
 from nermo_mjx.runs.files import DirectoryError
 from nermo_mjx.runs.rows import part_files
 from nermo_mjx.specs.reading import SpecError
@@ -142,7 +142,9 @@ def arms_of_values(source: Source, by: str, base: Value | None) -> tuple[list[Ar
     values = _values(runs[by])
     if len(values) < 2:
         raise ParameterError(f"by is {by!r}, which has the one value {value_text(values[0])}: nothing can be compared.")
-    first = ("none" if "none" in values else values[0]) if base is None else value_among(base, values, "base")
+    first = "none" if "none" in values else values[0]
+    if base is not None:
+        first = value_among(base, values, "base", results.schema.field(by))
     values = [first, *(value for value in values if value != first)]
     return [Arm(value_text(value), results, runs[runs[by] == value].drop(columns=by)) for value in values], notes
 
@@ -179,12 +181,10 @@ def check_name(name: str, known: Sequence[str], option: str) -> None:
         )
 
 
-def value_among(wanted: Value, values: Sequence[Value], option: str) -> Value:
-    """The requested value, as in the column; numbers may differ in their last digits."""
-    try:
-        number = float(wanted)
-    except ValueError:
-        number = math.nan
+def value_among(wanted: Value, values: Sequence[Value], option: str, column: pa.Field) -> Value:
+    """The requested value, as in the column; numbers may differ in their last digits, and texts have units."""
+    number = Quantity(0.0, meta(column).get("unit", "1"), -math.inf, math.inf, "of a column").number(str(wanted))
+    number = math.nan if number is None else number
     for value in values:
         close = (
             value in (wanted, GAIT_CODES.get(str(wanted)))
@@ -540,7 +540,8 @@ def compare(
     for i, arm in enumerate(arms):
         for name, wanted in (where or {}).items():
             check_name(name, [*arm.runs], "where")
-            arm = arm.where(arm.runs[name] == value_among(wanted, _values(arm.runs[name]), f"where {name}"))
+            chosen = value_among(wanted, _values(arm.runs[name]), f"where {name}", arm.results.schema.field(name))
+            arm = arm.where(arm.runs[name] == chosen)
         if not len(arm.runs):
             values = ", ".join(f"{name} = {value}" for name, value in (where or {}).items())
             raise ParameterError(f"no run of {arm.name} is left with {values}.")

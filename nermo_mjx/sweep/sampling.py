@@ -20,8 +20,8 @@ from nermo_mjx.specs.values import MEASURED_TEXT, Numbers, Whole, check_value
 
 _LARGEST_AXIS: Final = 1_000_000
 _TRIED: Final = 5
-_Steps = Annotated[list[float], Numbers("[from, to, count]", 2, 3, of_parameter=True)]
-_Bounds = Annotated[list[float], Numbers("[low, high]", 2, 2, of_parameter=True)]
+_Steps = Annotated[list[float], Numbers("[from, to, count]", 2, 3)]
+_Bounds = Annotated[list[float], Numbers("[low, high]", 2, 2)]
 
 
 def settled(value: float) -> float:
@@ -62,9 +62,9 @@ class Axis(_Values):
     short: ClassVar = ({"type": "array", "items": MEASURED_TEXT, "minItems": 1},)
     linspace: _Steps = optional("evenly spaced, both ends included")
     logspace: _Steps = optional("evenly in the logarithm; the ends are values, not exponents")
-    values: Annotated[
-        list[float], Numbers("[a, b, ...]", 1, of_parameter=True), AfterValidator(lambda given: [*map(settled, given)])
-    ] = optional("these")
+    values: Annotated[list[float], Numbers("[a, b, ...]", 1), AfterValidator(lambda given: [*map(settled, given)])] = (
+        optional("these")
+    )
     uniform: _Bounds = optional("between the bounds, with a sampler")
     loguniform: _Bounds = optional("evenly in the logarithm, with a sampler")
 
@@ -107,7 +107,7 @@ class Draw(_Values):
     )
     uniform: _Bounds = optional("between the bounds")
     loguniform: _Bounds = optional("evenly in the logarithm")
-    normal: Annotated[list[float], Numbers("[mean, std]", 2, 2, of_parameter=True)] = optional("truncated to the range")
+    normal: Annotated[list[float], Numbers("[mean, std]", 2, 2)] = optional("truncated to the range")
     #: Whether no file names it: with repeats the start is perturbed, except for the first repeat.
     implied = property(lambda self: self._implied)
 

@@ -28,7 +28,7 @@ from nermo_mjx.specs.controllers import code_identity, known_names
 from nermo_mjx.specs.described import Described, digest_of
 from nermo_mjx.specs.fields import Fields, OneOf, Refused, documented, optional, read
 from nermo_mjx.specs.reading import Document, FieldPath, describe, read_file, read_mapping, read_text
-from nermo_mjx.specs.values import BodiesField, Positive, Whole, refuse_parameter
+from nermo_mjx.specs.values import NAMES, BodiesField, Positive, Whole, refuse_parameter
 from nermo_mjx.specs.walk import WalkFields, WalkSpec, check_reach, check_sources, unread, written_out
 from nermo_mjx.sweep.sampling import Axis, Draw, Saltelli, read_axis, read_draw, saltelli_points, saltelli_size
 from nermo_mjx.sweep.structures import (
@@ -369,7 +369,10 @@ def check_comparison(doc: Document, sweep: Sweep, compare: ComparedColumns) -> N
 
 def check_base(doc: Document, path: FieldPath, name: str, base: Value, bases: Sequence[Value]) -> None:
     """Fail where a base is no value of its column."""
-    if base not in bases:
+    about = NAMES.get().get(name)
+    number = None if about is None else about.number(str(base))
+    close = number is not None and np.isclose(number, np.array(bases, float), 1e-9, 1e-12).any()
+    if base not in bases and not close:
         listed = [value if isinstance(value, str) else f"{value:g}" for value in bases]
         allowed = f"{', '.join(listed)}{did_you_mean(str(base), listed)}"
         doc.fail(path, f"is {describe(base)}, no value of {name}; allowed are {allowed}")

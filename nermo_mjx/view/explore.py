@@ -355,7 +355,9 @@ def _optimum(path: Path) -> dict[str, Any] | None:
         return None
     heads, cells = optimum_cells(found)
     lines = [
-        {"cells": own, "group": answer.group, "row": answer.rows[0] if answer.rows else None}
+        # A gain stands below its mean, and a region's ranges below one another.
+        {"cells": [re.sub(r" \((.*)\)$|(?<=[:,]) (?!.*\])", r"\n\1", cell) for cell in own], "group": answer.group}
+        | {"row": answer.rows[0] if answer.rows else None}
         for own, answer in zip(cells, found.answers, strict=True)
     ]
     return {"title": found.title, "heads": heads, "lines": lines, "notes": found.how()}

@@ -62,12 +62,12 @@ class RecordedGait:
 
     @property
     def title(self) -> str:
-        """The gait in words, after a colon; empty if unknown."""
+        """The gait in words, after a colon, its frequency and the profile; empty if unknown."""
         setup, labels = self.recording.metadata.get("setup", {}), self.recording.metadata.get("labels", {})
         gait = spoken(setup.get("gait") or labels.get("gait") or "")
-        if self.cycle is None:
-            return f": {gait}" if gait else ""
-        return f": {gait} at {self.values['frequency']:.3g} Hz" if gait else f" at {self.values['frequency']:.3g} Hz"
+        rate = "" if self.cycle is None else f" at {self.values['frequency']:.3g} Hz"
+        profile = labels.get("profile") or setup.get("profile")
+        return (f": {gait}" if gait else "") + rate + (f", profile {profile}" if profile else "")
 
     @cached_property
     def shown(self) -> tuple[slice, str]:
@@ -393,22 +393,19 @@ def beside_robot(walk: RecordedGait) -> Figure | None:
     return page.finish(handles, "lag: of what was measured behind what was simulated")
 
 
-def figures_of_recording(
-    recording: Recording, notify: Callable[[str], None], robot: Robot | None = None
-) -> Iterator[tuple[str, Figure]]:
+def figures_of_recording(recording: Recording, notify: Callable[[str], None]) -> Iterator[tuple[str, Figure]]:
     """The figures of a recording: `gait-diagram`, `orientation`, `foot-paths`, `foot-paths-over-ground`,
     `servo-angles` and `ground-path`; of one with a robot's log, `beside-robot`.
 
     Args:
         recording: figures of missing data are left out.
         notify: called with a message about each figure that cannot be drawn.
-        robot: that was recorded; by default assembled from the recording's setup.
     """
     walk = RecordedGait(recording)
     for name, draw in (
         ("gait-diagram", gait_diagram),
         ("orientation", orientation),
-        ("foot-paths", lambda walk: leg_paths(walk, robot or robot_of(recording))),
+        ("foot-paths", lambda walk: leg_paths(walk, robot_of(recording))),
         ("foot-paths-over-ground", over_ground),
         ("servo-angles", servo_angles_figure),
         ("ground-path", ground_path),

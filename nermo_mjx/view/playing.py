@@ -95,9 +95,7 @@ def play(
             time.sleep(1.0 / _REFRESH)
 
 
-def write_keyframes(
-    recording: Recording, path: str | os.PathLike[str], robot: Robot | None = None, *, rate: float = 25.0
-) -> int:
+def write_keyframes(recording: Recording, path: str | os.PathLike[str], *, rate: float = 25.0) -> int:
     """Write the robot as one MJCF file whose keyframes are samples of the recording, and return their number.
 
     Any MuJoCo of version 3 opens it, without this package: `python -m mujoco.viewer --mjcf=FILE.xml`, then the slider
@@ -106,7 +104,6 @@ def write_keyframes(
     Args:
         recording: to write.
         path: the file.
-        robot: that was recorded; by default assembled from the recording's setup.
         rate: keyframes per second [Hz]; the nearest samples are taken.
 
     Raises:
@@ -115,8 +112,7 @@ def write_keyframes(
     """
     if not rate > 0.0:
         raise ParameterError(f"rate is {rate:g} Hz: allowed is (0, inf).")
-    robot = robot or robot_of(recording)
-    recording.check_model(robot.model)
+    robot = robot_of(recording)
     count = int(recording.duration * rate + 1e-6) + 1
     if count > MOST_KEYS:
         raise ParameterError(f"rate is {rate:g} Hz: that would be {count:,} keyframes, of {MOST_KEYS:,}.")

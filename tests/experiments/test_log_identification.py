@@ -13,10 +13,10 @@ import pytest
 
 from nermo_mjx.cli import main as command
 from nermo_mjx.experiments.log_identification import Identification, Wanted, identify_log
-from nermo_mjx.experiments.log_twin import LoggedTwin, MjcfBody, nermo_body
+from nermo_mjx.experiments.log_twin import LoggedTwin, MjcfBody, NermoBody
 from nermo_mjx.files import FileError
 from nermo_mjx.hardware.log import Channel, Log
-from nermo_mjx.robot import ParameterError, identified
+from nermo_mjx.robot import SERVOS, ParameterError, identified
 
 
 def main(arguments: list[str]) -> int:
@@ -269,10 +269,9 @@ def test_wrong_options_end_in_a_sentence(
 
 
 def test_nermo_is_driven_and_its_bodies_differ() -> None:
-    body = nermo_body("nermo_lite", ("kp", "damping", "mass", "friction", "delay", "bias", "backlash"))
+    body = NermoBody("nermo_lite", ("kp", "damping", "mass", "friction", "delay", "bias", "backlash"))
     time = np.arange(100) / 100
-    robot = body.robot
-    channels = [Channel(f"c_{s}", "command", s, time, 0.2 * np.sin(12 * time)) for s in robot.servos[:8]]
+    channels = [Channel(f"c_{s}", "command", s, time, 0.2 * np.sin(12 * time)) for s in SERVOS[:8]]
     channels += [Channel("hip", "angle", "front_left_hip", time, np.zeros(100))]
     channels += [Channel("knee", "angle", "front_left_knee", time, np.zeros(100))]
     channels += [Channel("track", "position", "torso", time, np.zeros((100, 2)))]

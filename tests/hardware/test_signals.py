@@ -33,7 +33,7 @@ def log_with(lag=0.012, seed=0, noise=0.003, quantum=0.0175, rate=100.0, **fault
     )
     weight = np.array([0.0, 0.0, 9.81]) + 0.3 * random.standard_normal((len(times), 3))
     made.append(Channel("gyro", "gyro", "imu", times, faults.get("gyro", lambda v: v)(turning), "rad/s"))
-    made.append(Channel("acc", "acceleration", "imu", times, faults.get("acc", lambda v: v)(weight), "m/s^2"))
+    made.append(Channel("acc", "accelerometer", "imu", times, faults.get("acc", lambda v: v)(weight), "m/s^2"))
     return Log(tuple(made), "log")
 
 

@@ -194,11 +194,11 @@ def test_what_falls_ends_its_episode_with_that_sentence_and_stands_up_again(envi
 @pytest.mark.compiles
 def test_a_policy_sees_the_servos_currents():
     """By the data sheet: 8 mA at rest, 0.8 A at the stall torque of 0.157 N m, whichever way it acts."""
-    observer = Observer(("servo_current",), (), (), False, False, delayed=0, noisy=False, dt=0.01)
+    observer = Observer(("motor_current",), (), (), False, False, delayed=0, noisy=False, dt=0.01)
     torque = jnp.zeros(10).at[:3].set(jnp.asarray([0.157, -0.157, 0.0785]))
-    found = observer.readings(sensors(servo_torque=torque)) * SENSED["servo_current"].scale
+    found = observer.readings(sensors(servo_torque=torque)) * SENSED["motor_current"].scale
     np.testing.assert_allclose(found, [0.8, 0.8, 0.404, *[0.008] * (len(found) - 3)], rtol=1e-5)
-    assert all(name.startswith("servo_current.") for name in observer.names)
+    assert all(name.endswith("_motor_current") for name in observer.names)
 
 
 @pytest.mark.compiles

@@ -155,7 +155,7 @@ def _turned(sensors):
 
 
 #: The same as an object, with labels and a scale.
-TURNED = Sensed(("left", "up"), _turned, 1.0, "rad/s", "gyro_noise", "of the torso")
+TURNED = Sensed(_turned, 1.0, ("left", "up"))
 
 
 def speeds(key, steps):

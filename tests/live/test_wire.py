@@ -422,7 +422,14 @@ def test_what_it_was_sent_and_what_it_measured_is_a_log(signed, driving, tmp_pat
     log.end()
     assert log.error is None
     found = read_log(log.path, log.about)
-    assert {each.quantity for each in found.channels} >= {"command", "angle", "gyro", "acceleration", "position", "yaw"}
+    assert {each.quantity for each in found.channels} >= {
+        "command",
+        "angle",
+        "gyro",
+        "accelerometer",
+        "position",
+        "yaw",
+    }
     commands = np.degrees(both.commands)
     for of, channel in found.of_quantity("command").items():
         at = [each.servo for each in channels].index(of)

@@ -222,6 +222,20 @@ def test_what_c_cannot_do_is_refused_and_the_engine_that_can_is_named(walk: Roll
         ask(walk)
 
 
+def test_the_derivative_by_the_duty_is_the_difference_of_two_walks(walk: Rollout) -> None:
+    """A duty factor brings its gait factor 1 / duty along; one of 0 has none, and is refused with its range."""
+
+    def way(duty):
+        return walk({"duty": duty})["distance"]
+
+    with jax.enable_x64(True):
+        slope = float(jax.grad(way)(0.53))
+        assert slope == pytest.approx(float(way(0.53 + 1e-5) - way(0.53 - 1e-5)) / 2e-5, rel=1e-3)
+    assert abs(slope) > 1e-4
+    with pytest.raises(ParameterError, match=r"duty is 0: allowed is \[0.01, 1\)"):
+        way(0.0)
+
+
 def test_an_unknown_engine_is_refused() -> None:
     with pytest.raises(ParameterError, match="engine is 'warp'"):
         Rollout(engine="warp")

@@ -7,13 +7,15 @@ import math
 import jsonschema
 import numpy as np
 import pytest
+import yaml
 from command import call, json_of
 
 from nermo_mjx import ParameterError, Rollout, Run, Setup, Simulator, Sweep, servo_table
 from nermo_mjx.control.schedule import Switch
-from nermo_mjx.learn.spec import Training
+from nermo_mjx.learn.spec import Training, TrainingFile
 from nermo_mjx.optimize import Search, Tuning
 from nermo_mjx.rollout import all_parameters
+from nermo_mjx.specs.fields import schema_of
 from nermo_mjx.specs.reading import read_text
 
 DEGREE = math.pi / 180
@@ -105,9 +107,35 @@ def test_a_tuning_a_search_and_a_training_take_units():
     assert training.task.set["frequency"] == 0.8
 
 
+def test_a_trainings_task_and_scenes_take_units_and_editors_know_it():
+    """Sensing is a training's own: no sweep knows its parameters."""
+    text = "task: {{duration: {}, corridor: {}, set: {{sensing.delay: {}}}}}\nscenes:\n- {{scene: flat}}\n"
+    text += "- {{scene: planks, corridor: {}, set: {{terrain.height: {}}}, randomize: {{start.yaw: {}}}}}"
+    units = text.format("8 s", "10 cm", "5 ms", "300 mm", "5 mm", "[-5 deg, 5 deg]")
+    numbers = text.format(8.0, 0.1, 0.005, 0.3, 0.005, [-math.radians(5), math.radians(5)])
+    assert Training.from_text(units).task == Training.from_text(numbers).task
+    assert Training.from_text(units).scenes == Training.from_text(numbers).scenes
+    schema = jsonschema.Draft202012Validator(schema_of(TrainingFile))
+    assert not [error.message for error in schema.iter_errors(yaml.safe_load(units))]
+
+
+def test_a_compared_base_is_a_value_whatever_its_unit():
+    spec = {"spine": "stride_extension", "vary": {"spine.phase": ["-45 deg", 0.0]}}
+    for base in ("-45 deg", -math.pi / 4, 0, "0 deg"):
+        Sweep.from_dict(spec | {"compare": {"by": "spine.phase", "base": base}})
+    message = r"compare.base' is the text .* no value of spine.phase; allowed are -0.78"
+    for base in ("-45", "-44 deg", "45 mm", "none"):
+        with pytest.raises(ParameterError, match=message):
+            Sweep.from_dict(spec | {"compare": {"by": "spine.phase", "base": base}})
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
+        (
+            "schedule: [{at: -1 s, gait: trot}]",
+            "field 'schedule.0.at' is the text '-1 s': expected a number of at least",
+        ),
         ("set: {frequency: 12 mm}", "field 'frequency' is the text '12 mm': expected a number in Hz, such as 0.67 Hz."),
         ("vary: {frequency: [0.8, 3 s]}", "field 'frequency' is the text '3 s': expected a number in Hz"),
         ("vary: {frequency: {linspace: [1, fast, 3]}}", "field 'frequency' is the text 'fast': expected a number."),

@@ -347,6 +347,14 @@ def test_several_values_are_each_compared_with_the_base() -> None:
     assert all(each["metrics"]["speed"]["variants"] == 3 for each in found.about()["comparisons"])
 
 
+def test_a_base_may_have_a_unit() -> None:
+    for base in (0.4, "0.4", "0.4 Hz"):
+        assert compare(table(), by="frequency", base=base).base == "0.4"
+        assert compare(table(), by="gait", where={"frequency": base}).base == "trot"
+    with pytest.raises(ParameterError, match=r"^base is '0\.4 m': the table has 0\.4"):
+        compare(table(), by="frequency", base="0.4 m")
+
+
 def test_without_repeats_there_is_no_interval_and_a_sentence_says_so() -> None:
     """One run of one variant gives no estimate of noise; two variants do."""
     data = table(repeats=1)

@@ -7,11 +7,12 @@ import pyarrow.parquet as pq
 import pytest
 from matplotlib.text import Text
 from scipy import stats
-from sweep_fake import FakeSimulator
+from sweep_fake import OPTIMUM as SPEC
+from sweep_fake import FakeSimulator, Noisy
 
 from nermo_mjx.sweep import SpecError, Sweep, run_sweep
 from nermo_mjx.sweep.counting import two_stage
-from nermo_mjx.sweep.optimum import hsu_margin, judged
+from nermo_mjx.sweep.optimum import hsu_margin, judged, optimum_in
 from nermo_mjx.sweep.plots import sweep_figures
 from nermo_mjx.sweep.spec import SoughtOptimum
 
@@ -70,14 +71,18 @@ def shares(landscape: str, noise: str, budget: int) -> dict[str, float]:
 
 
 @pytest.mark.parametrize("budget", [0, 200])
-@pytest.mark.parametrize(("landscape", "noise"), [("plateau", "normal"), ("ridge", "normal"), ("ridge", "skewed")])
+@pytest.mark.parametrize(
+    ("landscape", "noise"),
+    [("plateau", "normal"), ("plateau", "skewed"), ("ridge", "normal"), ("ridge", "skewed")],
+)
 def test_the_region_and_the_interval_hold_the_truth_as_often_as_they_say(landscape, noise, budget):
     """400 landscapes with a known optimum: a standard error of a hundredth. The region holds it 95 times of 100 where
     all points are alike, which is the case that the method is made for, and more often where most are worse."""
     found = shares(landscape, noise, budget)
     assert 0.93 <= found["region holds it"] <= (0.98 if landscape == "plateau" else 0.995), found
-    assert found["points"] <= (48 if landscape == "plateau" else 14), found
-    assert 0.925 <= found["fresh"] <= 0.975, found
+    assert found["points"] <= (48 if landscape == "plateau" else 14 if noise == "normal" else 16), found
+    # Differences of two skewed sides are symmetric with long tails, where Student's t is a little too wide.
+    assert 0.925 <= found["fresh"] <= (0.985 if (landscape, noise) == ("plateau", "skewed") else 0.975), found
     assert abs(found["fresh bias"]) <= 0.1, found  # of noise of 0.6 mm/s: 400 means have a standard error of 0.03
     assert found["chosen bias"] >= 0.4, "the winner's curse"
 
@@ -100,43 +105,6 @@ def test_the_margin_is_the_quantile_of_the_largest_difference():
 
 
 # --- through a sweep: its runs, files and refusals
-
-SPEC = {
-    "run": {"duration": 0.2, "warmup": 0},
-    "plots": False,
-    "vary": {
-        "gait": ["trot", "lateral_walk"],
-        "spine": ["none", "stride_extension"],
-        "spine.amplitude": [0.1, 0.3],
-        "spine.phase": [-1.0, 0.0, 1.0],
-    },
-    "randomize": {
-        "repeats": 3,
-        "paired": ["spine.amplitude", "spine.phase"],
-        "contact.friction": {"uniform": [0.8, 1.4]},
-    },
-    "optimum": {
-        "over": ["spine.amplitude", "spine.phase"],
-        "for": ["gait"],
-        "base": {"spine": "none"},
-        "fresh": 4,
-        "budget": 30,
-        "until": 1,
-    },
-}
-
-
-class Noisy(FakeSimulator):
-    """Adds noise that depends on the run alone: 0.02 at the phases 0 and 1, which are alike."""
-
-    def run(self, values, run, **more):
-        alike = {"spine.phase": np.minimum(values["spine.phase"], 0.0)} if "spine.phase" in values else {}
-        result = super().run({**values, **alike}, run)
-        parts = [values[name] for name in ("spine.amplitude", "spine.phase", "start.x") if name in values]
-        speed = result.metrics["speed"] + 2e-4 * np.sin(1e4 * sum(parts) + 1e5 * values.get("contact.friction", 1.0))
-        costs = {"cost_of_transport": 1.0 - speed, "electrical_cost_of_transport": 8.0 + speed}
-        result.metrics.update(speed=speed, **costs)
-        return result
 
 
 @pytest.fixture(scope="module")
@@ -269,6 +237,8 @@ def test_it_may_be_sought_in_a_finished_directory(tmp_path):
     assert answer["at"]["spine.amplitude"] == 0.3
     assert answer["points"] == 6
     assert answer["metrics"]["speed"]["pairs"] == 0
+    (said,) = (each for each in optimum_in(tmp_path).how() if "fresh runs each" in each)
+    assert "3 runs a point, 4 fresh runs each, no pairs (randomize.paired makes them)" in said
     fresh = result.table.slice(len(first)).to_pandas()
     best, base = (fresh[fresh["spine.amplitude"] == each].speed for each in (0.3, 0.0))
     welch = stats.ttest_ind(best, base, equal_var=False)

@@ -102,7 +102,10 @@ def test_what_is_saved_belongs_to_the_sweep(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("save", "message"),
     [
-        ({"sensors": ["gyr"]}, r"save.sensors' has 'gyr': allowed are qpos, qvel, ctrl, .*; did you mean 'gyro'\?"),
+        (
+            {"sensors": ["gyr"]},
+            r"save.sensors' has 'gyr': allowed are qpos, qvel, servo_command, .*; did you mean 'gyro'\?",
+        ),
         ({"sensors": ["front_left_foot_forc"]}, r"did you mean 'front_left_foot_force'\?"),
         ({"sensors": []}, "save.sensors' is an empty list: name sensors"),
         ({"rate": 50}, "save' has no 'sensors': expected {sensors:"),
@@ -157,7 +160,7 @@ def test_what_a_simulator_saves_is_its_recording_at_a_rate() -> None:
         "front_left_foot_velocity_x": foot[..., 0],
         "front_left_foot_velocity_y": foot[..., 1],
         "front_left_foot_velocity_z": foot[..., 2],
-        "spine_ctrl": trace.ctrl[:, at, 8],
+        "spine_servo_command": trace.ctrl[:, at, 8],
         "qvel_root_z": trace.qvel[:, at, 2],
         "speed": np.linalg.norm(velocity[..., :2], axis=-1),
     }

@@ -15,8 +15,9 @@ import numpy as np
 import pytest
 from chromium import READY
 from explore_data import MEASURES, NAMES, atlas, falling, many, posed, sweep
+from sweep_fake import OPTIMUM, Noisy
 
-from nermo_mjx import read_table
+from nermo_mjx import read_table, run_sweep
 from nermo_mjx.view.explore import explore
 
 pytestmark = pytest.mark.browser
@@ -301,6 +302,25 @@ def test_rows_shown_are_saved_as_csv_with_all_digits(tab: Any, page: Path, rows:
     assert list(lines[0]) == ["frequency", "spine.amplitude", "spine.phase"]
     for name in lines[0]:
         np.testing.assert_array_equal([float(line[name]) for line in lines], rows[name][inside])
+
+
+@pytest.mark.parametrize("width", [390, 1280])
+def test_the_answer_of_an_optimum_is_whole(tab: Any, folder: Path, width: int) -> None:
+    """No cell is cut or beside the window; a line of the table is three lines of text, on a phone a card with heads."""
+    out = folder / "optimum"
+    if not out.exists():
+        run_sweep(OPTIMUM, out, simulator=Noisy(), progress=False)
+    tab.open(explore(out).save(folder / "optimum.html"), width, 800)
+    tab.wait(READY)
+    assert tab.evaluate("answer.scrollWidth <= answer.clientWidth")
+    assert tab.evaluate("[...answer.querySelectorAll('td')].every((each) => each.scrollWidth <= each.clientWidth + 1)")
+    heights = tab.evaluate("[...answer.querySelectorAll('tr')].slice(1).map((each) => each.offsetHeight)")
+    assert len(heights) == 2
+    assert max(heights) < (62 if width == 1280 else 230)
+    heads = tab.evaluate("[...answer.querySelectorAll('td')].map((td) => getComputedStyle(td, '::before').content)")
+    assert sum(head not in ("none", "normal") for head in heads) == (0 if width == 1280 else len(heads) - 2)
+    first, second = (tab.evaluate(f"answer.querySelectorAll('tr')[{i}].classList.contains('shown')") for i in (1, 2))
+    assert (first, second) == (True, False)
 
 
 def test_ten_thousand_rows_with_structures_answer_at_once(tab: Any, tmp_path: Path) -> None:

@@ -118,7 +118,7 @@ class Explorer {
   answer({ title, heads, lines, notes }) {
     const head = element("tr", heads.map((text) => element("th", text)));
     const shown = lines.map(({ cells, group, row }) => {
-      const [first, ...rest] = cells.map((text) => element("td", text));
+      const [first, ...rest] = cells.map((text, i) => element("td", text, "", { "data-head": heads[i] }));
       const line = element("tr", [first, ...rest]);
       first.replaceChildren(button(cells[0], "", () => {
         for (const other of shown) other.classList.toggle("shown", other === line);
