@@ -264,7 +264,7 @@ class Observer:
 
 def _names(name: str, group: Sensed) -> tuple[str, ...]:
     """Of every number of a group of readings."""
-    own = tuple(f"{name}.{label}".rstrip(".") for label in group.labels)
+    own = tuple(f"{name}_{label}" if label else name for label in group.labels)
     return own or tuple(reading_names(name, ACTED))
 
 

@@ -172,7 +172,7 @@ def test_own_functions_give_what_those_of_the_package_give():
         episode_length=0.1,
     )
     environment = Environment(SETUP, worlds=3, task=task)
-    names = ("gyro.x", "gyro.y", "gyro.z", "turning", "_turned.left", "_turned.up", "command.speed")
+    names = ("gyro_x", "gyro_y", "gyro_z", "turning", "_turned_left", "_turned_up", "command.speed")
     assert environment.observation_names == names
     state = environment.reset(0)
     for _ in range(4):
