@@ -234,7 +234,7 @@ REFUSED: dict[Callable[[Any], Any], list[tuple[Any, str]]] = {
     ],
     task: [
         (lambda: Task(decimation=0), "decimation is 0: allowed is a whole number from 1 on."),
-        (lambda: Task(duration=-1.0), "duration is -1.0: allowed is (0, inf)."),
+        (lambda: Task(episode_length=-1.0), "episode_length is -1.0: allowed is (0, inf)."),
         (lambda: Task(randomize={"contact.fricton": (1.0, 2.0)}), "did you mean 'contact.friction'?"),
         (lambda: Task(randomize={"contact.friction": (0.0, 2.0)}), "allowed is [0.05, 5]"),
         (lambda: Task(randomize={"frequency": (1.0, 1.0)}), "the low end is not below the high one"),

@@ -468,7 +468,7 @@ def test_seeds_beyond_32_bits_are_others_and_masks_are_refused() -> None:
     from nermo_mjx.learn import Task
     from nermo_mjx.learn.gymnasium_door import NermoVectorEnv
 
-    task = Task(duration=0.1, randomize={"start.phase": (0.0, 1.0)})
+    task = Task(episode_length=0.1, randomize={"start.phase": (0.0, 1.0)})
     env = NermoVectorEnv(setup=Setup(physics="fast"), worlds=2, task=task)
     first, second = (env.reset(seed=seed)[0] for seed in (0, 2**32))
     assert (first != second).any()

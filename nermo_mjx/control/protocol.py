@@ -253,9 +253,11 @@ def user_code(subject: str) -> Iterator[None]:
                 "NumPy's numbers of them; use jax.numpy, and jnp.where instead of if."
             ) from None
         hint, wrong = "", (str(error).strip().splitlines() or [""])[0].rstrip(".")[:200]
-        if isinstance(error, AttributeError) and isinstance(error.obj, Sensors):
-            known = [field.name for field in dataclasses.fields(Sensors)]
-            hint = f"{did_you_mean(str(error.name), known)} Sensors are {', '.join(known)}"
+        if isinstance(error, AttributeError) and (isinstance(error.obj, Sensors) or hasattr(error.obj, "_fields")):
+            given: Any = type(error.obj)
+            known = [each.name for each in dataclasses.fields(given)] if given is Sensors else list(given._fields)
+            verb = "are" if given is Sensors else "has"
+            hint = f"{did_you_mean(str(error.name), known)} {given.__name__} {verb} {', '.join(known)}"
         raise ParameterError(f"{subject}{place}: {type(error).__name__}: {wrong}{hint}.") from None
 
 
@@ -274,6 +276,29 @@ def _imported(source: str, path: str, content: bytes) -> ModuleType:
 
 #: How a text names a controller.
 FORM: Final = "FILE.py:NAME, MODULE:NAME or FILE.npz"
+#: How a text names an object in a Python file or module.
+NAMED: Final = "FILE.py:NAME or MODULE:NAME"
+
+
+def named_object(field: str, where: str, form: str = NAMED) -> Source:
+    """The file or module, and the object in it, that a text names; `field` begins messages, such as "rewards has".
+
+    Raises:
+        ParameterError: the text has another form.
+    """
+    source = Source.named(field, where, form)
+    if not source.name:
+        raise ParameterError(f"{source.subject}: expected {form}.")
+    return source
+
+
+def load_object(source: Source) -> Any:
+    """The object; raises `ParameterError` if there is none, see `Source.module`."""
+    module = source.module()
+    found = getattr(module, source.name, None)
+    if found is None:
+        raise source.missing([each for each in vars(module) if not each.startswith("_")])
+    return found
 
 
 def load_controller(where: str) -> Any:
@@ -281,18 +306,15 @@ def load_controller(where: str) -> Any:
 
     Args:
         where: `FILE.py:NAME` or `MODULE:NAME`, the name being that of a controller, or of a class or function that
-            returns one when called without arguments; or `FILE.npz`, a policy from `nermo-mjx train`.
+            returns one when called without arguments; or `FILE.npz`, a policy from `nermo-mjx train`, and
+            `FILE.npz:FILE.py` for one that observes something of one's own.
 
     Raises:
         ParameterError: the file, module or name does not exist, it cannot be imported, or it is not a controller.
     """
-    if is_data(where):
-        return pkgutil.resolve_name(DATA_CONTROLLERS[Path(where).suffix])(where)
-    source = _source(where)
-    module = source.module()
-    controller = getattr(module, source.name, None)
-    if controller is None:
-        raise source.missing([each for each in vars(module) if not each.startswith("_")])
+    if (data := data_of(where)) is not None:
+        return pkgutil.resolve_name(DATA_CONTROLLERS[Path(data[0]).suffix])(*data)
+    controller = load_object(named_object("controller is", where, FORM))
     if isinstance(controller, (type, FunctionType)):
         controller = _made(where, controller)
     check_form(controller)
@@ -305,16 +327,25 @@ def controller_digest(where: str) -> str:
     Raises:
         ParameterError: see `load_controller`.
     """
-    if is_data(where):
+    if (data := data_of(where)) is not None:
         load_controller(where)
-        return hashlib.sha256(read_bytes(Path(where), MOST_ARRAYS)).hexdigest()[:16]
-    source = _source(where)
+        return hashlib.sha256(read_bytes(Path(data[0]), MOST_ARRAYS)).hexdigest()[:16]
+    source = named_object("controller is", where, FORM)
     return source.digest(source.name)
 
 
-def is_data(where: str) -> bool:
-    """Whether a text names a file that holds a controller as data instead of code."""
-    return Path(where).suffix in DATA_CONTROLLERS
+def data_of(where: str) -> tuple[str, str] | None:
+    """The file of a text that names a controller that is data, and the code that the text gives it; None for code.
+
+    >>> import nermo_mjx
+    >>> data_of("policy.npz"), data_of("policy.npz:my.py"), data_of("my.py:walker")
+    (('policy.npz', ''), ('policy.npz', 'my.py'), None)
+    """
+    for suffix in DATA_CONTROLLERS:
+        path, end, code = where.partition(f"{suffix}:")
+        if end or where.endswith(suffix):
+            return path.removesuffix(suffix) + suffix, code
+    return None
 
 
 def check_form(controller: Any) -> None:
@@ -344,16 +375,13 @@ def check_form(controller: Any) -> None:
 
 def named_place(controller: Any, name: str) -> str:
     """A function of a controller and where it stands, for messages: `controller has update (bound.py:37)`."""
-    code = getattr(inspect.unwrap(getattr(controller, name)), "__code__", None)
-    place = "" if code is None else f" ({Path(code.co_filename).name}:{code.co_firstlineno})"
-    return f"controller has {name}{place}"
+    return f"controller has {function_place(name, getattr(controller, name))}"
 
 
-def _source(where: str) -> Source:
-    source = Source.named("controller is", where, FORM)
-    if not source.name:
-        raise ParameterError(f"{source.subject}: expected {FORM}.")
-    return source
+def function_place(name: str, function: Any) -> str:
+    """The name of a function and where it stands, for messages: `yaw_shake (my_metrics.py:4)`."""
+    code = getattr(inspect.unwrap(function), "__code__", None)
+    return name if code is None else f"{name} ({Path(code.co_filename).name}:{code.co_firstlineno})"
 
 
 @functools.lru_cache(maxsize=32)

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any, Final
 from nermo_mjx.learn.acting import Modulation, Residual, Targets
 from nermo_mjx.learn.algorithms import PPO, ShortHorizon
 from nermo_mjx.learn.environment import SENTENCES, Environment, State
+from nermo_mjx.learn.observing import Sensed
 from nermo_mjx.learn.policy import Policy, load_policy
-from nermo_mjx.learn.task import TERMS, Outcome, Task, Term, task_parameters
+from nermo_mjx.learn.task import TERMS, Moment, Outcome, Task, Term, task_parameters
 
 if TYPE_CHECKING:
     from nermo_mjx.learn.run import TrainingResult, run_training
@@ -18,7 +19,8 @@ if TYPE_CHECKING:
 #: Names that import tables, figures and checkpoints, which running a policy does not need.
 _LATER: Final = {"Training": "spec", "TrainingResult": "run", "run_training": "run"}
 
-__all__ = ["PPO", "SENTENCES", "TERMS", "Environment", "Modulation", "Outcome", "Policy", "Residual", "ShortHorizon"]
+__all__ = ["PPO", "SENTENCES", "TERMS", "Environment", "Modulation", "Moment", "Outcome", "Policy", "Residual"]
+__all__ += ["Sensed", "ShortHorizon"]
 __all__ += ["State", "Targets", "Task", "Term", "Training", "TrainingResult", "load_policy", "run_training"]
 __all__ += ["task_parameters"]
 

@@ -2,6 +2,7 @@
 
 DIR/training.yaml      the resolved training
 DIR/metrics.py         custom metrics, if the evaluation has some: a copy
+DIR/FILE.py            own code that the task names, if it has some: a copy
 DIR/run.json           which code made it; versions, machine and command of each session that worked on it
 DIR/checkpoints/       Orbax checkpoints, the latest few: the full learning state, and the history up to it
 DIR/policy.npz         the policy of the latest checkpoint, or of the best one (`validation`): a controller
@@ -37,7 +38,6 @@ from nermo_mjx.runs.checkpoints import Checkpoints
 from nermo_mjx.runs.files import WrongDirectory, clear_errors, content_of, parquet_bytes, stored_table
 from nermo_mjx.runs.rows import Columns
 from nermo_mjx.runs.status import Status, metadata_of, status_of
-from nermo_mjx.specs.controllers import with_code_copied
 from nermo_mjx.specs.described import write_described
 from nermo_mjx.specs.reading import SpecError, changes
 
@@ -202,8 +202,7 @@ class TrainingDirectory:
 
     def claim(self) -> None:
         """Claim the directory for this training; a user's own files in the way are moved aside."""
-        setup = with_code_copied(self.training.setup, self.out.resolve(), self.held.write)
-        self.training = dataclasses.replace(self.training, setup=setup)
+        self.training = self.training.with_code_copied(self.out.resolve(), self.held.write)
         write_described(self.held, SPEC, self.training, Training.from_file, self._warn)
 
     def keep(self, learned: Learned, curves: Curves) -> None:

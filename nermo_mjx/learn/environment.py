@@ -77,14 +77,14 @@ class CWorlds:
         self.drawn: dict[int, tuple[Any, dict[str, np.ndarray], np.ndarray]] = {}
         self.newest: object = None
 
-        def draw(key: Array, world: Array, episode: Array) -> Any:
+        def draw(key: Array, world: Array, episode: Array, steps: Array) -> Any:
             own = jax.random.fold_in(jax.random.fold_in(jax.random.wrap_key_data(key), world), episode)
-            return episodes(own, staggered & (episode == 0))
+            return episodes(own, staggered & (episode == 0), steps)
 
         self.draw = Lanes(draw)
 
-    def reset(self, key: np.ndarray) -> State:
-        n = self.worlds
+    def reset(self, key: np.ndarray, steps: float) -> State:
+        n, self.steps = self.worlds, steps
         self.key, self.count, self.drawn = np.asarray(key), np.zeros(n, int), {}
         params, fields, qpos = self._episode(0, np.arange(n))
         self.session = CDriven(self.engine, params, qpos, fields)
@@ -125,7 +125,7 @@ class CWorlds:
             n = self.worlds
             keys = np.broadcast_to(self.key, (n, self.key.shape[-1]))
             places = np.arange(n) if self.key.ndim == 1 else np.zeros(n, int)  # where each has a key of its own
-            params, model, qpos = self.draw(keys, places, np.full(n, k))
+            params, model, qpos = self.draw(keys, places, np.full(n, k), np.full(n, self.steps))
             fields = self.variation.batch(model, n, self.episodes.reached)
             self.drawn[k] = params, fields, np.asarray(qpos, float)
             for old in [each for each in self.drawn if each <= self.count.min() and each != k]:
@@ -139,11 +139,13 @@ class World(NamedTuple):
 
     Attributes:
         key: of its episode, raw (2,).
+        steps: of the training when it was reset.
         params, fields: of the loop, and what differs from the model.
         carry: what the engine carries.
     """
 
     key: Array
+    steps: Array
     params: Any
     fields: dict[str, Array]
     carry: Any
@@ -160,11 +162,11 @@ class MjxWorlds:
         self.variation = Variation(loop.robot)
 
     @full_precision
-    def reset(self, key: Any) -> State:
+    def reset(self, key: Any, steps: Any) -> State:
         keys = (
             key if key.ndim == 2 else jax.random.key_data(jax.random.split(jax.random.wrap_key_data(key), self.worlds))
         )
-        world = jax.vmap(functools.partial(self.begin, cut_short=self.staggered))(keys)
+        world = jax.vmap(functools.partial(self.begin, cut_short=self.staggered, steps=steps))(keys)
         seen = jax.vmap(self.seen)(world)
         return _state(seen, seen.observation, seen.privileged, world)
 
@@ -178,7 +180,7 @@ class MjxWorlds:
             return jax.random.key_data(jax.random.fold_in(jax.random.wrap_key_data(key), 1))
 
         def anew() -> World:
-            fresh = jax.vmap(self.begin)(jax.vmap(following)(world.key))
+            fresh = jax.vmap(self.begin)(jax.vmap(following)(world.key), world.steps)
             chosen: World = jax.vmap(picked)(ended, fresh, world)
             return chosen
 
@@ -187,13 +189,13 @@ class MjxWorlds:
         return _state(seen, first.observation, first.privileged, world)
 
     @full_precision
-    def begin(self, key: Array, cut_short: bool = False) -> World:
+    def begin(self, key: Array, steps: Any = 0.0, cut_short: bool = False) -> World:
         """A world at the start of the episode of a key, see `Episodes`."""
-        params, model, qpos = self.episodes(jax.random.wrap_key_data(key), cut_short)
+        params, model, qpos = self.episodes(jax.random.wrap_key_data(key), cut_short, steps)
         fields = self.variation.differentiable(model, self.episodes.reached)
         at_rest = self.loop.robot.sensordata_at_rest(qpos)
         carry = self.engine.start(params, qpos, jnp.zeros((self.engine.model.nv,), qpos.dtype), at_rest)
-        return World(key, params, fields, self.engine.playing(carry, fields))
+        return World(key, jnp.asarray(steps, float), params, fields, self.engine.playing(carry, fields))
 
     @full_precision
     def act(self, world: World, action: Array) -> World:
@@ -221,7 +223,7 @@ def picked(choice: Truth, one: Any, other: Any) -> Any:
 class Environment:
     """A batch of worlds in which a policy drives the robot.
 
-    >>> environment = Environment(worlds=2, task=Task(duration=0.05))
+    >>> environment = Environment(worlds=2, task=Task(episode_length=0.05))
     >>> state = environment.reset(0)
     >>> state = environment.step(state, np.zeros((2, environment.action_size)))
     >>> state.observation.shape == (2, environment.observation_size), environment.step_seconds
@@ -260,7 +262,7 @@ class Environment:
             task: what the policy does there.
             seed: for `reset()` without a key.
             staggered: after `reset`, the time of each world's first episode is over after a random share of the
-                task's duration, so that episodes do not end together in all worlds.
+                task's length, so that episodes do not end together in all worlds.
             threads: processors that `c` uses, or a pool that several environments share; None for
                 `$NERMO_MJX_THREADS`, or all of them.
 
@@ -289,12 +291,13 @@ class Environment:
         self.observation_size, self.privileged_size = len(self.observation_names), len(self.privileged_names)
         self.action_size, self.step_seconds = len(self.action_names), self.controller.dt * self.task.decimation
 
-    def reset(self, key: Any = None) -> State:
+    def reset(self, key: Any = None, steps: Any = 0.0) -> State:
         """Begin an episode in every world.
 
         Args:
             key: a `jax.random.key`, a raw key (2,), or a whole number; the environment's seed by default. A list of
                 whole numbers has one for each world, whose episodes depend on it alone, not on the world's place.
+            steps: control steps of a training so far, for the task's `commands`, until the next reset.
         """
         if isinstance(key, (list, tuple)):
             if len(key) != self.worlds:
@@ -302,7 +305,7 @@ class Environment:
                     f"seed has {len(key)} entries: expected one number, or {self.worlds}, a world each."
                 )
             key = jnp.stack([_raw_key(each) for each in key])
-        state: State = self._worlds.reset(_raw_key(self.seed if key is None else key))
+        state: State = self._worlds.reset(_raw_key(self.seed if key is None else key), steps)
         return state
 
     def __reduce__(self) -> NoReturn:
@@ -348,7 +351,7 @@ class Mixture:
     Every part has the same observation and the same action. The critic's input differs: it is the union of the parts'
     inputs, with zeros where a part lacks them, and the index of the part.
 
-    >>> parts = [(Setup(), Task(duration=1.0)), (Setup(pilot="arc"), Task(duration=1.0))]
+    >>> parts = [(Setup(), Task(episode_length=1.0)), (Setup(pilot="arc"), Task(episode_length=1.0))]
     >>> [part.worlds for part in Mixture(parts, worlds=5).parts]
     [3, 2]
 
@@ -400,11 +403,11 @@ class Mixture:
         self.step_seconds, self.privileged_size = one.step_seconds, len(self.privileged_names)
         self._waiting = ThreadPoolExecutor(len(parts), thread_name_prefix="nermo_mjx_part")
 
-    def reset(self, key: Any) -> State:
+    def reset(self, key: Any, steps: Any = 0.0) -> State:
         """Begin an episode in every world; each part draws from a key of its own."""
         key = jax.random.key(key) if isinstance(key, int) else key
         keys = [jax.random.fold_in(key, i) for i in range(len(self.parts))]
-        return self.joined([part.reset(each) for part, each in zip(self.parts, keys, strict=True)])
+        return self.joined([part.reset(each, steps) for part, each in zip(self.parts, keys, strict=True)])
 
     def step(self, state: State, action: Any) -> State:
         """One control step of all worlds; see `Environment.step`."""

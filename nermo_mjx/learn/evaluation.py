@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, Final, NamedTuple
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pyarrow as pa
 
+from nermo_mjx.learn.own import own_terminations
 from nermo_mjx.learn.policy import Policy
 from nermo_mjx.learn.spec import Training
 from nermo_mjx.learn.task import GIVEN, Task, task_parameters
@@ -16,6 +20,7 @@ from nermo_mjx.robot import identified
 from nermo_mjx.robot.quantity import quantities
 from nermo_mjx.robot.scene import scene_name
 from nermo_mjx.rollout import RunResult, Setup, Simulator
+from nermo_mjx.rollout.own_metrics import OwnMetric
 from nermo_mjx.runs.rows import Columns
 
 #: Added to a training's seed, so that no training episode was drawn from such a key.
@@ -79,15 +84,21 @@ class PolicyEvaluator:
 
         Returns:
             One row per walk: scene, controller, body, the drawn parameters, metrics, status, and whether it was a
-            success: it lasted, covered at least the distance required by the training's evaluation, and stayed in its
-            scene's corridor.
+            success: it lasted, covered at least the distance required by the training's evaluation, stayed in its
+            scene's corridor, and none of the task's own terminations was true while it was measured.
         """
         training = self.training
         draws = draws or Draws(training.evaluation.bodies, UNSEEN)
         cases = [(setup, task, who) for setup, task in training.evaluated() for who in walkers]
         parts: list[_Part] = []
         for i, (setup, task, who) in enumerate(cases):
+            ends = own_terminations(setup.load().config, task.terminations)
+            ending = tuple(
+                OwnMetric("1", "whether it ended", None, f"terminated_{name}", _as_number(ends[name]), "max")
+                for name in ends
+            )
             there = _setup(setup, policy if who == POLICY else None)
+            there = dataclasses.replace(there, metrics=(*there.metrics, *ending))
             key = str(setup.scene), who
             if key not in self._simulators:
                 self._simulators[key] = Simulator(there, engine=self.engine)
@@ -101,6 +112,8 @@ class PolicyEvaluator:
             well = (np.asarray(result.status) == "ok") & (metrics["distance"] >= training.evaluation.distance)
             if task.corridor is not None:
                 well &= metrics["cross_track_peak"] <= task.corridor
+            for each in ending:
+                well &= metrics[each.name] == 0.0
             parts.append(_Part(scene_name(str(setup.scene)), who, drawn, result, well))
         return _table(training, draws.number, parts)
 
@@ -116,6 +129,11 @@ def unseen_bodies(training: Training, task: Task, draws: Draws) -> dict[str, np.
     drawn = {
         name: low + share * (high - low) for (name, (low, high)), share in zip(ranges.items(), shares, strict=True)
     }
+    key = jax.random.fold_in(jax.random.key(training.seed), draws.key)
+    given = [task.sample(jax.random.fold_in(key, walk), jnp.inf) for walk in walks] if task.commands else []
+    for name in task.sampled:
+        if name not in {*task.set, *ranges}:  # where the evaluation says otherwise
+            drawn[name] = np.array([float(each[name]) for each in given])
     if task.bodies:
         ensemble = identified.bodies(task.bodies)
         drawn |= ensemble.take(ensemble.at(body))
@@ -129,6 +147,11 @@ def recorded(training: Training, policy: Policy, engine: str = "c") -> Iterator[
         simulator = Simulator(there, engine=engine)
         values = _known(simulator.setup, {**task.set, **unseen_bodies(training, task, Draws(1, UNSEEN))})
         yield scene_name(str(setup.scene)), simulator.run(values, training.run, record=True).recording()
+
+
+def _as_number(ends: Callable[[Any], Any]) -> Callable[[Any], Any]:
+    """A termination as a metric's function."""
+    return lambda sensors: jnp.asarray(ends(sensors), float)
 
 
 def summary_of(table: pa.Table) -> dict[str, Any]:

@@ -5,10 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-import gymnasium
 import numpy as np
-from gymnasium.vector import AutoresetMode, VectorEnv
-from gymnasium.vector.utils import batch_space
+
+try:
+    import gymnasium
+    from gymnasium.vector import AutoresetMode, VectorEnv
+    from gymnasium.vector.utils import batch_space
+except ModuleNotFoundError as error:
+    told = f"{error.name} is not installed: pip install gymnasium, or nermo-mjx with its extra gymnasium."
+    raise ModuleNotFoundError(told, name=error.name) from None
 
 from nermo_mjx.learn.environment import SENTENCES, Environment, State
 from nermo_mjx.robot.quantity import ParameterError

@@ -19,11 +19,14 @@ from nermo_mjx.control.controller import with_dtypes_of
 from nermo_mjx.learn import observing
 from nermo_mjx.learn.acting import Acting
 from nermo_mjx.learn.observing import Observer
-from nermo_mjx.learn.task import EpisodeParameters, Moment, Outcome, Task, Term, chosen_terms
-from nermo_mjx.robot import ParameterError, Robot
+from nermo_mjx.learn.own import is_own, own_readings, own_terminations
+from nermo_mjx.learn.task import TERMS, EpisodeParameters, Moment, Outcome, Task, Term, chosen_terms
+from nermo_mjx.robot import ParameterError, Robot, Sensors
 from nermo_mjx.robot.geometry import geometry_of
+from nermo_mjx.rollout import metrics
 from nermo_mjx.rollout.loop import ClosedLoop, LoopState
 from nermo_mjx.rollout.metrics import MetricState
+from nermo_mjx.rollout.own_metrics import at_rest, numbers_at_rest
 from nermo_mjx.shapes import Array, Count, Scalar, Truth
 
 
@@ -87,7 +90,11 @@ class EpisodeLoop:
         self.robot, self.task, self.controller = robot, task, controller
         self.run = ClosedLoop(robot, controller)
         self.dt = controller.dt
-        self.terms: dict[Term, float] = chosen_terms(task.rewards, task.commands)
+        self.terms: dict[Term, float] = chosen_terms(task.rewards, task.commanded)
+        self.terminations = own_terminations(robot.config, task.terminations)
+        for name in task.sampled:
+            if name in {*task.set, *task.randomize}:
+                raise ParameterError(f"commands draws {name}, which stands under set or randomize: leave one out.")
 
         def first(data: Array) -> tuple[Any, Any]:
             """The gait's phase and the path's point, where the controller has them."""
@@ -99,18 +106,22 @@ class EpisodeLoop:
         self.has_phase, self.has_path = (form is not None for form in jax.eval_shape(first, data))
         if task.corridor is not None and not self.has_path:
             raise ParameterError("corridor is given, and the pilot follows no path: leave it out.")
-        named = {*task.set, *task.randomize}
+        named = {*task.set, *task.randomize, *task.sampled}
         _, delay = task.randomize.get("sensing.delay", (0.0, float(task.set.get("sensing.delay", 0.0))))
         self.observer = Observer(
-            groups=task.observe,
-            commands=task.commands,
+            groups=tuple(each for each in task.observe if not is_own(each)),
+            commands=task.commanded,
             actions=controller.kind.names,
             phase=self.has_phase,
             path=self.has_path,
             delayed=math.ceil(delay / self.dt - 1e-6),
             noisy=any(name.startswith("sensing.") and name.endswith("_noise") for name in named),
             dt=self.dt,
+            own=tuple(own_readings(robot.config, task.observe).items()),
         )
+        for term in self.terms:
+            if term not in TERMS.values():
+                numbers_at_rest(term.subject, term.of, self._moment_at_rest())
         self.observation_names = self.observer.names
         self.privileged_names = observing.privileged_names(self.observer.names, drawn, self.has_path)
 
@@ -153,14 +164,14 @@ class EpisodeLoop:
         now = self.run.measure(params.loop, state.loop, sensordata)
         speed = self._speed(params, state, now)
         sensors = self.run.last_reading(now, sensordata)
-        status, failed = self._status(params, state, now)
+        status, failed = self._status(params, state, now, sensors)
         moment = Moment(
             before=state.before,
             now=now,
             sensors=sensors,
             seconds=jnp.asarray(self.dt * self.task.decimation),
             speed=speed,
-            command={name: getattr(params.given.command, name) for name in self.task.commands},
+            command={name: getattr(params.given.command, name) for name in self.task.commanded},
             action=state.action,
             last_action=state.last_action,
             failed=failed,
@@ -197,20 +208,35 @@ class EpisodeLoop:
             },
         )
 
-    def _status(self, params: EpisodeParameters, state: EpisodeState, now: MetricState) -> tuple[Count, Truth]:
+    def _moment_at_rest(self) -> Moment:
+        """Of a robot that has not moved."""
+        sensors, zero = at_rest(self.robot.config), jnp.zeros(())
+        with jax.ensure_compile_time_eval():
+            still, no = metrics.init(sensors), jnp.zeros((), bool)
+        action = jnp.zeros(len(self.controller.kind.names))
+        command = dict.fromkeys(self.task.commanded, zero)
+        step = jnp.asarray(self.dt * self.task.decimation)
+        return Moment(still, still, sensors, step, zero, command, action, action, no, no)
+
+    def _status(
+        self, params: EpisodeParameters, state: EpisodeState, now: MetricState, sensors: Sensors
+    ) -> tuple[Count, Truth]:
         """How the episode stands, and whether it failed."""
         task, no = self.task, jnp.zeros((), bool)
+        ended = functools.reduce(jnp.logical_or, (ends(sensors) for ends in self.terminations.values()), no)
+        ended = ended & (state.loop.tick > 0)
         left = no if task.corridor is None else jnp.abs(now.readings[3]) > task.corridor
         flags = {
             Outcome.diverged: now.lost,
             Outcome.fell: now.fell,
             Outcome.left: left,
+            Outcome.terminated: ended,
             Outcome.arrived: no if task.distance is None else now.travelled >= task.distance,
             Outcome.timed_out: state.loop.tick >= params.ticks,
         }
         codes = [jnp.asarray(_code(outcome), jnp.int32) for outcome in flags]
         status = jnp.select(list(flags.values()), codes, jnp.asarray(_code(Outcome.walking), jnp.int32))
-        return status, now.lost | now.fell | left
+        return status, now.lost | now.fell | left | ended
 
     def _speed(self, params: EpisodeParameters, state: EpisodeState, now: MetricState) -> Scalar:
         """The smoothed speed after the tick that has just ended."""

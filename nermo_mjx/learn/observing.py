@@ -6,6 +6,7 @@ A critic may know more (`privileged`), since it is not used after training.
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Callable, Sequence
 from typing import Any, Final, NamedTuple
 
@@ -15,6 +16,7 @@ from jaxtyping import Float
 
 from nermo_mjx.control.path import PathPoint
 from nermo_mjx.control.pilot import heading
+from nermo_mjx.control.protocol import NAMED
 from nermo_mjx.learn.acting import ACTED
 from nermo_mjx.robot import LIMBS, ParameterError, Sensors
 from nermo_mjx.robot.geometry import Geometry
@@ -52,10 +54,12 @@ class Sensed:
     Attributes:
         read: the readings of one world, in SI units.
         scale: what is observed is the reading over this, so that it is about 1. Its noise is a field of `Sensing`.
+        labels: of the numbers of one's own; "" for one without a label.
     """
 
     read: Callable[[Sensors], Vector]
     scale: float = 1.0
+    labels: tuple[str, ...] = ()
 
 
 def projected_gravity(sensors: Sensors) -> Float[Array, " 3"]:
@@ -159,6 +163,7 @@ class Observer:
         delayed: largest delay of readings, in control ticks.
         noisy: whether there is noise.
         dt: length of a control tick [s].
+        own: name and readings of each group of one's own, observed after those of `SENSED`.
     """
 
     groups: tuple[str, ...]
@@ -169,18 +174,19 @@ class Observer:
     delayed: int
     noisy: bool
     dt: float
+    own: tuple[tuple[str, Sensed], ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "groups", tuple(FORMER.get(name, name) for name in self.groups))
         known = (*SENSED, *TOLD)
         for name in self.groups:
             if name not in known:
-                raise ParameterError(f"observe has {name!r}: allowed is {', '.join(known)}.")
+                raise ParameterError(f"observe has {name!r}: allowed is {', '.join(known)}, or {NAMED}.")
 
     @property
-    def sensed(self) -> tuple[str, ...]:
-        """The groups that come from sensors."""
-        return tuple(name for name in self.groups if name in SENSED)
+    def sensed(self) -> dict[str, Sensed]:
+        """The groups that come from sensors, by name."""
+        return {name: SENSED[name] for name in self.groups if name in SENSED} | dict(self.own)
 
     @property
     def sees_path(self) -> bool:
@@ -197,12 +203,13 @@ class Observer:
             "curvature": ("path",) if self.path else (),
             "action": self.actions,
         }
-        read = [name for group in self.sensed for name in reading_names(group, ACTED)]
-        return (*read, *(f"{group}.{label}" for group in TOLD if group in self.groups for label in told[group]))
+        labels = {name: _names(name, group) for name, group in self.sensed.items()}
+        labels |= {name: tuple(f"{name}.{label}" for label in told[name]) for name in TOLD if name in self.groups}
+        return tuple(itertools.chain.from_iterable(labels.values()))
 
     def readings(self, sensors: Sensors) -> Vector:
         """Current sensor readings, scaled."""
-        parts = [SENSED[name].read(sensors) / SENSED[name].scale for name in self.sensed]
+        parts = [group.read(sensors) / group.scale for group in self.sensed.values()]
         return jnp.concatenate(parts) if parts else jnp.zeros(0)
 
     def memory(self, readings: Vector) -> Float[Array, "ticks k"]:
@@ -229,10 +236,9 @@ class Observer:
             readings = newest_first[before] + share * (newest_first[before + 1] - newest_first[before])
         if self.noisy:
             spread = []
-            for name in self.sensed:
+            for name, group in self.sensed.items():
                 noise = getattr(sensing, f"{name}_noise", 0.0)
-                size = len(reading_names(name, ACTED))
-                spread.append(jnp.broadcast_to(jnp.asarray(noise) / SENSED[name].scale, (size,)))
+                spread.append(jnp.broadcast_to(jnp.asarray(noise) / group.scale, (len(_names(name, group)),)))
             noise = jax.random.normal(key, readings.shape, readings.dtype)
             readings = readings + jnp.concatenate(spread) * noise
         return jnp.concatenate([readings, self.told(told, sensors)])
@@ -254,6 +260,12 @@ class Observer:
             parts["curvature"] = jnp.reshape(told.path.curvature * 0.5, 1)
         chosen = [parts[name] for name in TOLD if name in self.groups and name in parts]
         return jnp.concatenate(chosen) if chosen else jnp.zeros(0)
+
+
+def _names(name: str, group: Sensed) -> tuple[str, ...]:
+    """Of every number of a group of readings."""
+    own = tuple(f"{name}_{label}" if label else name for label in group.labels)
+    return own or tuple(reading_names(name, ACTED))
 
 
 def privileged_names(observed: Sequence[str], drawn: Sequence[str], path: bool) -> tuple[str, ...]:

@@ -13,11 +13,17 @@ from typing import Any, Final
 import jax
 import jax.numpy as jnp
 import mujoco
-from ml_collections import ConfigDict
-from mujoco_playground import MjxEnv, State, dm_control_suite
+
+try:
+    from ml_collections import ConfigDict
+    from mujoco_playground import MjxEnv, State, dm_control_suite
+except ModuleNotFoundError as error:
+    told = f"{error.name} is not installed: pip install playground, or nermo-mjx with its extra playground."
+    raise ModuleNotFoundError(told, name=error.name) from None
 
 from nermo_mjx.dynamics.mjx_import import mjx
 from nermo_mjx.learn.environment import Environment, MjxWorlds, World, picked
+from nermo_mjx.learn.own import is_own, own_name
 from nermo_mjx.learn.task import Outcome, Task, Term
 from nermo_mjx.robot import ParameterError
 from nermo_mjx.robot.terrains import TERRAINS
@@ -40,7 +46,7 @@ def default_config(setup: Setup | None = None, task: Task | None = None) -> Conf
         {
             "ctrl_dt": control * task.decimation,
             "sim_dt": float(setup.timestep),
-            "episode_length": round(task.duration / control / task.decimation),
+            "episode_length": round(task.episode_length / control / task.decimation),
             "action_repeat": 1,
             "impl": "jax",
             "reward_config": {"scales": scales},
@@ -90,7 +96,7 @@ class NermoMjxEnv(MjxEnv):
         task = dataclasses.replace(
             task,
             decimation=round(held),
-            duration=config.episode_length * config.ctrl_dt,
+            episode_length=config.episode_length * config.ctrl_dt,
             rewards={own.get(name, name): weight for name, weight in config.reward_config.scales.items()},
         )
         self._ctrl_dt, self._sim_dt = float(self._config.ctrl_dt), float(self._config.sim_dt)
@@ -177,7 +183,9 @@ def register(name: str, setup: Setup | None = None, task: Task | None = None) ->
 
 
 def _name(term: str | Term) -> str:
-    return term.name if isinstance(term, Term) else term
+    if isinstance(term, Term):
+        return term.name
+    return own_name(term) if is_own(term) else term
 
 
 for _scene in ("flat", *TERRAINS):

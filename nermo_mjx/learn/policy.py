@@ -24,12 +24,13 @@ from pydantic import BaseModel, Field, FiniteFloat
 
 from nermo_mjx.control.controller import with_dtypes_of
 from nermo_mjx.control.path import PathPoint
-from nermo_mjx.control.protocol import ChecksParameters, CompletesValues
+from nermo_mjx.control.protocol import NAMED, ChecksParameters, CompletesValues, Source
 from nermo_mjx.files import MOST_ARRAYS, FileError, arrays_of, check_arrays, read_as, read_bytes
 from nermo_mjx.learn.acting import ACTIONS, Acted, ActedState, Acting, ActionField, ActionKind
 from nermo_mjx.learn.environment import Environment
 from nermo_mjx.learn.experience import Actor, Learned, Statistics
 from nermo_mjx.learn.observing import FORMER, LONGEST_DELAY, Observer, today
+from nermo_mjx.learn.own import code_place, drawn_by, own_readings
 from nermo_mjx.learn.task import GIVEN, Given, commanded
 from nermo_mjx.robot import ParameterError, Sensors, ServoAngles
 from nermo_mjx.robot.geometry import geometry_of
@@ -139,6 +140,13 @@ class Policy:
         if setup.controller is not None or setup.command is not None:
             raise ParameterError("controller is a custom one: a policy file can only store a published one.")
         given = {name: 0.5 * (low + high) for name, (low, high) in task.randomize.items() if name in GIVEN}
+        if task.commands is not None:
+            given |= {name: float(np.median(of)) for name, of in drawn_by(task.commands)[1].items() if name in GIVEN}
+        code = code_place(task.observe)
+        if code:
+            source = Source.named("observe has", code, NAMED)
+            groups = [name for name, _ in environment.loop.observer.own]
+            about = {**(about or {}), "own": {"file": Path(code).name, "digest": source.digest(), "groups": groups}}
         known = dict(quantities(setup.world({}).control))
         fixed = {name: float(value) for name, value in task.set.items() if name in known or name in GIVEN}
         return cls(
@@ -248,7 +256,7 @@ class Policy:
             "action": named_section(self.kind, ACTIONS),
             "actions": list(self.kind.names),
             "observation": list(self.observer.names),
-            "observer": dataclasses.asdict(self.observer),
+            "observer": {name: each for name, each in vars(self.observer).items() if name != "own"},
             "decimation": self.decimation,
             "step_seconds": self.dt * self.decimation,
             "base": dict(self.base),
@@ -258,7 +266,15 @@ class Policy:
         }
 
     def content(self) -> bytes:
-        """The file; the same policy gives the same bytes."""
+        """The file; the same policy gives the same bytes.
+
+        Raises:
+            ParameterError: it observes functions that no file can name.
+        """
+        kept = self.about.get("own", {"groups": []})["groups"]
+        for name, _ in self.observer.own:
+            if name not in kept:
+                raise ParameterError(f"observe has {name}: name it as {NAMED}, as a policy's file can.")
         about = {"kind": KIND, "form": FORM, "layers": len(self.actor.layers), **self.facts()}
         arrays: dict[str, Any] = {"about": np.frombuffer(json.dumps(about).encode(), np.uint8)}
         for i, (weights, bias) in enumerate(self.actor.layers):
@@ -279,20 +295,52 @@ def _action(actor: Actor, statistics: Statistics, observation: Array) -> Array:
     return jnp.clip(actor.mean(statistics.normalized(jnp.asarray(observation, jnp.float32))), -1.0, 1.0)
 
 
-def load_policy(path: str | Path) -> Policy:
-    """The policy of a file; the same object as long as the file stays the same.
+def load_policy(path: str | Path, code: str = "") -> Policy:
+    """The policy of a file; the same object as long as its files stay the same.
+
+    Args:
+        path: of the file, which holds no code and runs none.
+        code: the Python file or module of what the policy observes of one's own, which is run.
 
     Raises:
-        ParameterError: there is no such file, or it holds no policy that this version can read.
+        ParameterError: there is no such file, or it holds no policy that this version can read; or it observes
+            something of one's own, and `code` is not the file with which it was trained.
     """
     subject = f"controller is '{path}'"
     try:
-        return _policy(read_bytes(Path(path), MOST_ARRAYS))
+        policy = _policy(read_bytes(Path(path), MOST_ARRAYS))
     except OSError as error:
         raise ParameterError(f"{subject}: it cannot be read ({error.strerror}).") from None
     except (FileError, ParameterError) as error:
         reason = str(error).rstrip(".")
         raise ParameterError(f"{subject}, which holds no policy of `nermo-mjx train`: {reason}.") from None
+    own = policy.about.get("own")
+    if own is None and code:
+        raise ParameterError(f"{subject}, which observes nothing of one's own: leave {code!r} out.")
+    if own is None:
+        return policy
+    what = f"which observes {', '.join(own['groups'])} of {own['file']}"
+    if not code:
+        raise ParameterError(f"{subject}, {what}, code that is run only where you name it: {path}:{own['file']}.")
+    if (found := Source.named("controller is", code, NAMED).digest()) != own["digest"]:
+        raise ParameterError(
+            f"{subject}, {what} with the digest {own['digest']}; that of {code} is {found}: give the file with which "
+            "it was trained."
+        )
+    return _with_code(policy, code)
+
+
+@functools.lru_cache(maxsize=8)
+def _with_code(policy: Policy, code: str) -> Policy:
+    """A policy with the functions that it observes."""
+    named = [f"{code}:{name}" for name in policy.about["own"]["groups"]]
+    own = tuple(own_readings(policy.setup.load().config, named).items())
+    observer = dataclasses.replace(policy.observer, own=own)
+    if len(observer.names) != len(policy.statistics.mean):
+        raise ParameterError(
+            f"controller is a policy of {len(policy.statistics.mean)} observations: {code} gives others."
+        )
+    return dataclasses.replace(policy, observer=observer)
 
 
 def judged_in(setup: Setup) -> dict[str, Any]:
@@ -308,6 +356,14 @@ class _Judged(BaseModel, extra="forbid"):
 class _Trained(BaseModel, extra="forbid"):
     steps: int
     training: str
+
+
+class _Own(BaseModel, extra="forbid"):
+    """What a policy observes of one's own: the name and the digest of the file, and the functions in it."""
+
+    file: str
+    digest: str
+    groups: tuple[str, ...]
 
 
 class _About(BaseModel, extra="forbid"):
@@ -327,6 +383,7 @@ class _About(BaseModel, extra="forbid"):
     versions: dict[str, str]
     trained: _Trained | None = None
     judged: _Judged | None = None
+    own: _Own | None = None
 
 
 @functools.lru_cache(maxsize=8)
@@ -359,9 +416,9 @@ def _policy(content: bytes) -> Policy:
         about.decimation,
         about.base,
         {FORMER.get(name, name): value for name, value in about.fixed.items()},
-        about.model_dump(include={"trained", "judged", "versions"}, exclude_none=True),
+        about.model_dump(include={"trained", "judged", "versions", "own"}, exclude_none=True),
     )
-    if policy.observer.names != tuple(map(today, about.observation)):
+    if about.own is None and policy.observer.names != tuple(map(today, about.observation)):
         raise ParameterError("this version observes other numbers under these names")
     # What it acts on is made now, so that nothing is wrong with it later.
     check_quantities(policy.parameters)

@@ -29,6 +29,7 @@ from nermo_mjx.learn.directory import EVALUATION, POLICY_FILE, SPEC, SUMMARY, Cu
 from nermo_mjx.learn.environment import Environment, Mixture
 from nermo_mjx.learn.evaluation import POLICY, Draws, PolicyEvaluator, summary_of
 from nermo_mjx.learn.experience import RESET, EnvironmentLike, EpisodeScores, Learned
+from nermo_mjx.learn.own import code_place
 from nermo_mjx.learn.policy import Policy, judged_in, load_policy
 from nermo_mjx.learn.spec import Training, Until
 from nermo_mjx.physics import resolve_engine
@@ -76,10 +77,15 @@ class BestPolicy:
     """
 
     def __init__(
-        self, held: RunDirectory, walks: Callable[[Policy], Mapping[str, float]], warn: Callable[[str], None]
+        self,
+        held: RunDirectory,
+        walks: Callable[[Policy], Mapping[str, float]],
+        warn: Callable[[str], None],
+        code: str = "",
     ) -> None:
-        """`walks` gives the share of a policy's successes on each scene; `warn` is told if the policy is gone."""
-        self._held, self._walks, self._warn = held, walks, warn
+        """`walks` gives the share of a policy's successes on each scene; `warn` is told if the policy is gone; `code`
+        is what policies need beside them."""
+        self._held, self._walks, self._warn, self._code = held, walks, warn, code
         table = parquet_table(content_of(held.out / VALIDATION) or b"")
         rows = [] if table is None else table.to_pylist()
         self._tried = [_Tried(row.pop("steps"), row) for row in rows]
@@ -88,7 +94,7 @@ class BestPolicy:
         """The best of all policies tried, this one included; of equals the earliest."""
         steps, kept, chosen = int(policy.about["trained"]["steps"]), None, None
         with contextlib.suppress(ParameterError):  # there is no file, or none that can be read
-            kept = load_policy(Path(self._held.out) / POLICY_FILE)
+            kept = load_policy(Path(self._held.out) / POLICY_FILE, self._code)
             chosen = kept.about.get("trained", {}).get("steps")
         best = next((each for each in self._tried if each.steps == chosen), None)
         if self._tried and best is None and chosen != steps:
@@ -196,7 +202,8 @@ def run_training(
         begun = len(curves)
         evaluator, choice = PolicyEvaluator(training), None
         if training.validation:
-            choice = BestPolicy(directory.held, functools.partial(successes, evaluator), watch.warn)
+            walks, code = functools.partial(successes, evaluator), code_place(training.task.observe)
+            choice = BestPolicy(directory.held, walks, watch.warn, code)
         goes_on = not _ended(training, learned, curves, choice)
         code = directory.take_code(curves, accept=accept_new_code) if goes_on else ""
         directory.claim()
@@ -263,7 +270,8 @@ class _Learning:
         self._tell(int(learned.steps), {})
         self._chosen(learned)
         while not _ended(training, learned, curves, self.choice):
-            state, scores = reset(learned.random(RESET)), EpisodeScores.none(training.worlds)
+            so_far = {} if self._robot is None else {"steps": float(learned.steps)}
+            state, scores = reset(learned.random(RESET), **so_far), EpisodeScores.none(training.worlds)
             # Sections are counted from the beginning of the training.
             end = min((len(curves) // training.section + 1) * training.section, training.iterations)
             while len(curves) < end:

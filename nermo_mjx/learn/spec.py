@@ -5,24 +5,34 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import functools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Final, NamedTuple
 
 from pydantic import ConfigDict, Field
 
+from nermo_mjx.control.protocol import NAMED
 from nermo_mjx.learn.acting import ACTIONS, Acting
 from nermo_mjx.learn.algorithms import PPO, ShortHorizon
 from nermo_mjx.learn.environment import Environment, Mixture, check_alike, check_worlds
 from nermo_mjx.learn.loop import EpisodeLoop
 from nermo_mjx.learn.observing import FORMER
+from nermo_mjx.learn.own import code_place, is_own, own_name
 from nermo_mjx.learn.task import GIVEN, RANDOMIZED, Task, task_parameters
 from nermo_mjx.robot.parameters import PRESETS
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.robot.terrains import terrain_values
 from nermo_mjx.rollout import Setup
+from nermo_mjx.rollout.own_metrics import source_of
 from nermo_mjx.rollout.run import too_many
-from nermo_mjx.specs.controllers import code_identity, known_names
+from nermo_mjx.specs.controllers import (
+    code_beside,
+    code_identity,
+    kept_code,
+    known_names,
+    with_code_copied,
+    written_code,
+)
 from nermo_mjx.specs.described import Described, digest_of
 from nermo_mjx.specs.fields import Fields, Refused, optional, read
 from nermo_mjx.specs.model import Spec, named_section, one_of, written
@@ -38,6 +48,7 @@ from nermo_mjx.specs.walk import (
     read_walk,
     scene_beside,
 )
+from nermo_mjx.trust import RUNS_CODE
 
 
 class SceneFields(Fields):
@@ -278,8 +289,11 @@ class Training(WalkSpec, Described):
 
     def resolved(self, folder: Path | None = None) -> dict[str, Any]:
         data = self.walk_fields(folder)
-        data["task"] = written(self.task) | {"action": named_section(self.task.action, ACTIONS)}
-        data["task"]["rewards"] = {str(name): float(weight) for name, weight in self.task.rewards.items()}
+        task = self.task.with_own(lambda where: written_code(where, folder))
+        data["task"] = written(task) | {"action": named_section(task.action, ACTIONS)}
+        data["task"]["rewards"] = {str(name): float(weight) for name, weight in task.rewards.items()}
+        if not task.terminations:
+            del data["task"]["terminations"]
         data["task"]["set"] = {name: value for name, value in self.task.set.items() if name not in self.constants}
         data["randomize"] = {name: [float(low), float(high)] for name, (low, high) in self.task.randomize.items()}
         if self.scenes:
@@ -297,7 +311,22 @@ class Training(WalkSpec, Described):
     def decisive(self) -> dict[str, Any]:
         """The fields that may not change: a controller counts by what it is."""
         data = {key: value for key, value in self.resolved().items() if key not in FREE}
+        own = written(self.task.with_own(_code_identity))
+        data["task"] |= {
+            name: own[name] for name in ("observe", "rewards", "terminations", "commands") if own.get(name)
+        }
         return data | code_identity(self.setup)
+
+    def with_code_copied(self, folder: Path, write: Callable[[str, bytes], Any]) -> Training:
+        """The training with the files of its own code in a directory, so that it can be moved; see
+        `specs.controllers.with_code_copied`."""
+
+        def copied(task: Task) -> Task:
+            return task.with_own(lambda where: kept_code(where, Path(source_of(where).place).name, folder, write))
+
+        setup = with_code_copied(self.setup, folder, write)
+        scenes = tuple(each._replace(task=copied(each.task)) for each in self.scenes)
+        return dataclasses.replace(self, setup=setup, task=copied(self.task), scenes=scenes)
 
     def identity(self) -> dict[str, Any]:
         """All that decides an iteration: the `fields`, and `defaults` of what they do not name."""
@@ -334,6 +363,14 @@ def _read(doc: Document) -> Training:
         **{f"pilot.{key}": value for key, value in walk["pilot"].items() if f"pilot.{key}" in setup.defaults()},
     }
     task = dataclasses.replace(file.task, set={**fixed, **file.task.set}, randomize=file.randomize)
+    with _refusals(doc, "task"):
+        for field in ("observe", "rewards", "terminations"):
+            for each in filter(is_own, getattr(task, field)):
+                if not isinstance(each, str):
+                    raise ParameterError(f"{field} has {own_name(each)}: name it as {NAMED}, as a file can.")
+        task = task.with_own(functools.partial(code_beside, doc))
+        code_place(task.observe)
+        task.check_commands(setup)
     with _refusals(doc):
         task.check(setup)
     with _refusals(doc, "task"):
@@ -351,7 +388,7 @@ def _read(doc: Document) -> Training:
             loops[str(each.setup.scene)] = _try_out(each.setup, each.task)
     if scenes:
         with _refusals(doc):
-            check_alike(loops)
+            check_alike({name: loop for name, loop in loops.items() if loop is not None})
     with _refusals(doc, "evaluate", "scenes"):
         for scene in file.evaluate.scenes:
             dataclasses.replace(setup, scene=scene)
@@ -389,8 +426,16 @@ def _evaluated(setup: Setup, task: Task, evaluation: EvaluationSpec) -> Task:
     return dataclasses.replace(task, set={**fixed, **values}, randomize=drawn)
 
 
-def _try_out(setup: Setup, task: Task) -> EpisodeLoop:
-    """Catch errors that would otherwise occur when the environment is created."""
+def _code_identity(where: str) -> str:
+    """Own code by its name and what is in its file, wherever that is."""
+    source = source_of(where)
+    return f"{source.name} {source.digest()}"
+
+
+def _try_out(setup: Setup, task: Task) -> EpisodeLoop | None:
+    """Catch errors that would otherwise occur when the environment is created; None where own code is not run."""
+    if task.has_own and not RUNS_CODE.get():
+        return None
     return EpisodeLoop(setup.load(), Acting(setup.make_controller(), task.action), task, ())
 
 

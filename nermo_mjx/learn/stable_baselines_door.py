@@ -7,7 +7,12 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from stable_baselines3.common.vec_env import VecEnv
+
+try:
+    from stable_baselines3.common.vec_env import VecEnv
+except ModuleNotFoundError as error:
+    told = f"{error.name} is not installed: pip install stable-baselines3 gymnasium."
+    raise ModuleNotFoundError(told, name=error.name) from None
 
 from nermo_mjx.learn.environment import Environment
 from nermo_mjx.learn.gymnasium_door import NermoVectorEnv

@@ -23,9 +23,10 @@ from pydantic_core.core_schema import CoreSchema
 from nermo_mjx.control import turning
 from nermo_mjx.control.controller import Controller
 from nermo_mjx.control.pilot import OpenLoop
-from nermo_mjx.control.protocol import ControllerLike, user_code
+from nermo_mjx.control.protocol import NAMED, ControllerLike, function_place, user_code
 from nermo_mjx.learn.acting import Acted, Acting, ActionField, ActionKind, Residual
 from nermo_mjx.learn.observing import FORMER, OBSERVED, SENSED, TOLD, Sensing
+from nermo_mjx.learn.own import drawn_by, first_line, is_own, own_name, own_object
 from nermo_mjx.robot import ModelParameters, ParameterError, Quantity, Robot, Sensors, identified
 from nermo_mjx.robot.model_parameters import is_shaped
 from nermo_mjx.robot.quantity import (
@@ -46,7 +47,8 @@ from nermo_mjx.rollout.setup import Setup, Window, all_parameters
 from nermo_mjx.shapes import Array, Count, Scalar, Truth
 from nermo_mjx.specs.fields import JsonSchema, Refused
 from nermo_mjx.specs.model import Spec
-from nermo_mjx.specs.values import BodiesField, Checked, Choice, Ends, Finite, FiniteInUnits, Seconds, Way, Whole
+from nermo_mjx.specs.values import BodiesField, Checked, Ends, Finite, FiniteInUnits, OwnOr, Seconds, Way, Whole
+from nermo_mjx.trust import RUNS_CODE
 
 #: Errors at which the terms that track a command have fallen to 1/e: speed [m/s], yaw rate [rad/s].
 SPEED_WIDTH: Final = 0.05
@@ -102,11 +104,16 @@ class Term:
         Raises:
             ParameterError: the function fails, cannot be compiled, or gives something else than one number.
         """
-        with user_code(f"rewards has {self.name}, which fails"):
+        with user_code(f"{self.subject}, which fails"):
             given = self.value(moment)
         if not isinstance(given, (int, float, jax.Array)) or jnp.shape(given) or jnp.iscomplexobj(given):
-            raise ParameterError(f"rewards has {self.name}, which gives {described(given)}: expected one number.")
+            raise ParameterError(f"{self.subject}, which gives {described(given)}: expected one number.")
         return jnp.asarray(given)
+
+    @property
+    def subject(self) -> str:
+        """The beginning of messages about it."""
+        return f"rewards has {function_place(self.name, self.value)}"
 
 
 def _kernel(error: Scalar, width: float) -> Scalar:
@@ -200,7 +207,8 @@ TERMS: Final[Mapping[str, Term]] = {term.name: term for term in _TERMS}
 
 
 def chosen_terms(weights: Mapping[str | Term, float], commands: tuple[str, ...]) -> dict[Term, float]:
-    """The terms of a task and their weights, given by the names of `TERMS` or as custom terms.
+    """The terms of a task and their weights, given by the names of `TERMS`, as custom terms, or as functions of a
+    `Moment`, which FILE.py:NAME can name.
 
     Raises:
         ParameterError: there is no such term, it needs a command that is not among the task's `commands`, or its weight
@@ -208,12 +216,12 @@ def chosen_terms(weights: Mapping[str | Term, float], commands: tuple[str, ...])
     """
     found: dict[Term, float] = {}
     for given, weight in weights.items():
-        name = given.name if isinstance(given, Term) else given
-        if not isinstance(given, Term) and name not in TERMS:
-            near = nearest(str(name), list(TERMS))
+        term = _own_term(given) if is_own(given) else TERMS.get(str(given))
+        if term is None:
+            near = nearest(str(given), list(TERMS))
             hint = f"did you mean {near!r}? " if near else ""
-            raise ParameterError(f"rewards has {name!r}: {hint}allowed is one of {', '.join(TERMS)}, or a Term.")
-        term = given if isinstance(given, Term) else TERMS[name]
+            raise ParameterError(f"rewards has {given!r}: {hint}allowed is one of {', '.join(TERMS)}, or {NAMED}.")
+        name = term.name
         if term.needs is not None and term.needs not in commands:
             raise ParameterError(
                 f"rewards has {name!r}, and nothing is commanded: name command.{term.needs} under set or randomize."
@@ -226,6 +234,15 @@ def chosen_terms(weights: Mapping[str | Term, float], commands: tuple[str, ...])
     return found
 
 
+def _own_term(given: Any) -> Term:
+    """A term of one's own; a function has no unit."""
+    found = own_object("rewards", given)
+    if not isinstance(found, Term) and not callable(found):
+        raise ParameterError(f"rewards has {given!r}, which is {described(found)}: expected a Term, or a function.")
+    name = own_name(given)
+    return found if isinstance(found, Term) else Term(name, "1", first_line(found) or name, found)
+
+
 class Outcome(enum.Enum):
     """Status of an episode: a member's position is its code in `State.status`, and its value is the sentence."""
 
@@ -235,6 +252,7 @@ class Outcome(enum.Enum):
     left = "The robot left the corridor about its path."
     fell = Ending.fell.value
     diverged = Ending.diverged.value
+    terminated = "A termination of the task's own ended the episode."
 
 
 @parameter_tree
@@ -276,13 +294,19 @@ class _Rewards(Checked):
         properties = {
             name: {"type": "number", "description": f"{term.doc} [{term.unit}]"} for name, term in TERMS.items()
         }
-        return {"type": "object", "properties": properties, "additionalProperties": False}
+        own = {":": {"type": "number", "description": f"a term of one's own: {NAMED}"}}
+        return {
+            "type": "object",
+            "properties": properties,
+            "patternProperties": own,
+            "additionalProperties": False,
+        }
 
 
 def _terms(given: Any) -> Any:
     for name in given if isinstance(given, dict) else ():
-        if name not in TERMS:
-            raise Refused(f"is no term of the reward; allowed are {', '.join(TERMS)}.", name)
+        if name not in TERMS and ":" not in str(name):
+            raise Refused(f"is no term of the reward; allowed are {', '.join(TERMS)}, or {NAMED}.", name)
     return given or dict(REWARDS)
 
 
@@ -302,10 +326,16 @@ class Task(Spec):
     elsewhere = ("randomize",)
     action: ActionField = dataclasses.field(default_factory=Residual)
     """what an action does: `Residual`, `Modulation` or `Targets`"""
-    observe: Annotated[tuple[Annotated[str, Choice((*SENSED, *TOLD), FORMER)], ...], Field(strict=False)] = OBSERVED
-    """what a policy observes: groups of `observing.SENSED` and `TOLD`"""
+    observe: Annotated[tuple[Annotated[Any, OwnOr((*SENSED, *TOLD), FORMER)], ...], Field(strict=False)] = OBSERVED
+    """what a policy observes: groups of `observing.SENSED` and `TOLD`, and functions of the sensors as FILE.py:NAME"""
     rewards: Annotated[Mapping[Any, float], _Rewards()] = dataclasses.field(default_factory=lambda: dict(REWARDS))
-    """weights of the reward's terms, see `rewards.TERMS`; in Python also of a custom `Term`"""
+    """weights of the reward's terms, see `rewards.TERMS`, and of functions of a `Moment` as FILE.py:NAME; in Python
+    also of a custom `Term`"""
+    terminations: Annotated[tuple[Annotated[Any, OwnOr(())], ...], Field(strict=False)] = ()
+    """functions of the sensors, as FILE.py:NAME: an episode fails after a control step in which one is true"""
+    commands: Annotated[Any, OwnOr(())] = None
+    """a function, as FILE.py:NAME, from a random key and the training's control steps so far to values of parameters
+    and commands, by name, of an episode: a sampler, or a curriculum; an evaluation has infinitely many steps"""
     set: dict[str, FiniteInUnits] = dataclasses.field(default_factory=dict)
     """value in all episodes of parameters, commands and sensors: command.speed, sensing.delay, ..."""
     randomize: dict[str, Ends] = dataclasses.field(default_factory=lambda: dict(RANDOMIZED))
@@ -315,26 +345,34 @@ class Task(Spec):
     decimation: Annotated[int, Whole(1, 100)] = 1
     """control ticks for which an action is held. The residual learners on this robot act at each one, and a policy
     costs a tenth of a tick's physics"""
-    duration: Annotated[Seconds, Field(gt=0, allow_inf_nan=False)] = 10.0
+    episode_length: Annotated[Seconds, Field(gt=0, allow_inf_nan=False)] = 10.0
     """length of an episode [s]"""
     distance: Way = None  # type: ignore[assignment]  # none cannot be written in a file
     """distance at which an episode ends [m]; by default it ends at none"""
     corridor: Way = None  # type: ignore[assignment]
     """distance from the path at which an episode fails [m]; by default it fails at none"""
 
+    @classmethod
+    def _known(cls, given: Any) -> Any:
+        if isinstance(given, dict) and "duration" in given and "episode_length" not in given:  # its former name
+            given = {"episode_length" if key == "duration" else key: value for key, value in given.items()}
+        return super()._known(given)
+
     def __post_init__(self) -> None:
         if not isinstance(self.action, ActionKind):
             raise ParameterError(f"action is {self.action!r}: expected Residual, Modulation or Targets.")
         if not (isinstance(self.decimation, int) and self.decimation >= 1):
             raise ParameterError(f"decimation is {self.decimation!r}: allowed is a whole number from 1 on.")
-        for name, unit in (("duration", "s"), ("distance", "m"), ("corridor", "m")):
+        for name, unit in (("episode_length", "s"), ("distance", "m"), ("corridor", "m")):
             value = getattr(self, name)
             if isinstance(value, str):
                 value = Quantity(10.0, unit, 0.0, np.inf, "of an episode").numbers(name, value)
                 object.__setattr__(self, name, value)
             if value is not None and not 0.0 < value < np.inf:
                 raise ParameterError(f"{name} is {value!r}: allowed is (0, inf).")
-        object.__setattr__(self, "observe", tuple(FORMER.get(name, name) for name in self.observe))
+        object.__setattr__(self, "terminations", tuple(self.terminations))
+        observe = (each if is_own(each) else FORMER.get(each, each) for each in self.observe)
+        object.__setattr__(self, "observe", tuple(observe))
         for section in ("set", "randomize"):
             named = {FORMER.get(name, name): value for name, value in getattr(self, section).items()}
             object.__setattr__(self, section, named)
@@ -342,14 +380,42 @@ class Task(Spec):
             object.__setattr__(self, "bodies", identified.IDENTIFIED if self.bodies else "")
 
     @property
-    def commands(self) -> tuple[str, ...]:
+    def commanded(self) -> tuple[str, ...]:
         """Fields of `Command` that the task names."""
-        named = {*self.set, *self.randomize}
+        named = {*self.set, *self.randomize, *self.sampled}
         return tuple(name for name in ("speed", "yaw_rate") if f"command.{name}" in named)
+
+    @property
+    def sampled(self) -> tuple[str, ...]:
+        """Names of what `commands` draws."""
+        return () if self.commands is None else tuple(drawn_by(self.commands)[1])
+
+    def sample(self, key: Any, steps: Any) -> dict[str, Any]:
+        """What `commands` draws; pure JAX."""
+        return {} if self.commands is None else dict(own_object("commands", self.commands)(key, steps))
+
+    def with_own(self, change: Callable[[Any], Any]) -> Task:
+        """The task with each entry of one's own replaced by what `change` makes of it."""
+
+        def one(given: Any) -> Any:
+            return change(given) if given is not None and is_own(given) else given
+
+        return dataclasses.replace(
+            self,
+            observe=tuple(map(one, self.observe)),
+            rewards={one(name): weight for name, weight in self.rewards.items()},
+            terminations=tuple(map(one, self.terminations)),
+            commands=one(self.commands),
+        )
+
+    @property
+    def has_own(self) -> bool:
+        """Whether it has code of one's own."""
+        return any(map(is_own, (*self.observe, *self.rewards, *self.terminations))) or self.commands is not None
 
     def ticks(self, dt: float) -> int:
         """Control ticks of `dt` seconds in an episode, a whole number of control steps."""
-        return max(1, round(self.duration / dt / self.decimation)) * self.decimation
+        return max(1, round(self.episode_length / dt / self.decimation)) * self.decimation
 
     def check(self, setup: Setup) -> None:
         """Refuse unknown names, values out of range, and names with two sources.
@@ -383,7 +449,24 @@ class Task(Spec):
             known[name].check(f"randomize.{name}", [low, high])
         for name, value in self.set.items():
             known[name].check(f"set.{name}", value)
+        self.check_commands(setup)
         setup.check(setup.world({name: value for name, value in self.set.items() if name not in GIVEN}))
+
+    def check_commands(self, setup: Setup) -> None:
+        """Refuse `commands` that fail, or draw what is no parameter or out of range; not where no code is run.
+
+        Raises:
+            ParameterError: with file, line and what is wrong.
+        """
+        if self.commands is None or not RUNS_CODE.get():
+            return
+        known, (subject, drawn) = task_parameters(setup), drawn_by(self.commands)
+        for name, values in drawn.items():
+            if name not in known or (name.startswith("terrain.") and name not in terrain_values(str(setup.scene))):
+                raise ParameterError(f"{subject}, which draws {name!r}: no parameter here{did_you_mean(name, known)}")
+            if self.bodies and name in identified.bodies(self.bodies).values:
+                raise ParameterError(f"{subject}, which draws {name!r}, which the identified bodies bring.")
+            known[name].check(f"{subject}, where {name}", values)
 
 
 #: Parameters of episodes that runs do not have.
@@ -432,20 +515,22 @@ class Episodes:
     @property
     def reached(self) -> tuple[str, ...]:
         """Names of the parameters that are not the setup's."""
-        return (*self.setup.body, *self.task.set, *self.drawn)
+        return (*self.setup.body, *self.task.set, *self.task.sampled, *self.drawn)
 
     def __call__(
-        self, key: Any, cut_short: Any = False
+        self, key: Any, cut_short: Any = False, steps: Any = 0.0
     ) -> tuple[EpisodeParameters, ModelParameters, Float[Array, " nq"]]:
         """Parameters, body and first position of the episode of a random key.
 
-        With `cut_short` its time is over after a random share of the task's duration.
+        With `cut_short` its time is over after a random share of the task's length; `steps` are the control steps of
+        the training so far, for its `commands`.
         """
         seed, draw, body = jax.random.split(key, 3)
         values: dict[str, Any] = dict(self.task.set)
         shares = jax.random.uniform(draw, (len(self.task.randomize),), minval=-1.0, maxval=1.0)
         for share, (name, (low, high)) in zip(shares, self.task.randomize.items(), strict=True):
             values[name] = 0.5 * (low + high) + 0.5 * share * (high - low)
+        values |= self.task.sample(jax.random.fold_in(draw, 1), steps)
         if self.task.bodies:
             ensemble = identified.bodies(self.task.bodies)
             one = jax.random.choice(body, len(ensemble), p=jnp.asarray(ensemble.weights, float))
@@ -455,7 +540,7 @@ class Episodes:
             shares = jnp.concatenate([shares, jnp.clip(jnp.stack(spread), -1.0, 1.0)])
         given = replace_quantities(Given(), {name: value for name, value in values.items() if name in GIVEN})
         world = self.setup.world({name: value for name, value in values.items() if name not in GIVEN})
-        told = commanded(self.controller.base, self.task.commands, world.control, given.command)
+        told = commanded(self.controller.base, self.task.commanded, world.control, given.command)
         control = jax.tree.map(_real, Acted(told, self.controller.parameters.action))
         window = Window(begin=0.0, end=1e6, distance=1e6)
         world = dataclasses.replace(world, control=control)

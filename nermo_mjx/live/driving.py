@@ -21,7 +21,7 @@ from jaxtyping import Float
 from pydantic import BaseModel, Field, NonNegativeInt
 
 from nermo_mjx.control.head_and_tail import GAZE, TAIL_MOTIONS
-from nermo_mjx.control.protocol import ChecksParameters, is_data
+from nermo_mjx.control.protocol import ChecksParameters, data_of
 from nermo_mjx.control.schedule import GAINS, MODES, Schedule, Switch, turned
 from nermo_mjx.control.spine_modes import LATERAL_MODES, NO_MODE, SAGITTAL_MODES
 from nermo_mjx.files import MOST_FILE, read_as, read_bytes
@@ -495,8 +495,9 @@ def _told(source: Recording | Path) -> tuple[Mapping[str, Any], _Driven]:
 def _setup(about: Mapping[str, Any], controller: Any) -> Setup:
     """The setup of a drive, with a controller that is given instead of the one that it names."""
     given = RecordedSetup.choices(about.get("setup") or {}) | ({} if controller is None else {"controller": controller})
-    if controller is None and (named := given.get("controller")) is not None and not is_data(named):
-        own = "give your own copy of it, --controller FILE.py:NAME"
+    named = None if controller is not None else given.get("controller")
+    if named is not None and (data_of(named) or ("", named))[1]:
+        own = "give your own copy of it, --controller FILE.py:NAME, or FILE.npz:FILE.py of a policy"
         raise ParameterError(f"controller is {named!r}, code that a file names, which is not run: {own}.")
     setup = Setup(**given)
     if (code := about.get("code")) and code != _code(setup):

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from pydantic import BaseModel, Field
 
-from nermo_mjx.control.protocol import Source, user_code
+from nermo_mjx.control.protocol import Source, function_place, user_code
 from nermo_mjx.files import MOST_JSON, json_of, read_bytes
 from nermo_mjx.robot import LIMBS, ParameterError, RobotConfig, Sensors, load_robot
 from nermo_mjx.robot.quantity import did_you_mean
@@ -166,8 +166,7 @@ class OwnMetric(Metric):
     @property
     def place(self) -> str:
         """Location of the function, for messages: `yaw_shake (my_metrics.py:4)`."""
-        code = getattr(self.function, "__code__", None)
-        return self.name if code is None else f"{self.name} ({Path(code.co_filename).name}:{code.co_firstlineno})"
+        return function_place(self.name, self.function)
 
 
 def metric(
@@ -322,23 +321,39 @@ def check_metrics(config: RobotConfig, metrics: tuple[OwnMetric, ...]) -> None:
     Raises:
         ParameterError: names the function, its file and what is wrong.
     """
-    if not metrics:
-        return
+    for each in metrics:
+        numbers_at_rest(f"metrics has {each.place}", each.function, at_rest(config))
+
+
+def at_rest(config: RobotConfig) -> Sensors:
+    """The readings of a robot at rest: no forces, no velocities."""
     start_jax()
     robot = load_robot(config)
     with jax.ensure_compile_time_eval():
         reading = np.asarray(robot.sensordata_at_rest(jnp.asarray(robot.model.qpos0)))
-    for each in metrics:
-        with user_code(f"metrics has {each.place}, which fails"):
-            given = jax.jit(each.function)(robot.sensors(jnp.asarray(reading)))
-        if not isinstance(given, jax.Array) or given.shape or jnp.issubdtype(given.dtype, jnp.complexfloating):
-            raise ParameterError(f"metrics has {each.place}, which gives {described(given)}: expected one number.")
-        value = np.asarray(given, float)
-        if not np.isfinite(value):
-            raise ParameterError(
-                f"metrics has {each.place}, which gives {float(value):g} for a robot at rest, where forces and "
-                "velocities are 0: guard it, as by jnp.where."
-            )
+        return robot.sensors(jnp.asarray(reading))
+
+
+def numbers_at_rest(subject: str, function: Callable[[Any], Any], given: Any, *, several: bool = False) -> np.ndarray:
+    """What an own function gives for a robot at rest, `given`; `subject` begins messages.
+
+    Raises:
+        ParameterError: it cannot be compiled, or gives something else than one finite number, or with `several` a list.
+    """
+    with user_code(f"{subject}, which fails"):
+        found = jax.jit(function)(given)
+    number = isinstance(found, jax.Array) and not jnp.issubdtype(found.dtype, jnp.complexfloating)
+    if not number or found.ndim > several or not found.size:
+        expected = "one number, or several in one axis" if several else "one number"
+        raise ParameterError(f"{subject}, which gives {described(found)}: expected {expected}.")
+    values = np.asarray(found, float)
+    if not np.isfinite(values).all():
+        wrong = f"{float(values):g}" if not values.ndim else values.tolist()
+        raise ParameterError(
+            f"{subject}, which gives {wrong} for a robot at rest, where forces and velocities are 0: guard it, as by "
+            "jnp.where."
+        )
+    return np.asarray(found)
 
 
 def described(given: Any) -> str:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from nermo_mjx.control.protocol import FORM as CONTROLLER_FORM
-from nermo_mjx.control.protocol import controller_digest, is_data
+from nermo_mjx.control.protocol import controller_digest, data_of
 from nermo_mjx.control.schedule import MOST, Schedule
 from nermo_mjx.files import MOST_ARRAYS, read_bytes
 from nermo_mjx.robot.quantity import ParameterError, quantities
@@ -31,10 +31,18 @@ def named_controller(doc: Document) -> str | None:
         return None
     if not isinstance(given, str):
         doc.fail(("controller",), f"is {describe(given)}: expected {CONTROLLER_FORM}.")
-    if is_data(given):
-        return str(_beside(doc, given))
-    source, colon, name = given.rpartition(":")
-    return f"{_beside(doc, source)}{colon}{name}" if source.endswith(".py") else given
+    return code_beside(doc, given)
+
+
+def code_beside(doc: Document, where: str) -> str:
+    """Custom code that a document names, with the path of its file, which is relative to the document's folder."""
+    if (data := data_of(where)) is not None:
+        path, code = data
+        return f"{_beside(doc, path)}:{code_beside(doc, code)}" if code else str(_beside(doc, path))
+    if where.endswith(".py"):
+        return str(_beside(doc, where))
+    source, colon, name = where.rpartition(":")
+    return f"{_beside(doc, source)}{colon}{name}" if source.endswith(".py") else where
 
 
 def named_metrics(doc: Document) -> tuple[str, ...]:
@@ -46,11 +54,10 @@ def named_metrics(doc: Document) -> tuple[str, ...]:
     found = []
     for each in listed:
         try:
-            source = source_of(each)
+            source_of(each)
         except ParameterError as error:
             doc.fail(("metrics",), str(error).removeprefix("metrics "))
-        path = str(_beside(doc, source.place)) if source.place.endswith(".py") else source.place
-        found.append(f"{path}:{source.name}" if source.name else path)
+        found.append(code_beside(doc, each))
     return tuple(found)
 
 
@@ -89,7 +96,7 @@ def code_identity(setup: Setup) -> dict[str, str]:
     identity = {}
     if setup.controller is not None:
         where = written_controller(setup)
-        name = "policy" if is_data(where) else where.rpartition(":")[2]
+        name = where.rpartition(":")[2] if data_of(where) is None else "policy"
         identity["controller"] = f"{name} {controller_digest(where)}"
     if setup.metrics:
         names = ", ".join(each.name for each in setup.own_metrics)
@@ -106,7 +113,7 @@ def written_controller(setup: Setup, folder: Path | None = None) -> str:
     if not isinstance(setup.controller, str):
         kind = type(setup.controller).__name__
         raise ParameterError(f"controller is a {kind}: name it as {CONTROLLER_FORM}, as a file can.")
-    return _written(setup.controller, folder)
+    return written_code(setup.controller, folder)
 
 
 def written_metrics(setup: Setup, folder: Path | None = None) -> list[str]:
@@ -118,11 +125,14 @@ def written_metrics(setup: Setup, folder: Path | None = None) -> list[str]:
     for each in setup.metrics:
         if not isinstance(each, str):
             raise ParameterError(f"metrics has {each.place}: name it as FILE.py:NAME or MODULE:NAME, as a file can.")
-    return [_written(str(each), folder) for each in setup.metrics]
+    return [written_code(str(each), folder) for each in setup.metrics]
 
 
-def _written(where: str, folder: Path | None) -> str:
+def written_code(where: str, folder: Path | None) -> str:
+    """Custom code as written in a file of a folder."""
     source, name = _split(where)
+    if name and data_of(where) is not None:  # the code of a policy
+        name = written_code(name, folder)
     path = Path(source).name if Path(source).parent == folder else source
     return f"{path}:{name}" if name else path
 
@@ -136,19 +146,23 @@ def with_code_copied(setup: Setup, folder: Path, write: Callable[[str, bytes], A
         write: puts content under a name there.
     """
     if isinstance(setup.controller, str):
-        setup = dataclasses.replace(setup, controller=_kept(setup.controller, KEPT_CONTROLLER, folder, write))
+        setup = dataclasses.replace(setup, controller=kept_code(setup.controller, KEPT_CONTROLLER, folder, write))
     named = written_metrics(setup)
     if named:
         write(KEPT, kept_metrics(named))
-    metrics = tuple(_kept(each, KEPT_METRICS, folder, write) for each in named)
+    metrics = tuple(kept_code(each, KEPT_METRICS, folder, write) for each in named)
     return dataclasses.replace(setup, metrics=metrics) if metrics else setup
 
 
-def _kept(where: str, called: str, folder: Path, write: Callable[[str, bytes], Any]) -> str:
+def kept_code(where: str, called: str, folder: Path, write: Callable[[str, bytes], Any]) -> str:
     """The name of custom code, with its file in a directory under the name that such files have there."""
     source, name = _split(where)
-    if not (source.endswith(".py") or is_data(source)) or Path(source).parent == folder:
+    if name and data_of(where) is not None:  # the code of a policy
+        name = kept_code(name, Path(name).name, folder, write)
+    elif not source.endswith(".py") and data_of(where) is None:
         return where
+    if Path(source).parent == folder:
+        return f"{source}:{name}" if name else source
     content = read_bytes(Path(source), MOST_ARRAYS)
     own = (folder / called).with_suffix(Path(source).suffix)
     if own.exists() and read_bytes(own, MOST_ARRAYS) != content:
@@ -159,8 +173,8 @@ def _kept(where: str, called: str, folder: Path, write: Callable[[str, bytes], A
 
 
 def _split(where: str) -> tuple[str, str]:
-    """File or module, and the name in it; a file that is data has none."""
-    if is_data(where):
-        return where, ""
+    """File or module, and the name in it, or for a file that is data the code that it needs."""
+    if (data := data_of(where)) is not None:
+        return data
     source = source_of(where)
     return source.place, source.name

@@ -12,6 +12,7 @@ from pydantic import Field, GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic_core import core_schema
 from pydantic_core.core_schema import CoreSchema
 
+from nermo_mjx.control.protocol import NAMED, named_object
 from nermo_mjx.robot import identified
 from nermo_mjx.robot.quantity import ParameterError, Quantity, did_you_mean, quantities
 from nermo_mjx.rollout.own_metrics import METRICS, Metric
@@ -97,6 +98,25 @@ class Choice(Checked):
 
     def schema(self, own: JsonSchema) -> JsonSchema:
         return {"enum": list(self.names)}
+
+
+class OwnOr(Choice):
+    """One of these names, if there are any, or code of one's own by FILE.py:NAME or MODULE:NAME."""
+
+    def check(self, value: Any) -> Any:
+        if isinstance(value, str) and ":" in value:
+            try:
+                named_object("it is", value)
+            except ParameterError:
+                raise Refused(f"is {value!r}: expected {NAMED}.") from None
+            return value
+        if not self.names or not isinstance(value, str):
+            raise Refused(f"is {describe(value)}: expected {NAMED}.")
+        return super().check(value)
+
+    def schema(self, own: JsonSchema) -> JsonSchema:
+        named = {"type": "string", "pattern": ":", "description": NAMED}
+        return {"anyOf": [{"enum": list(self.names)}, named]} if self.names else named
 
 
 class BodiesField(Checked):

@@ -13,6 +13,7 @@ from matplotlib import rc_context
 
 from nermo_mjx.learn.directory import EVALUATION, POLICY_FILE, SPEC
 from nermo_mjx.learn.evaluation import POLICY, recorded, summary_of
+from nermo_mjx.learn.own import code_place
 from nermo_mjx.learn.plots import training_figures
 from nermo_mjx.learn.policy import judged_in, load_policy
 from nermo_mjx.learn.spec import Training
@@ -21,6 +22,7 @@ from nermo_mjx.plotting.style import STYLE
 from nermo_mjx.robot.scene import scene_name
 from nermo_mjx.runs.files import content_of, parquet_table
 from nermo_mjx.runtime import start_jax
+from nermo_mjx.trust import RUNS_CODE
 from nermo_mjx.view.clip import page_of
 from nermo_mjx.view.page import Page, web_file
 
@@ -47,8 +49,12 @@ def trained(path: Path, *, engine: str = "c") -> Page:
     start_jax()
     training, drawn = Training.from_file(path / SPEC), training_figures(path)
     name, parts, samples = html.escape(path.resolve().name), list[str](), 0
-    if (path / POLICY_FILE).exists():
-        for scene, recording in recorded(training, load_policy(path / POLICY_FILE), engine):
+    code = code_place(training.task.observe)
+    if code and not RUNS_CODE.get():
+        own = html.escape(Path(code).name)
+        parts.append(f"<p>The policy observes functions of {own}, which a command that only reads does not run.</p>")
+    elif (path / POLICY_FILE).exists():
+        for scene, recording in recorded(training, load_policy(path / POLICY_FILE, code), engine):
             page = page_of([recording], ["A"], 520)
             parts.append(f"<h2>The policy on {html.escape(scene)}</h2>{page._repr_html_()}")
             samples = max(samples, page.samples)

@@ -26,7 +26,9 @@ SETUP = Setup(physics="fast")
 RANDOMIZED = {"frequency": (0.6, 1.0), "contact.friction": (1.0, 1.6), "mass.front": (0.15, 0.19)}
 #: Short episodes, so that worlds start new ones in a test; a custom term.
 HEIGHT = Term("height", "m", "of the IMU", lambda m: m.sensors.position[2])
-TASK = Task(rewards={"progress": 2.0, "work": -1.0, "failed": -1.0, HEIGHT: 0.5}, randomize=RANDOMIZED, duration=0.2)
+TASK = Task(
+    rewards={"progress": 2.0, "work": -1.0, "failed": -1.0, HEIGHT: 0.5}, randomize=RANDOMIZED, episode_length=0.2
+)
 STEPS = 30
 
 
@@ -143,7 +145,7 @@ def test_staggered_worlds_do_not_end_their_episodes_together():
 def test_mjx_staggers_the_first_episodes_and_no_later_ones(staggered):
     """How long they are to last; steps that wait for their ends would compile physics for a minute."""
     environment = Environment(SETUP, engine="mjx", worlds=12, task=TASK, staggered=staggered)
-    whole = round(TASK.duration / 0.01)
+    whole = round(TASK.episode_length / 0.01)
 
     @jax.jit
     def lengths():
@@ -268,11 +270,14 @@ def test_a_step_refuses_actions_of_another_shape_and_states_that_are_gone(enviro
     [
         (
             lambda m: m.sensors.servo_velocity,
-            r"has own, which gives an array of shape \(\d+,\): expected one number",
+            r"has own \(test_environment.py:\d+\), which gives an array of shape \(\d+,\): expected one number",
         ),
-        (lambda m: m.sensors.servo_speed[8], "own, which fails at .*: AttributeError.* Sensors are position"),
-        (lambda m: 1.0 if m.speed > 0.1 else 0.0, "own, which fails at .*: it cannot be compiled"),
-        (lambda m: None, "own, which gives NoneType: expected one number"),
+        (
+            lambda m: m.sensors.servo_speed[8],
+            r"own \(test_environment.py:\d+\), which fails at .*: AttributeError.* Sensors are position",
+        ),
+        (lambda m: 1.0 if m.speed > 0.1 else 0.0, r"own \(.*\), which fails at .*: it cannot be compiled"),
+        (lambda m: None, r"own \(.*\), which gives NoneType: expected one number"),
     ],
 )
 def test_a_term_that_gives_no_number_is_refused_before_anything_runs(value, message):
@@ -294,7 +299,7 @@ def test_headway_saturates_so_that_being_stuck_costs_more_than_haste_earns():
 @pytest.mark.long
 def test_mjx_gives_what_c_gives_and_its_rewards_have_derivatives():
     """From equal starts, within what float32 leaves; and a derivative that is the quotient of differences."""
-    task = dataclasses.replace(TASK, randomize={"start.phase": (0.3, 0.3001)}, duration=0.2)
+    task = dataclasses.replace(TASK, randomize={"start.phase": (0.3, 0.3001)}, episode_length=0.2)
     ours, theirs = (Environment(SETUP, engine=engine, worlds=2, task=task) for engine in ("c", "mjx"))
     a, b = ours.reset(0), jax.jit(theirs.reset)(0)
     step = jax.jit(theirs.step)

@@ -21,7 +21,7 @@ def door():
     """One world, in episodes of three control steps."""
     from nermo_mjx.learn.gymnasium_door import NermoVectorEnv
 
-    return NermoVectorEnv(Environment(Setup(physics="fast"), worlds=1, task=Task(duration=0.03)))
+    return NermoVectorEnv(Environment(Setup(physics="fast"), worlds=1, task=Task(episode_length=0.03)))
 
 
 def test_gymnasium_finds_nothing_to_say_and_an_end_is_told_beside_the_next_beginning():
@@ -30,7 +30,7 @@ def test_gymnasium_finds_nothing_to_say_and_an_end_is_told_beside_the_next_begin
 
     from nermo_mjx.learn.gymnasium_door import NermoVectorEnv
 
-    env = NermoVectorEnv(Environment(Setup(physics="fast"), worlds=2, task=Task(duration=0.03)))
+    env = NermoVectorEnv(Environment(Setup(physics="fast"), worlds=2, task=Task(episode_length=0.03)))
     assert env.metadata["autoreset_mode"] == AutoresetMode.SAME_STEP
     runs = []
     for _ in range(2):
@@ -91,7 +91,7 @@ def three():
     """Three worlds whose starts differ, in episodes of three control steps."""
     from nermo_mjx.learn.gymnasium_door import NermoVectorEnv
 
-    task = Task(duration=0.03, randomize={"start.phase": (0.0, 1.0)}, observe=("phase", "servo_angle", "action"))
+    task = Task(episode_length=0.03, randomize={"start.phase": (0.0, 1.0)}, observe=("phase", "servo_angle", "action"))
     return NermoVectorEnv(setup=Setup(physics="fast"), worlds=3, task=task)
 
 

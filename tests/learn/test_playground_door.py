@@ -21,7 +21,7 @@ def test_the_registry_has_it_with_what_may_be_overridden():
     assert (config.ctrl_dt, config.episode_length, config.impl) == (0.01, 1000, "jax")
     env = registry.load("NermoPlanks", config_overrides={"ctrl_dt": 0.02, "reward_config.scales.work": -0.25})
     task = env.environment.task
-    assert (task.decimation, task.duration, task.rewards["work"]) == (2, 20.0, -0.25)
+    assert (task.decimation, task.episode_length, task.rewards["work"]) == (2, 20.0, -0.25)
     assert env.n_substeps == 6
     assert env.observation_size["state"] == (env.environment.observation_size,)
     for name, value in (("ctrl_dt", 0.015), ("impl", "warp")):

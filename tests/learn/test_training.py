@@ -74,7 +74,7 @@ def done(tmp_path_factory):
 def policy():
     """A policy with weights, and the environment that it is of."""
     environment = Environment(
-        Setup(), worlds=2, task=Task(randomize={"contact.friction": (1.0, 1.2)}, decimation=2, duration=0.1)
+        Setup(), worlds=2, task=Task(randomize={"contact.friction": (1.0, 1.2)}, decimation=2, episode_length=0.1)
     )
     learned = PPO().begin(environment, 0)
     *hidden, (weights, bias) = learned.actor.layers
@@ -315,7 +315,7 @@ def test_a_training_ends_when_its_validation_is_enough(tmp_path, monkeypatch):
     fields = {"validation": 2, "until": {"success": 0.9}}
     monkeypatch.setattr("nermo_mjx.learn.run.successes", lambda _, policy: {"flat": shares[chosen(policy)]})
     monkeypatch.setattr("nermo_mjx.learn.run._evaluated", lambda *_: None)
-    robot = Environment(Setup(), worlds=2, task=Task(duration=0.1))
+    robot = Environment(Setup(), worlds=2, task=Task(episode_length=0.1))
     point = PointMass(8, pure=False)
     monkeypatch.setattr("nermo_mjx.learn.run._Learning._policy", lambda self, learned: _policy_after(robot, learned))
     whole = run_training(SPEC | fields, tmp_path / "whole", environment=point)
@@ -423,7 +423,7 @@ def test_a_policy_in_another_physics_than_it_was_judged_in_says_so(policy, tmp_p
 
 def test_a_policys_evaluation_is_made_again_from_its_file(tmp_path):
     """In another process, to the last bit, in the physics that the summary names; whatever is loaded first."""
-    fields = SPEC | {"physics": "fast", "worlds": 2, "steps": 16, "checkpoint": 16, "task": {"duration": 0.1}}
+    fields = SPEC | {"physics": "fast", "worlds": 2, "steps": 16, "checkpoint": 16, "task": {"episode_length": 0.1}}
     fields |= {"run": {"duration": 0.3}, "evaluate": {"bodies": 4}, "randomize": {"contact.friction": [0.8, 1.6]}}
     fields["algorithm"] = {"ppo": {"horizon": 4, "hidden": [64]}}
     out = tmp_path / "out"
@@ -506,7 +506,10 @@ def test_worlds_are_divided_in_shares():
 @pytest.mark.long
 def test_a_mixture_is_its_parts_side_by_side():
     """What each would do alone; the critic is told which is which, and zeros of what a part does not know."""
-    tasks = [Task(duration=0.03, randomize={"contact.friction": (1.0, 1.2)}), Task(duration=0.03, randomize={})]
+    tasks = [
+        Task(episode_length=0.03, randomize={"contact.friction": (1.0, 1.2)}),
+        Task(episode_length=0.03, randomize={}),
+    ]
     parts = [(Setup(physics="fast"), tasks[0]), (Setup(physics="fast", pilot="arc"), tasks[1])]
     mixture, key = Mixture(parts, worlds=3, threads=2), jax.random.key(5)
     alone = [Environment(*part[:1], worlds=n, task=part[1]) for part, n in zip(parts, (2, 1), strict=True)]
@@ -526,7 +529,7 @@ def test_a_mixture_is_its_parts_side_by_side():
 
 def test_parts_that_do_not_wait_for_each_other_step_as_together():
     """What a policy collects in a mixture, against its steps of all worlds at once; episodes end in between."""
-    task = Task(duration=0.02, observe=("gyro", "action"), randomize={})
+    task = Task(episode_length=0.02, observe=("gyro", "action"), randomize={})
     other = dataclasses.replace(task, randomize={"contact.friction": (1.0, 1.2)})
     mixture = Mixture([(Setup(physics="fast"), task), (Setup(physics="fast"), other)], worlds=3, threads=2)
     learned, key, steps = PPO(std=0.5).begin(mixture, 0), jax.random.key(7), 3
@@ -593,7 +596,7 @@ ROBOT = """
 scenes: [{scene: planks}, {scene: ramp}]
 physics: fast
 run: {duration: 0.3}
-task: {duration: 0.1}
+task: {episode_length: 0.1}
 algorithm: {ppo: {horizon: 4, hidden: [8]}}
 worlds: 8
 steps: 256

@@ -1,0 +1,163 @@
+"""Functions of one's own in a task: rewards, observations, terminations, and what draws an episode's commands.
+
+A task names one as FILE.py:NAME or MODULE:NAME, in Python also by the function itself. Each is compiled and called for
+a robot at rest before anything is simulated, so that what is wrong with it is one sentence, with its file and line.
+"""
+
+from __future__ import annotations
+
+import functools
+import inspect
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from nermo_mjx.control.protocol import function_place, load_object, named_object, user_code
+from nermo_mjx.learn.observing import SENSED, TOLD, Sensed
+from nermo_mjx.robot import ParameterError, RobotConfig, Sensors
+from nermo_mjx.rollout.own_metrics import at_rest, described, numbers_at_rest
+from nermo_mjx.runtime import start_jax
+
+#: Draws what an episode is given: (key, control steps of the training so far) -> values by parameters' names.
+Sampler = Callable[[Any, Any], Mapping[str, Any]]
+
+
+def is_own(given: Any) -> bool:
+    """Whether an entry of a task is of one's own: an object, or a text with a colon.
+
+    >>> is_own("my.py:spine_rate"), is_own("progress")
+    (True, False)
+    """
+    return not isinstance(given, str) or ":" in given
+
+
+def own_object(field: str, given: Any) -> Any:
+    """What a text names, or the object itself; raises `ParameterError`."""
+    return load_object(named_object(f"{field} has", given)) if isinstance(given, str) else given
+
+
+def own_name(given: Any) -> str:
+    """Of an entry of one's own: that of the object in its file, or of the function."""
+    if isinstance(given, str):
+        return given.rpartition(":")[2]
+    return getattr(given.read if isinstance(given, Sensed) else given, "__name__", type(given).__name__)
+
+
+def own_function(field: str, given: Any) -> Callable[..., Any]:
+    """A function of one's own; raises `ParameterError` if it is none."""
+    function = own_object(field, given)
+    if not callable(function) or isinstance(function, type):
+        raise ParameterError(f"{field} has {given!r}, which is {described(function)}: expected a function.")
+    return function
+
+
+def first_line(function: Any) -> str:
+    """Of its docstring, without the full stop; empty without one."""
+    return (inspect.getdoc(function) or "").partition("\n")[0].rstrip(".")
+
+
+def own_readings(config: RobotConfig, observe: Iterable[Any]) -> dict[str, Sensed]:
+    """The groups of readings of one's own among those that a task observes, by name.
+
+    Raises:
+        ParameterError: one fails, gives no finite numbers, or has a name that is taken.
+    """
+    found: dict[str, Sensed] = {}
+    for given in filter(is_own, observe):
+        name = own_name(given)
+        if name in (*SENSED, *TOLD, *found):
+            raise ParameterError(f"observe has {given!r}, but {name} is observed already: give it another name.")
+        group = own_object("observe", given)
+        if not isinstance(group, Sensed):
+            group = Sensed(own_function("observe", given))
+        found[name] = _readings(config, name, group)
+    return found
+
+
+@functools.lru_cache(maxsize=32)
+def _readings(config: RobotConfig, name: str, group: Sensed) -> Sensed:
+    """A group of readings with a label for each of its numbers."""
+    subject = f"observe has {function_place(name, group.read)}"
+    size = numbers_at_rest(subject, group.read, at_rest(config), several=True)
+    labels = group.labels or (tuple(map(str, range(size.size))) if size.ndim else ("",))
+    if len(labels) != size.size:
+        raise ParameterError(f"{subject}, which gives {described(size)}: it has {len(labels)} labels.")
+
+    def read(sensors: Sensors) -> Any:
+        return jnp.reshape(jnp.asarray(group.read(sensors), sensors.position.dtype), -1)
+
+    return Sensed(read, group.scale, labels)
+
+
+def own_terminations(config: RobotConfig, given: Iterable[Any]) -> dict[str, Callable[[Sensors], Any]]:
+    """The terminations of a task by name, functions of the sensors that are true where an episode fails.
+
+    Raises:
+        ParameterError: one fails, gives anything but one truth, or there are two of one name.
+    """
+    found: dict[str, Callable[[Sensors], Any]] = {}
+    for each in given:
+        name, function = own_name(each), own_function("terminations", each)
+        subject = f"terminations has {function_place(name, function)}"
+        value = numbers_at_rest(subject, function, at_rest(config))
+        if value.dtype != bool:
+            raise ParameterError(f"{subject}, which gives {described(value)}: expected a truth, such as z < 0.02.")
+        if name in found:
+            raise ParameterError(f"terminations has two of the name {name}: give one of them another.")
+        found[name] = function
+    return found
+
+
+#: How many draws of a sampler are checked, at the beginning of a training and after it.
+_TRIED = 64
+
+
+@functools.lru_cache(maxsize=32)
+def _drawn(given: Any, content: Any) -> tuple[str, dict[str, np.ndarray]]:
+    """Where a sampler stands, and values that it draws, by parameter (2 * _TRIED,)."""
+    function = own_function("commands", given)
+    subject = f"commands has {function_place(own_name(given), function)}"
+    start_jax()
+    keys = jnp.tile(jax.random.split(jax.random.key(0), _TRIED), 2)
+    with user_code(f"{subject}, which fails"):
+        found = jax.jit(jax.vmap(function))(keys, jnp.repeat(jnp.array([0.0, jnp.inf]), _TRIED))
+    if not isinstance(found, dict) or not found:
+        raise ParameterError(f"{subject}, which gives {described(found)}: expected values by parameters' names.")
+    for name, values in found.items():
+        if not isinstance(name, str) or getattr(values, "ndim", 0) != 1:
+            raise ParameterError(f"{subject}, which gives no single number for {name!r}.")
+        wrong = np.asarray(values)[~np.isfinite(values)]
+        if wrong.size:
+            raise ParameterError(
+                f"{subject}, which gives {wrong[0]:g} for {name} at steps of 0 or, as in an evaluation, infinity: "
+                "guard it, as by jnp.clip."
+            )
+    return subject, {name: np.asarray(values, float) for name, values in found.items()}
+
+
+def drawn_by(given: Any) -> tuple[str, dict[str, np.ndarray]]:
+    """The beginning of messages about a sampler, and values that it draws, by the names of parameters.
+
+    Raises:
+        ParameterError: it fails, or gives anything but finite numbers.
+    """
+    content = named_object("commands has", given).content() if isinstance(given, str) else None
+    return _drawn(given, content)
+
+
+def code_place(observe: Iterable[Any]) -> str:
+    """The file or module of the observations of one's own that a task names; empty if it names none.
+
+    Raises:
+        ParameterError: they are in several, which a policy cannot name.
+    """
+    named = [named_object("observe has", each) for each in observe if isinstance(each, str) and is_own(each)]
+    places = list(dict.fromkeys(each.place for each in named))
+    if len(places) > 1:
+        files = " and ".join(Path(each).name for each in places)
+        raise ParameterError(f"observe has functions of {files}: put them in one file, which a policy needs beside it.")
+    return places[0] if places else ""
