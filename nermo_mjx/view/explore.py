@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import os
 import re
@@ -207,13 +208,16 @@ def commands_of(path: Path, runs: ExplorerRuns) -> dict[str, Any]:
     Returns:
         `replay`: words to which the row's number is added; `walk`: `words`, `options`, pairs of an option and the
         column of its value, and `set`, columns that `--set NAME=X` takes; None if `walk` cannot repeat the rows' runs.
+        `profile`: of all rows; empty where it differs between them, or is not known.
     """
     spec = path / ("sweep.yaml" if runs.kind == "sweep" else "search.yaml")
-    try:
-        walk = _walk(read_file(spec, runs.kind).data, runs) if spec.exists() else None
-    except SpecError:  # of another version; the readable part is shown
-        walk = None
-    return {"replay": f"nermo-mjx replay {shlex.quote(str(path))} --row", "walk": walk}
+    walk, profile = None, ""
+    with contextlib.suppress(SpecError):  # of another version; the readable part is shown
+        if spec.exists():
+            data = read_file(spec, runs.kind).data
+            walk = _walk(data, runs)
+            profile = "" if "profile" in runs.columns else str(data.get("profile", Setup.profile))
+    return {"replay": f"nermo-mjx replay {shlex.quote(str(path))} --row", "walk": walk, "profile": profile}
 
 
 def _walk(spec: Mapping[str, Any], runs: ExplorerRuns) -> dict[str, Any] | None:

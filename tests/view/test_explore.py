@@ -250,6 +250,12 @@ def test_what_walk_cannot_do_gets_no_walk_command(swept: Path, tmp_path: Path, c
     assert commands["replay"] == f"nermo-mjx replay {path} --row"
 
 
+def test_the_page_names_the_profile_of_all_rows(swept: Path, tmp_path: Path) -> None:
+    path = Path(shutil.copytree(swept, tmp_path / "sweep"))
+    assert commands_of(path, runs_of(path))["profile"] == "exact"
+    assert commands_of(spec_of(path, profile="as_built"), runs_of(path))["profile"] == "as_built"
+
+
 def test_structures_of_a_row_are_options_of_its_command(tmp_path: Path) -> None:
     path = many(tmp_path / "many sweeps", 20)
     (path / "sweep.yaml").write_text("spine: stride_extension\ngait: trot\n")

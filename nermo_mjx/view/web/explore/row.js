@@ -134,5 +134,6 @@ export function headOf(header, table) {
   });
   const recordings = Object.keys(header.recordings).length;
   if (recordings) counts.push(`${recordings} recorded`);
+  if (header.commands.profile) counts.push(`profile ${header.commands.profile}`);
   return [...counts, header.directory, ...header.notes];
 }
