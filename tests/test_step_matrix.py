@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from composites import IN_THEIR_PLACE
 
 STUDIES = Path(__file__).parents[1] / "docs" / "benchmarks"
 sys.path.insert(0, str(STUDIES))
@@ -34,6 +35,17 @@ def test_the_gradient_is_that_of_the_differences(name: str) -> None:
     assert found["error"] < 1e-4
     assert found["end_off_c"] < 1e-9
     assert (found["contacts"] > 0) == (name == "mjx/quadratic_frictionloss")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", IN_THEIR_PLACE)
+def test_the_gradient_of_what_stands_for_composites(name: str, tmp_path: Path) -> None:
+    (tmp_path / "model.xml").write_text(IN_THEIR_PLACE[name])
+    found = step_matrix.measure(tmp_path / "model.xml", "gradient", {})
+    assert found["finite"]
+    assert found["spread"] < 1e-5
+    assert found["error"] < 1e-4
+    assert found["end_off_c"] < 1e-9
 
 
 def test_mujocos_models_of_mjx_are_there() -> None:
