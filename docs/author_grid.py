@@ -2,7 +2,8 @@
 
     python docs/author_grid.py
 
-Writes docs/images/author_grid.png and prints the table of docs/published_set_up.md; about five minutes on two cores.
+Writes docs/images/author_grid.png and prints the table of which docs/published_set_up.md has the first rows; about five
+minutes on two cores.
 His model ran in MuJoCo 3.17.0; in MuJoCo 4 it walks differently.
 """
 
