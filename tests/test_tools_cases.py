@@ -500,6 +500,6 @@ def test_how_strides_vary_with_the_soles_radius_has_a_command(tmp_path: Path) ->
     told = json_of("compare", out, "--by", "geometry.foot.radius", "--metric", "stride_length")
     line = told["metrics"]["stride_length"]
     assert [line["base_mean"], line["other_mean"]] == pytest.approx(expected, rel=0.01)
-    shown = call("compare", out, "--by", "geometry.foot.radius", "--metric", "stride_length_cv").output
+    shown = call("compare", out, "--by", "geometry.foot.radius", "--metric", "stride_length_cv", "--all").output
     assert re.search(r"stride_length_cv\s+1\s+0\.00\d+\s+0\.00\d+", shown), shown
     assert "which tells no noise; give repeats" in shown

@@ -109,7 +109,7 @@ def test_a_length_of_a_run_may_have_a_unit():
 
 
 def test_an_episode_may_have_units():
-    task = Task(duration="8 s", distance="500 mm", corridor="10 cm")
-    assert (task.duration, task.distance, task.corridor) == (8.0, 0.5, 0.1)
+    task = Task(episode_length="8 s", distance="500 mm", corridor="10 cm")
+    assert (task.episode_length, task.distance, task.corridor) == (8.0, 0.5, 0.1)
     with pytest.raises(ParameterError, match=r"^corridor is '3 kg': expected a number in m, mm or cm, such as"):
         Task(corridor="3 kg")

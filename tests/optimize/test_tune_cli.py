@@ -88,7 +88,7 @@ def test_tune_prints_start_and_best_as_people_read_them(fakes: dict[str, Any], s
     assert re.search(r"^objective( +-0\.\d+){5} +lower is better$", result.stdout, re.MULTILINE)
     assert "Engine c: means of 8 walks from unseen starts; the best gave -" in result.stdout
     assert "Iteration 6 of start" in result.stdout
-    assert "6 iterations (3 min 30 s simulated, gradients at their cost, in " in result.stdout
+    assert "6 iterations in the profile exact (3 min 30 s simulated, gradients at their cost, in " in result.stdout
     for name in ("best.json", "history.parquet", "tuned.yaml"):
         assert str(out / name) in result.stdout
     assert str(out / "plots") not in result.stdout

@@ -109,7 +109,7 @@ def test_a_tuning_a_search_and_a_training_take_units():
 
 def test_a_trainings_task_and_scenes_take_units_and_editors_know_it():
     """Sensing is a training's own: no sweep knows its parameters."""
-    text = "task: {{duration: {}, corridor: {}, set: {{sensing.delay: {}}}}}\nscenes:\n- {{scene: flat}}\n"
+    text = "task: {{episode_length: {}, corridor: {}, set: {{sensing.delay: {}}}}}\nscenes:\n- {{scene: flat}}\n"
     text += "- {{scene: planks, corridor: {}, set: {{terrain.height: {}}}, randomize: {{start.yaw: {}}}}}"
     units = text.format("8 s", "10 cm", "5 ms", "300 mm", "5 mm", "[-5 deg, 5 deg]")
     numbers = text.format(8.0, 0.1, 0.005, 0.3, 0.005, [-math.radians(5), math.radians(5)])
