@@ -332,12 +332,12 @@ class Task(Spec):
     """weights of the reward's terms, see `rewards.TERMS`, and of functions of a `Moment` as FILE.py:NAME; in Python
     also of a custom `Term`"""
     terminations: Annotated[tuple[Annotated[Any, OwnOr(())], ...], Field(strict=False)] = ()
-    """functions of the sensors, as FILE.py:NAME: an episode fails after a control step in which one is true"""
+    """functions of the sensors, as FILE.py:NAME; an episode fails after a control step in which one is true"""
     commands: Annotated[Any, OwnOr(())] = None
     """a function, as FILE.py:NAME, from a random key and the training's control steps so far to values of parameters
-    and commands, by name, of an episode: a sampler, or a curriculum; an evaluation has infinitely many steps"""
+    and commands, by name, of an episode, as a sampler or a curriculum; an evaluation has infinitely many steps"""
     set: dict[str, FiniteInUnits] = dataclasses.field(default_factory=dict)
-    """value in all episodes of parameters, commands and sensors: command.speed, sensing.delay, ..."""
+    """value in all episodes of parameters, commands and sensors, such as command.speed or sensing.delay"""
     randomize: dict[str, Ends] = dataclasses.field(default_factory=lambda: dict(RANDOMIZED))
     """range (low, high) of each parameter that is drawn, uniformly, for each episode"""
     bodies: Annotated[str | bool, BodiesField()] = ""
