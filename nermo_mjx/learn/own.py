@@ -7,7 +7,6 @@ a robot at rest before anything is simulated, so that what is wrong with it is o
 from __future__ import annotations
 
 import functools
-import inspect
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -53,11 +52,6 @@ def own_function(field: str, given: Any) -> Callable[..., Any]:
     if not callable(function) or isinstance(function, type):
         raise ParameterError(f"{field} has {given!r}, which is {described(function)}: expected a function.")
     return function
-
-
-def first_line(function: Any) -> str:
-    """Of its docstring, without the full stop; empty without one."""
-    return (inspect.getdoc(function) or "").partition("\n")[0].rstrip(".")
 
 
 def own_readings(config: RobotConfig, observe: Iterable[Any]) -> dict[str, Sensed]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import enum
+import inspect
 from collections.abc import Callable, Collection, Mapping
 from typing import Annotated, Any, Final, NamedTuple
 
@@ -26,7 +27,7 @@ from nermo_mjx.control.pilot import OpenLoop
 from nermo_mjx.control.protocol import NAMED, ControllerLike, function_place, user_code
 from nermo_mjx.learn.acting import Acted, Acting, ActionField, ActionKind, Residual
 from nermo_mjx.learn.observing import FORMER, OBSERVED, SENSED, TOLD, Sensing
-from nermo_mjx.learn.own import drawn_by, first_line, is_own, own_name, own_object
+from nermo_mjx.learn.own import drawn_by, is_own, own_name, own_object
 from nermo_mjx.robot import ModelParameters, ParameterError, Quantity, Robot, Sensors, identified
 from nermo_mjx.robot.model_parameters import is_shaped
 from nermo_mjx.robot.quantity import (
@@ -239,8 +240,8 @@ def _own_term(given: Any) -> Term:
     found = own_object("rewards", given)
     if not isinstance(found, Term) and not callable(found):
         raise ParameterError(f"rewards has {given!r}, which is {described(found)}: expected a Term, or a function.")
-    name = own_name(given)
-    return found if isinstance(found, Term) else Term(name, "1", first_line(found) or name, found)
+    name, doc = own_name(given), (inspect.getdoc(found) or "").partition("\n")[0].rstrip(".")
+    return found if isinstance(found, Term) else Term(name, "1", doc or name, found)
 
 
 class Outcome(enum.Enum):

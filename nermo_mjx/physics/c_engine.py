@@ -116,8 +116,8 @@ class CSession:
             for span in self._spans:
                 lanes = np.pad(span, (0, LANES - len(span)), mode="edge")
                 part = jax.tree.map(lambda leaf, lanes=lanes: np.asarray(leaf)[lanes], params)
-                own = {name: values[span] for name, values in fields.items()}
-                self._blocks.append(_Block(engine, part, qpos[span], own, threads))
+                varied = {name: values[span] for name, values in fields.items()}
+                self._blocks.append(_Block(engine, part, qpos[span], varied, threads))
             self.loop.step(*self.arguments)  # compiled before several threads need it at the same time
 
     @property
