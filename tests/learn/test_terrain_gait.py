@@ -35,34 +35,31 @@ def howto():
 
 
 def test_the_search_of_the_how_to_finds_a_gait_within_its_bounds_and_the_legs_reach(howto, capsys):
-    """A generation of four gaits on one plank height, and one with the steering; it says how often its gait passes."""
-    stage, steered = (
-        dataclasses.replace(each, places=(howto.Place("planks", (0.004,)),), generations=1, population=4, test=(1, 2))
-        for each in (howto.STAGES[0], howto.STAGES[-1])
-    )
-    gait = howto.search("stiff", (stage, steered))
-    bounds = howto.STANCE | howto.FEET | howto.STEERING
-    assert {name for name in gait if name not in howto.SPINE} == set(bounds)
-    assert all(low <= gait[name] <= high for name, (_, low, high) in bounds.items())
-    assert any(gait[name] != start for name, (start, _, _) in bounds.items())
+    """A generation of four gaits on one plank height; it says how often they pass."""
+    ground = howto.Ground("stiff", (howto.Place("planks", (0.004,)),))
+    gait = howto.search("stiff", ground, seed=0, generations=1, population=4)
+    begin = howto.gaits().loc["stiff", "begin"].dropna()
+    assert set(gait) == set(begin.index)
+    assert gait["frequency"] == howto.FREQUENCY
+    assert all(low <= gait[name] <= high for name, (low, high) in howto.GAIT.items())
+    assert {name for name in gait if gait[name] != begin[name]} == {"frequency", *howto.GAIT}
     assert "planks" in capsys.readouterr().out
-    ground = howto.Ground(steered, "stiff")
     assert ground.inside(gait)
     assert not ground.inside(gait | {"stance.rear_z": -0.072, "stride": 1.2})
 
 
 def test_the_search_counts_a_way_beside_the_path(howto):
-    """Ten times as far in a corridor of a tenth of the width, and not at all in a stage that does not steer."""
+    """Ten times as far in a corridor of a tenth of the width."""
     place = howto.Place("planks", (0.004,))
-    narrow = dataclasses.replace(place, corridor=0.1 * place.corridor)
-    gait = {name: start for name, (start, _, _) in (howto.STANCE | howto.FEET | howto.STEERING).items()}
-    asides = []
-    for stage, where in ((howto.STAGES[-1], place), (howto.STAGES[-1], narrow), (howto.STAGES[0], place)):
-        ground = howto.Ground(dataclasses.replace(stage, places=(where,), seed=0), "stiff")
-        asides.append(ground.walk(where, [gait], where.heights, seconds=1.0)[1])
-    assert asides[0] > 0.0
-    assert asides[1] == pytest.approx(10.0 * asides[0])
-    assert asides[2] == 0.0
+    ground = howto.Ground("stiff", (place,))
+    gait = howto.gaits().loc["stiff", "begin"].dropna().to_dict()
+    run = Run(duration=1.0, warmup=0.5)
+    wide, narrow = (
+        ground.walk(where, [gait], np.random.default_rng(0), run).aside.item()
+        for where in (place, dataclasses.replace(place, corridor=0.1 * place.corridor))
+    )
+    assert wide > 0.0
+    assert narrow == pytest.approx(10.0 * wide)
 
 
 def test_trainings_of_the_three_spines_differ_in_gait_and_spine_alone():

@@ -1,11 +1,11 @@
 """Gaits for rough ground with the spine free, stiff and passive: CMA-ES with the steering, on seven scenes, with drawn
 bodies. All have one frequency, so that what differs is the spine.
 
-Each search begins with the spine's gait `begin` in gaits.csv. All gaits of a generation start alike, on the same ground
-with the same bodies, and each generation anew: no gait wins by an easy draw. The result is the centre of the last
-distribution, which many gaits have shaped, not the best single gait.
+A first search brings the spine's gait `begin` in gaits.csv to this frequency, and each seed goes on from there. All
+gaits of a generation start alike, on the same ground with the same bodies, and each generation anew: no gait wins by an
+easy draw. The result is the centre of the last distribution, which many gaits have shaped, not the best single gait.
 
-    python search_gait.py free 0 1 2 3 4    # the spine, or stiff, or passive; the seeds, one search for each
+    python search_gait.py free first 0 1 2 3 4    # the spine, or stiff, or passive; one search for each seed
 """
 
 from __future__ import annotations
@@ -56,6 +56,9 @@ BODIES = {
     "stiffness.spine": (0.96, 1.44),
     "damping.spine": (0.008, 0.012),
 }
+#: What is told of the walks, beside success.
+MEASURED = ["speed", "cost_of_transport", "electrical_cost_of_transport", "cross_track_peak"]
+UNSEEN = 1  # marks the walks that choose nothing
 SLACK = {"build.spine_slack": 0.004}
 POLES = ((0, 0), (0, -0.1), (0.06, -0.35), (-0.06, -0.75), (0.06, -1.15), (-0.06, -1.55), (0.06, -1.95), (-0.06, -2.35))
 
@@ -130,21 +133,27 @@ class Ground:
         return walks.assign(gait=np.repeat(np.arange(len(gaits)), n), ok=np.asarray(result.status) == "ok", aside=aside)
 
 
-def search(spine: str, ground: Ground, seed: int, generations: int = 10, population: int = 14) -> Gait:
+def gaits() -> pd.DataFrame:
+    """Those of each spine: with which its searches begin, and what each seed found."""
+    return pd.read_csv(HERE / "gaits.csv", dtype={"seed": str}).set_index(["spine", "seed"])
+
+
+def search(spine: str, ground: Ground, seed: str, generations: int | None = None, population: int = 14) -> Gait:
     """The gait that is found, parameter -> value."""
-    table = pd.read_csv(HERE / "gaits.csv", dtype={"seed": str}).set_index(["spine", "seed"])
-    begin = table.loc[spine, "begin"].dropna().to_dict() | {"frequency": FREQUENCY}
+    first = seed == "first"
+    begin = gaits().loc[spine, "begin" if first else "first"].dropna().to_dict() | {"frequency": FREQUENCY}
+    number = 0 if first else 1 + int(seed)
     space = GAIT | (BENDING if spine == "free" else {})
     low, high = np.array(list(space.values())).T
     start = (np.array([begin[name] for name in space]) - low) / (high - low)
-    options = {"popsize": population, "bounds": [0, 1], "seed": seed + 1, "verbose": -9}
-    strategy = cma.CMAEvolutionStrategy(np.clip(start, 0.02, 0.98), 0.06, options)
-    random = np.random.default_rng(seed)
+    options = {"popsize": population, "bounds": [0, 1], "seed": number + 1, "verbose": -9}
+    strategy = cma.CMAEvolutionStrategy(np.clip(start, 0.02, 0.98), 0.06 if first else 0.04, options)
+    random = np.random.default_rng(number)
 
     def gait_of(point: Any) -> Gait:
         return begin | dict(zip(space, (low + np.asarray(point) * (high - low)).tolist(), strict=True))
 
-    for generation in range(generations):
+    for generation in range(generations or (10 if first else 8)):
         points: list[np.ndarray] = []
         while len(points) < population:
             (point,) = strategy.ask(1)
@@ -162,9 +171,31 @@ def search(spine: str, ground: Ground, seed: int, generations: int = 10, populat
     return {name: round(value, 5) for name, value in gait_of(strategy.result.xfavorite).items()}
 
 
+def measured(ground: Ground, gait: Gait, seed: int, times: int = 40) -> pd.DataFrame:
+    """What a gait does in walks of 10 s at 10 mm, a row for each place; seeds of each spine have the same bodies."""
+    rows = []
+    for i, place in enumerate(ground.places):
+        same = dataclasses.replace(place, heights=(None if None in place.heights else 0.01,) * times)
+        random = np.random.default_rng([seed, i, UNSEEN])
+        walks = ground.walk(same, [gait], random, Run(duration=10.0, warmup=1.0))
+        passed = walks.ok & (walks.distance >= 0.5) & (walks.aside <= 1.0)
+        counts = {"walks": times, "successes": passed.sum(), "falls": (~walks.ok).sum()}
+        rows.append({"scene": place.scene} | counts | walks[MEASURED].median().to_dict())
+    return pd.DataFrame(rows)
+
+
+def appended(name: str, rows: pd.DataFrame) -> None:
+    """Rows at the end of a table beside this file."""
+    path = HERE / name
+    table = pd.concat([pd.read_csv(path, dtype={"seed": str}), rows]) if path.exists() else rows
+    table.to_csv(path, index=False, float_format="%.5g")
+
+
 if __name__ == "__main__":
-    ground = Ground(sys.argv[1])
-    for seed in map(int, sys.argv[2:]):
-        gait = {"spine": sys.argv[1], "seed": seed} | search(sys.argv[1], ground, seed)
-        table = pd.read_csv(HERE / "gaits.csv", dtype={"seed": str})
-        pd.concat([table, pd.DataFrame([gait])]).to_csv(HERE / "gaits.csv", index=False)
+    spine, seeds = sys.argv[1], sys.argv[2:]
+    ground = Ground(spine)
+    for seed in seeds:
+        gait = search(spine, ground, seed)
+        appended("gaits.csv", pd.DataFrame([{"spine": spine, "seed": seed} | gait]))
+        if seed != "first":
+            appended("seeds.csv", measured(ground, gait, int(seed)).assign(spine=spine, seed=seed))

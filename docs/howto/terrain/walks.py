@@ -1,34 +1,27 @@
-"""The walks of docs/spine_on_terrain.md: each terrain with the spine free, stiff and passive, as short recordings.
+"""The walks of docs/spine_on_terrain.md as short recordings, walks/SCENE/SPINE.npz beside this file, and its pictures.
 
-Run as `python walks.py`; it writes walks/SCENE/SPINE.npz beside this file.
+python walks.py
 """
 
 from __future__ import annotations
 
 import dataclasses
+import subprocess
 from pathlib import Path
 
 import numpy as np
-from search_gait import DAMPED, POLES
+from PIL import Image, ImageSequence
+from search_gait import PLACES, Ground, gaits
 
-from nermo_mjx import Run, Setup, Simulator
-from nermo_mjx.learn import load_policy
+from nermo_mjx import Run
 from nermo_mjx.recording import Recording
 
 HERE = Path(__file__).parent
+IMAGES = HERE.parents[1] / "images"
 SPINES = ("free", "stiff", "passive")
-HIGH = {"terrain.height": 0.01}
-#: Pilot and values of each scene.
-PLACES = {
-    "planks": ({}, HIGH),
-    "ramp": ({}, {}),
-    "logs": ({}, HIGH),
-    "stairs": ({}, HIGH),
-    "spiral_stairs": ({"pilot": "arc"}, HIGH | {"pilot.radius": 0.5}),
-    "rough": ({}, HIGH),
-    "slalom": ({"pilot": "waypoints", "waypoints": POLES}, {}),
-}
+SHOWN = "0"  # the seed
 BEGIN, END, EVERY = 1.0, 5.0, 4  # [s], samples: 25 of 100 in a second
+WIDTH, HEIGHT, FOOTER = 200, 150, 40  # of a robot's picture, and below it [pixels]
 
 
 def short(recording: Recording) -> Recording:
@@ -43,14 +36,40 @@ def short(recording: Recording) -> Recording:
     return dataclasses.replace(whole, time=whole.time[::EVERY], sensors=sensors, **arrays)
 
 
-if __name__ == "__main__":
+def recorded() -> None:
+    """A walk of each spine over each terrain, on the default body, from one start."""
     for spine in SPINES:
-        for scene, (pilot, values) in PLACES.items():
-            policy = load_policy(HERE / f"{spine}.npz").upon(**pilot)
-            simulator = Simulator(Setup(scene=scene, physics="fast", controller=policy), engine="c")
-            run = Run(duration=10.0, warmup=1.0)
-            result = simulator.run(DAMPED | values | {"contact.friction": 1.2}, run, record=True)
+        ground, gait = Ground(spine), gaits().loc[spine, SHOWN].dropna().to_dict()
+        for place in PLACES:
+            values = {**ground.body, **gait, **place.values, "contact.friction": 1.2}
+            values |= {} if None in place.heights else {"terrain.height": 0.01}
+            result = ground.simulators[place.scene].run(values, Run(duration=10.0, warmup=1.0), record=True)
             speed, aside = (float(result.metrics[name][0]) for name in ("speed", "cross_track_peak"))
             outcome = f"{result.status[0]}, {1000 * speed:.0f} mm/s, {1000 * aside:.0f} mm aside"
-            print(f"{spine} on {scene}: {outcome}", flush=True)
-            short(result.recording()).save(HERE / "walks" / scene / f"{spine}.npz")
+            print(f"{spine} on {place.scene}: {outcome}", flush=True)
+            short(result.recording()).save(HERE / "walks" / place.scene / f"{spine}.npz")
+
+
+def drawn() -> None:
+    """The three spines side by side on each terrain, and cut from these the free one on all."""
+    free: list[list[Image.Image]] = []
+    for place in PLACES:
+        files = [HERE / "walks" / place.scene / f"{spine}.npz" for spine in SPINES]
+        out = IMAGES / "spines" / f"{place.scene}.webp"
+        size = ["--fps", "8", "--width", str(WIDTH), "--height", str(HEIGHT)]
+        subprocess.run(["nermo-mjx", "render", *files, "--out", out, *size, "--quiet"], check=True)
+        with Image.open(out) as film:
+            top = film.height - HEIGHT - FOOTER
+            box = (0, top, WIDTH, top + HEIGHT)
+            free.append([frame.convert("RGB").crop(box) for frame in ImageSequence.Iterator(film)])
+    sheets = []
+    for frames in zip(*free, strict=True):
+        sheets.append(Image.new("RGB", (4 * WIDTH, 2 * HEIGHT), "white"))
+        for i, frame in enumerate(frames):
+            sheets[-1].paste(frame, (i % 4 * WIDTH, i // 4 * HEIGHT))
+    sheets[0].save(IMAGES / "terrains.webp", save_all=True, append_images=sheets[1:], duration=125, loop=0, quality=70)
+
+
+if __name__ == "__main__":
+    recorded()
+    drawn()
