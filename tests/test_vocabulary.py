@@ -160,7 +160,7 @@ def test_motor_current_is_one_thing_as_metric_and_as_observation():
 
 
 def test_a_policy_of_a_former_version_observes_the_same_numbers():
-    path = ROOT / "docs" / "howto" / "terrain" / "free.npz"
+    path = ROOT / "tests" / "data" / "former_policy.npz"
     about = json.loads(bytes(np.load(path)["about"]))
     policy = load_policy(path)
     assert {"servo_load.spine", "tilt.x", "gyro.x"} <= set(about["observation"]), "it is of a former version"

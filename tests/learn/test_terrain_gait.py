@@ -1,4 +1,4 @@
-"""The how-to's search for a gait on rough ground, the training files that begin with its gaits, and its policy."""
+"""The search for gaits on rough ground of docs/spine_on_terrain.md, and the gaits that it found."""
 
 from __future__ import annotations
 
@@ -7,22 +7,16 @@ import importlib.util
 import sys
 from pathlib import Path
 
-import jax
 import numpy as np
+import pandas as pd
 import pytest
 
 from nermo_mjx import Run, Setup, Simulator
-from nermo_mjx.learn import load_policy
 from nermo_mjx.learn.spec import Training
 
 pytestmark = pytest.mark.compiles
 ROOT = Path(__file__).parents[2]
 FOLDER = ROOT / "docs" / "howto" / "terrain"
-FILES = {
-    "free": ROOT / "sweeps" / "train_terrains.yaml",
-    "stiff": FOLDER / "stiff.yaml",
-    "passive": FOLDER / "passive.yaml",
-}
 
 
 @pytest.fixture(scope="module")
@@ -62,46 +56,28 @@ def test_the_search_counts_a_way_beside_the_path(howto):
     assert narrow == pytest.approx(10.0 * wide)
 
 
-def test_trainings_of_the_three_spines_differ_in_gait_and_spine_alone():
-    """So that what differs between them is the spine."""
-    free, *others = (Training.from_file(path) for path in FILES.values())
-    for other in others:
-        assert [each.setup.scene for each in other.scenes] == [each.setup.scene for each in free.scenes]
-        assert [each.share for each in other.scenes] == [each.share for each in free.scenes]
-        assert (other.algorithm, other.worlds, other.steps, other.evaluation, other.validation) == (
-            free.algorithm,
-            free.worlds,
-            free.steps,
-            free.evaluation,
-            free.validation,
-        )
-        assert other.task.rewards == free.task.rewards
-        assert other.task.randomize == free.task.randomize
-        assert "spine" not in other.setup.spine
+def test_the_gaits_of_the_page_differ_in_the_spine_alone(howto):
+    """One frequency, the same bodies around the default one as in the training file, the same walks of each seed."""
+    found = howto.gaits().drop(index=["begin", "first"], level="seed")
+    assert set(found.frequency) == {howto.FREQUENCY}
+    assert not found.loc[["stiff", "passive"], list(howto.BENDING)].notna().any(axis=None)
+    training = Training.from_file(ROOT / "sweeps" / "train_terrains.yaml")
+    for scene in training.scenes:
+        assert {name: tuple(scene.task.randomize[name]) for name in howto.BODIES} == howto.BODIES
+    default = Simulator(Setup(physics="fast"), engine="c").parameters({})
+    for name, (low, high) in howto.BODIES.items():
+        assert low < default[name] < high
+    walks = pd.read_csv(FOLDER / "seeds.csv", dtype={"seed": str})
+    assert {*walks.groupby(["spine", "seed"]).groups} == {*found.index}
+    assert all(
+        sorted(each.scene) == sorted(place.scene for place in howto.PLACES)
+        for _, each in walks.groupby(["spine", "seed"])
+    )
 
 
-def test_the_policy_of_the_page_climbs_the_spiral_stair():
-    """On steps of 10 mm, from 128 starts, and nearer its path than the gait alone.
-
-    It passes 97.6 % of walks in docs/terrain.md, and 243 to 249 of 256 of these starts with MuJoCo 3.17 and 4, whose
-    walks on stairs differ: at 96 %, 13 failures of 128 are chance in one of 500 tests.
-    """
-    policy = load_policy(FOLDER / "free.npz").upon(pilot="arc")
-    simulator = Simulator(Setup(scene="spiral_stairs", physics="fast", controller=policy), engine="c")
-    values = {
-        "pilot.radius": 0.5,
-        "terrain.height": 0.01,
-        "contact.friction": [0.9, 1.2, 1.4, 1.5] * 32,
-        "start.phase": np.arange(128) / 128,
-    }
-    # The body that it was trained on; on the default one it passes in a fifth of the walks.
-    values |= {"damping.knee": 0.02531, "damping.ankle": 0.02531, "damping.spine": 0.09242}
-    none = dataclasses.replace(policy, actor=jax.tree.map(np.zeros_like, policy.actor)).parameters
-    run = Run(duration=10.0, warmup=1.0)
-    result = simulator.run(values, run, policy=policy.parameters)
-    few = {name: value[::5] if np.ndim(value) else value for name, value in values.items()}  # on each of the frictions
-    alone = simulator.run(few, run, policy=none)
-    aside = result.metrics["cross_track_peak"]
-    passed = (np.array(result.status) == "ok") & (result.metrics["distance"] >= 0.5) & (aside <= 0.15)
-    assert passed.sum() >= 116
-    assert np.nanmean(aside[::5]) < np.nanmean(alone.metrics["cross_track_peak"])  # 0.86 times with JAX 0.12
+def test_a_gait_of_the_page_climbs_the_spiral_stair(howto):
+    """On steps of 10 mm, on drawn bodies that the table does not have."""
+    spiral = next(place for place in howto.PLACES if place.scene == "spiral_stairs")
+    ground = howto.Ground("passive", (spiral,))
+    walks = howto.measured(ground, howto.gaits().loc["passive", "0"].dropna().to_dict(), seed=100, times=64)
+    assert walks.successes.item() >= 56

@@ -6,6 +6,8 @@ gaits of a generation start alike, on the same ground with the same bodies, and 
 easy draw. The result is the centre of the last distribution, which many gaits have shaped, not the best single gait.
 
     python search_gait.py free first 0 1 2 3 4    # the spine, or stiff, or passive; one search for each seed
+    python search_gait.py free begin                # the walks of the gait that it begins with, at its own frequency
+    python search_gait.py compare
 """
 
 from __future__ import annotations
@@ -19,6 +21,7 @@ from typing import Any
 import cma
 import numpy as np
 import pandas as pd
+from scipy import stats
 
 from nermo_mjx import ParameterError, Run, Setup, Simulator
 
@@ -191,11 +194,36 @@ def appended(name: str, rows: pd.DataFrame) -> None:
     table.to_csv(path, index=False, float_format="%.5g")
 
 
+def compared(table: pd.DataFrame) -> pd.DataFrame:
+    """Means over the seeds for each scene and for all, of success as a share, and how far those of the free spine lie
+    above the others, with half of the 95 % interval: Student's t over the seeds, whose walks have the same bodies."""
+    table = table[table.seed != "begin"].assign(success=table.successes / table.walks)
+    table = table.drop(columns=["walks", "successes"])
+    every = table.groupby(["spine", "seed"], as_index=False).mean(numeric_only=True).assign(scene="all")
+    seeds = pd.concat([table, every]).set_index(["scene", "seed", "spine"]).unstack("spine")
+    rows = {}
+    for name in ("success", *MEASURED):
+        for scene, each in seeds[name].groupby("scene", sort=False):
+            row = each.mean().to_dict()
+            for other in ("stiff", "passive"):
+                apart = each.free - each[other]
+                half = apart.sem() * stats.t.ppf(0.975, len(apart) - 1)
+                row |= {f"free - {other}": apart.mean(), f"+- {other}": half}
+            rows[name, scene] = row
+    return pd.DataFrame(rows).T
+
+
 if __name__ == "__main__":
+    if sys.argv[1] == "compare":
+        print(compared(pd.read_csv(HERE / "seeds.csv")).round(4).to_string())
+        sys.exit()
     spine, seeds = sys.argv[1], sys.argv[2:]
     ground = Ground(spine)
     for seed in seeds:
-        gait = search(spine, ground, seed)
-        appended("gaits.csv", pd.DataFrame([{"spine": spine, "seed": seed} | gait]))
-        if seed != "first":
-            appended("seeds.csv", measured(ground, gait, int(seed)).assign(spine=spine, seed=seed))
+        if seed == "begin":  # at its own frequency, as it is
+            walks = measured(ground, gaits().loc[spine, seed].dropna().to_dict(), 0, times=100)
+        else:
+            gait = search(spine, ground, seed)
+            appended("gaits.csv", pd.DataFrame([{"spine": spine, "seed": seed} | gait]))
+            walks = pd.DataFrame() if seed == "first" else measured(ground, gait, int(seed))
+        appended("seeds.csv", walks.assign(spine=spine, seed=seed))
