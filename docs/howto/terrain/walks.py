@@ -1,4 +1,5 @@
-"""The walks of docs/spine_on_terrain.md as short recordings, walks/SCENE/SPINE.npz beside this file, and its pictures.
+"""The walks of docs/spine_on_terrain.md as short recordings, walks/SCENE/SPINE.npz beside this file, and the pictures
+of that page and of docs/terrain.md.
 
 python walks.py
 """
@@ -7,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import subprocess
+import tempfile
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +23,7 @@ IMAGES = HERE.parents[1] / "images"
 SPINES = ("free", "stiff", "passive")
 SHOWN = "0"  # the seed
 BEGIN, END, EVERY = 1.0, 5.0, 4  # [s], samples: 25 of 100 in a second
-WIDTH, HEIGHT, FOOTER = 200, 150, 40  # of a robot's picture, and below it [pixels]
+WIDTH, HEIGHT = 200, 150  # of a robot's picture [pixels]
 
 
 def short(recording: Recording) -> Recording:
@@ -36,40 +38,41 @@ def short(recording: Recording) -> Recording:
     return dataclasses.replace(whole, time=whole.time[::EVERY], sensors=sensors, **arrays)
 
 
-def recorded() -> None:
-    """A walk of each spine over each terrain, on the default body, from one start."""
-    for spine in SPINES:
-        ground, gait = Ground(spine), gaits().loc[spine, SHOWN].dropna().to_dict()
-        for place in PLACES:
-            values = {**ground.body, **gait, **place.values, "contact.friction": 1.2}
-            values |= {} if None in place.heights else {"terrain.height": 0.01}
-            result = ground.simulators[place.scene].run(values, Run(duration=10.0, warmup=1.0), record=True)
-            speed, aside = (float(result.metrics[name][0]) for name in ("speed", "cross_track_peak"))
-            outcome = f"{result.status[0]}, {1000 * speed:.0f} mm/s, {1000 * aside:.0f} mm aside"
-            print(f"{spine} on {place.scene}: {outcome}", flush=True)
-            short(result.recording()).save(HERE / "walks" / place.scene / f"{spine}.npz")
-
-
-def drawn() -> None:
-    """The three spines side by side on each terrain, and cut from these the free one on all."""
-    free: list[list[Image.Image]] = []
+def recorded(spine: str, seed: str, folder: Path) -> list[Path]:
+    """A walk of a gait over each terrain, on the default body, from one start."""
+    ground, gait = Ground(spine), gaits().loc[spine, seed].dropna().to_dict()
+    files = []
     for place in PLACES:
-        files = [HERE / "walks" / place.scene / f"{spine}.npz" for spine in SPINES]
-        out = IMAGES / "spines" / f"{place.scene}.webp"
-        size = ["--fps", "8", "--width", str(WIDTH), "--height", str(HEIGHT)]
-        subprocess.run(["nermo-mjx", "render", *files, "--out", out, *size, "--quiet"], check=True)
-        with Image.open(out) as film:
-            top = film.height - HEIGHT - FOOTER
-            box = (0, top, WIDTH, top + HEIGHT)
-            free.append([frame.convert("RGB").crop(box) for frame in ImageSequence.Iterator(film)])
+        values = {**ground.body, **gait, **place.values, "contact.friction": 1.2}
+        values |= {} if None in place.heights else {"terrain.height": 0.01}
+        result = ground.simulators[place.scene].run(values, Run(duration=10.0, warmup=1.0), record=True)
+        speed, aside = (float(result.metrics[name][0]) for name in ("speed", "cross_track_peak"))
+        outcome = f"{result.status[0]}, {1000 * speed:.0f} mm/s, {1000 * aside:.0f} mm aside"
+        print(f"{spine} {seed} on {place.scene}: {outcome}", flush=True)
+        files.append(short(result.recording()).save(folder / place.scene / f"{spine}.npz"))
+    return files
+
+
+def rendered(files: list[Path], out: Path) -> None:
+    """Recordings side by side."""
+    size = ["--fps", "8", "--width", str(WIDTH), "--height", str(HEIGHT)]
+    subprocess.run(["nermo-mjx", "render", *files, "--out", out, *size, "--quiet"], check=True)
+
+
+if __name__ == "__main__":
+    beside = [recorded(spine, SHOWN, HERE / "walks") for spine in SPINES]
+    for files in zip(*beside, strict=True):
+        rendered(list(files), IMAGES / "spines" / f"{files[0].parent.name}.webp")
+    with tempfile.TemporaryDirectory() as folder:
+        films = []
+        for file in recorded("passive", "begin", Path(folder)):
+            rendered([file], file.with_suffix(".webp"))
+            films.append(
+                [frame.convert("RGB") for frame in ImageSequence.all_frames(Image.open(file.with_suffix(".webp")))]
+            )
     sheets = []
-    for frames in zip(*free, strict=True):
+    for frames in zip(*films, strict=True):
         sheets.append(Image.new("RGB", (4 * WIDTH, 2 * HEIGHT), "white"))
         for i, frame in enumerate(frames):
             sheets[-1].paste(frame, (i % 4 * WIDTH, i // 4 * HEIGHT))
     sheets[0].save(IMAGES / "terrains.webp", save_all=True, append_images=sheets[1:], duration=125, loop=0, quality=70)
-
-
-if __name__ == "__main__":
-    recorded()
-    drawn()
