@@ -58,7 +58,9 @@ def test_the_search_counts_a_way_beside_the_path(howto):
 
 def test_the_gaits_of_the_page_differ_in_the_spine_alone(howto):
     """One frequency, the same bodies around the default one as in the training file, the same walks of each seed."""
-    found = howto.gaits().drop(index=["begin", "first"], level="seed")
+    found = howto.gaits()
+    found = found[found.index.get_level_values("seed").str.isdigit()]
+    assert len(found) == 15
     assert set(found.frequency) == {howto.FREQUENCY}
     assert not found.loc[["stiff", "passive"], list(howto.BENDING)].notna().any(axis=None)
     training = Training.from_file(ROOT / "sweeps" / "train_terrains.yaml")
@@ -68,6 +70,7 @@ def test_the_gaits_of_the_page_differ_in_the_spine_alone(howto):
     for name, (low, high) in howto.BODIES.items():
         assert low < default[name] < high
     walks = pd.read_csv(FOLDER / "seeds.csv", dtype={"seed": str})
+    walks = walks[walks.seed.str.isdigit()]
     assert {*walks.groupby(["spine", "seed"]).groups} == {*found.index}
     assert all(
         sorted(each.scene) == sorted(place.scene for place in howto.PLACES)
@@ -79,5 +82,5 @@ def test_a_gait_of_the_page_climbs_the_spiral_stair(howto):
     """On steps of 10 mm, on drawn bodies that the table does not have."""
     spiral = next(place for place in howto.PLACES if place.scene == "spiral_stairs")
     ground = howto.Ground("passive", (spiral,))
-    walks = howto.measured(ground, howto.gaits().loc["passive", "0"].dropna().to_dict(), seed=100, times=64)
-    assert walks.successes.item() >= 56
+    walks = howto.measured(ground, howto.gaits().loc["passive", "0"].dropna().to_dict(), seed=100)
+    assert walks.successes.item() >= 43  # of 48

@@ -1,10 +1,10 @@
 """Gaits for rough ground with the spine free, stiff and passive: CMA-ES with the steering, on seven scenes, with drawn
 bodies. All have one frequency, so that what differs is the spine.
 
-The stiff and the passive spine begin with their gaits `begin` in gaits.csv, the free one with the stiff one's and a small
-bend, so that all that the stiff spine can do is within its reach. All gaits of a generation start alike, on the same
-ground with the same bodies, and each generation anew: no gait wins by an easy draw. The result is the centre of the last
-distribution, which many gaits have shaped, not the best single gait.
+The stiff and the passive spine begin with their gaits `begin` in gaits.csv, the free one with the stiff one's and a
+small bend, so that all that the stiff spine can do is within its reach. All gaits of a generation start alike, on the
+same ground with the same bodies, and each generation anew: no gait wins by an easy draw. The result is the centre of
+the last distribution, which many gaits have shaped, not the best single gait.
 
     python search_gait.py free begin 0 1 2 3 4    # the spine, or stiff, or passive; one search for each seed, and the
                                                   # walks of the gait `begin` at its own frequency
@@ -158,7 +158,7 @@ def scores_of(ground: Ground, tried: list[Gait], random: np.random.Generator) ->
         score -= 0.6 * (~walks.ok + np.clip(aside - 1.0, 0.0, 1.0))
         scores += score.groupby(walks.gait).mean() / len(ground.places)
         passed.append(f"{place.scene} {(walks.ok & (distance >= 0.35) & (aside <= 1.0)).mean():.0%}")
-    return scores, f"{scores.mean():.3f} m, {', '.join(passed)}"
+    return np.asarray(scores), f"{scores.mean():.3f} m, {', '.join(passed)}"
 
 
 def begun(spine: str, ground: Ground, random: np.random.Generator) -> Gait:
