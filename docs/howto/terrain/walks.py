@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 from PIL import Image, ImageSequence
-from search_gait import PLACES, Ground, gaits
+from search_gait import PLACES, SLACK, Ground, gaits
 
 from nermo_mjx import Run
 from nermo_mjx.recording import Recording
@@ -38,12 +38,12 @@ def short(recording: Recording) -> Recording:
     return dataclasses.replace(whole, time=whole.time[::EVERY], sensors=sensors, **arrays)
 
 
-def recorded(spine: str, seed: str, folder: Path) -> list[Path]:
+def recorded(ground: Ground, spine: str, seed: str, folder: Path) -> list[Path]:
     """A walk of a gait over each terrain, on the default body, from one start."""
-    ground, gait = Ground(spine), gaits().loc[spine, seed].dropna().to_dict()
+    gait = gaits().loc[spine, seed].dropna().to_dict() | (SLACK if spine == "passive" else {})
     files = []
     for place in PLACES:
-        values = {**ground.body, **gait, **place.values, "contact.friction": 1.2}
+        values = {**gait, **place.values, "contact.friction": 1.2}
         values |= {} if None in place.heights else {"terrain.height": 0.01}
         result = ground.simulators[place.scene].run(values, Run(duration=10.0, warmup=1.0), record=True)
         speed, aside = (float(result.metrics[name][0]) for name in ("speed", "cross_track_peak"))
@@ -60,12 +60,13 @@ def rendered(files: list[Path], out: Path) -> None:
 
 
 if __name__ == "__main__":
-    beside = [recorded(spine, SHOWN, HERE / "walks") for spine in SPINES]
+    bent, straight = Ground("free"), Ground("stiff")
+    beside = [recorded(bent if spine == "free" else straight, spine, SHOWN, HERE / "walks") for spine in SPINES]
     for files in zip(*beside, strict=True):
         rendered(list(files), IMAGES / "spines" / f"{files[0].parent.name}.webp")
     with tempfile.TemporaryDirectory() as folder:
         films = []
-        for file in recorded("passive", "begin", Path(folder)):
+        for file in recorded(straight, "passive", "begin", Path(folder)):
             rendered([file], file.with_suffix(".webp"))
             films.append(
                 [frame.convert("RGB") for frame in ImageSequence.all_frames(Image.open(file.with_suffix(".webp")))]
