@@ -123,12 +123,14 @@ def test_a_wrong_class_is_named_and_what_it_lacks(path: Path) -> None:
     assert "kp" in cause
 
 
+@pytest.mark.release
 def test_the_simplest_class_leaves_out_what_is_not_there(path: Path) -> None:
     found = identified_arm(path, ("damping", "armature", "kp", "bias", "frictionloss"), logged())
     assert {"bias", "frictionloss"} <= set(found.left_out)
     assert found.errors["simplest class"] < 1.1
 
 
+@pytest.mark.release
 def test_the_result_is_the_same_twice(path: Path) -> None:
     one, other = (identified_arm(path, ("damping", "kp"), logged(2.0)) for _ in range(2))
     assert np.array_equal(one.fit.values, other.fit.values)

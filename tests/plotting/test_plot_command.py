@@ -171,6 +171,7 @@ def test_a_tunings_figures_are_remade_with_the_landscape_it_keeps(walker: FakeWa
     assert content(tmp_path / "again") == made
 
 
+@pytest.mark.release
 def test_a_directory_of_experiments_is_drawn_again(tmp_path: Path) -> None:
     """From the stored tables and recordings: the pictures that the run itself would draw."""
     outcome, out = walked(), tmp_path / "experiments"
