@@ -545,6 +545,7 @@ def _print_landscape(result: LandscapeResult) -> None:
 @_plots
 @flag("--onnx", "Also write policy.onnx; needs the extra onnx.")
 @flag("--tensorboard", _tensorboard.format("iteration"))
+@flag("--video", "Render a walk of the policy at each checkpoint, in DIR/videos.")
 @_dry_run
 @options.engine
 @options.accept_new_code

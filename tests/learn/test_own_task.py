@@ -203,7 +203,7 @@ def test_a_curriculum_raises_the_ground():
     """What the critic sees of it ahead: nothing at first, planks of one and of two centimetres later."""
     setup = Setup(scene="planks", physics="fast")
     environment = Environment(setup, worlds=8, task=Task(commands=rougher, randomize={"start.phase": (0.0, 1.0)}))
-    ground = [name.startswith("ground.") for name in environment.privileged_names]
+    ground = [name.startswith("height_scan_") for name in environment.privileged_names]
     highest = []
     for steps in (0, 50, 1e9):
         state = environment.reset(0, steps=steps)
