@@ -508,7 +508,7 @@ def landscape_command(spec: Path, out: Path, **how: Any) -> Output:
     compares exact slopes of the objective with secants of five widths.
     Writes all points, measures, and a figure for each parameter to DIR.
 
-    Example:
+    Examples:
       nermo-mjx landscape sweeps/tune_speed.yaml --out runs/landscape
     """
     from nermo_mjx.optimize import run_landscape
