@@ -500,21 +500,16 @@ def _shortest(tuning: Tuning, name: str, change: float) -> float:
 @command("landscape")
 @options.out
 @_spec
-@number("--points", "Points per line.", click.IntRange(5, 100_000), default=41)
-@number(
-    "--span", "Length of the lines, as a fraction of the bounds.", click.FloatRange(0, 1, min_open=True), default=1.0
-)
 @options.accept_new_code
 def landscape_command(spec: Path, out: Path, **how: Any) -> Output:
     """Measure whether the gradients of a tuning file can be trusted.
 
     Follows a line along each tuned parameter through the given start, and
     compares exact slopes of the objective with secants of five widths.
-    Writes all points, a report, and a figure for each parameter to DIR.
+    Writes all points, measures, and a figure for each parameter to DIR.
 
     Examples:
       nermo-mjx landscape sweeps/tune_speed.yaml --out runs/landscape
-      nermo-mjx landscape sweeps/tune_roll.yaml --span 0.2 --out runs/near
     """
     from nermo_mjx.optimize import run_landscape
 
@@ -533,7 +528,7 @@ def _print_landscape(result: LandscapeResult) -> None:
         click.echo(sentence)
     kept = "" if result.evaluated else ", kept from before"
     click.echo(f"\n{content['evaluations']} walks with gradients in {duration(content['wall_seconds'])}{kept}")
-    print_places(result.out, report="report.md", plots="plots", table="landscape.parquet")
+    print_places(result.out, measures="landscape.json", plots="plots", table="landscape.parquet")
 
 
 @command("train")

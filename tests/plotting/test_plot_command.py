@@ -217,7 +217,7 @@ def test_an_identifications_figures_are_remade(tmp_path: Path) -> None:
 
 def test_a_landscapes_figures_are_remade(tmp_path: Path) -> None:
     tuning = Tuning.from_dict(TUNE_SPEC)
-    run_landscape(tuning, tmp_path / "there", problem=FakeProblem(tuning), points=9)
+    run_landscape(tuning, tmp_path / "there", problem=FakeProblem(tuning))
     made = content(tmp_path / "there" / "plots")
     result = plot(tmp_path / "there", "--out", tmp_path / "again")
     assert result.exit_code == 0, result.stderr
