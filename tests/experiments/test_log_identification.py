@@ -16,7 +16,10 @@ from nermo_mjx.experiments.log_identification import Identification, Wanted, ide
 from nermo_mjx.experiments.log_twin import LoggedTwin, MjcfBody, NermoBody
 from nermo_mjx.files import FileError
 from nermo_mjx.hardware.log import Channel, Log
+from nermo_mjx.learn.spec import Training
+from nermo_mjx.optimize import Search, Tuning
 from nermo_mjx.robot import SERVOS, ParameterError, identified
+from nermo_mjx.sweep import Sweep
 
 
 def main(arguments: list[str]) -> int:
@@ -287,6 +290,31 @@ def test_nermo_is_driven_and_its_bodies_differ() -> None:
     assert body.model.joint("front_left_pulley").qposadr[0] == address  # what the servo turns, not the leg's own knee
 
 
+@pytest.mark.parametrize("kind", [Search, Tuning, Training])
+def test_the_best_body_stands_in_a_job_s_file(kind: type[Search | Tuning | Training], tmp_path: Path) -> None:
+    (tmp_path / "ensemble.csv").write_text("servo.kp,mass.front,mass.rear,objective,weight\n12,0.15,0.1,1,1\n")
+    section = {Search: "vary: {servo.kp: {uniform: [9, 15]}}\nobjective: {maximize: speed}\n"}
+    section[Tuning] = "tune: {servo.kp: {start: 12, bounds: [9, 15]}}\nobjective:\n- {maximize: speed, scale: 0.1}\n"
+    text = section.get(kind, "randomize: {servo.kp: [9, 15]}\n") + "set: {mass.rear: 0.12}\n"
+    (tmp_path / "job.yaml").write_text(text)
+    made = kind.from_file(tmp_path / "job.yaml", str(tmp_path))
+    assert dict(made.resolved()["set"] if kind is not Search else made.sweep.fixed) == {
+        "mass.front": 0.15,
+        "mass.rear": 0.12,
+    }  # type: ignore[union-attr]
+    with pytest.raises(ParameterError, match="no directory of an identification"):
+        kind.from_file(tmp_path / "job.yaml", str(tmp_path / "none"))
+
+
+def test_a_training_draws_from_a_directory_as_a_sweep_does(tmp_path: Path) -> None:
+    (tmp_path / "ensemble.csv").write_text("servo.kp,objective,weight\n12,1,1\n")
+    training = Training.from_dict({"randomize": {"from": str(tmp_path), "start.yaw": [0.0, 0.1]}})
+    assert (training.task.bodies, dict(training.task.randomize)) == (str(tmp_path), {"start.yaw": (0.0, 0.1)})
+    assert Training.from_dict(training.resolved()) == training
+    with pytest.raises(ParameterError, match=r"'randomize\.from' stands beside 'task\.bodies'"):
+        Training.from_dict({"randomize": {"from": str(tmp_path)}, "task": {"bodies": True}})
+
+
 def test_bodies_of_an_identification_are_drawn_and_walked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "ensemble.csv").write_text(
         "# made\nservo.kp,mass.front,objective,weight\n12,0.15,1,0.5\n14,0.16,1,0.5\n"
@@ -309,6 +337,10 @@ def test_bodies_of_an_identification_are_drawn_and_walked(tmp_path: Path, capsys
     assert (walked["servo.kp"], walked["mass.front"]) == (12.0, 0.17)
     assert main(["walk", "--body", str(tmp_path / "none")]) != 0
     assert "no directory of an identification" in capsys.readouterr().err
+    file, out = tmp_path / "sweep.yaml", tmp_path / "swept"
+    file.write_text("run: {duration: 0.1}\nvary: {mass.*: [0.17]}\nset: {frequency: 1.0}\n")
+    assert not main(["sweep", str(file), "--engine", "c", "--body", str(tmp_path), "--out", str(out)])
+    assert Sweep.from_directory(out).fixed == {"frequency": 1.0, "servo.kp": 12.0}
     (tmp_path / "ensemble.csv").write_text("nothing\n")
     identified.bodies.cache_clear()
     with pytest.raises(ParameterError, match="damaged"):
