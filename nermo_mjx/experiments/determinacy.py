@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -204,6 +204,8 @@ class Estimation:
             posterior,
             [self.space.low, self.space.high],
             eps=WIDTH,
+            mu_min=1.0,  # the prior's own weight: less changes no step, and each try is a simulation
+            mu_factor=10.0,
             xtol=1e-4,
             max_iter=iterations,
             verbose=minimize.Verbosity.SILENT,
@@ -229,8 +231,14 @@ class Estimation:
         away = np.nan_to_num(self.problem.predict(self.space.values(points)) - of.values, nan=1e6)
         return np.array([np.sum(np.log(floor + of.by_channel(lambda each, i: rms(each), each))) for each in away])
 
-    def sought(self, generations: int, seed: int) -> np.ndarray:
-        """Coordinates (p,) by CMA-ES over the whole ranges, which contacts and their local minima do not stop."""
+    def sought(self, generations: int, every: int, seed: int) -> Iterator[np.ndarray]:
+        """Best coordinates (p,) so far of CMA-ES over the whole ranges, which local minima of contacts do not stop.
+
+        Args:
+            generations: at most.
+            every: how many come before each of what is found.
+            seed: of the draws.
+        """
         low, wide = self.space.low, self.space.high - self.space.low
         found = strategy(
             np.full(len(wide), 0.5), 0.3, 24, np.random.default_rng(seed), bounds=[0.0, 1.0], maxiter=generations
@@ -238,7 +246,8 @@ class Estimation:
         while not found.stop():
             shares = found.ask()
             found.tell(shares, self.costs(low + np.array(shares) * wide).tolist())
-        return low + np.asarray(found.best.x) * wide
+            if found.countiter % every == 0:
+                yield low + np.asarray(found.best.x) * wide
 
     def weights(self, x: np.ndarray, sigma: np.ndarray) -> np.ndarray:
         """Each channel's residuals, but no less than what its values can tell (channels,)."""

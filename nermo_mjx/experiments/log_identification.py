@@ -30,8 +30,9 @@ STARTS: Final = 3
 #: Points of a Sobol sequence, of which the best are starts beside the default: a delay has local minima.
 SCANNED: Final = 96
 STEPS: Final = 14
-#: Generations of the search that follows where no start explains the piece.
+#: Generations of the search that follows while nothing explains the piece, and after how many Gauss-Newton goes on.
 GENERATIONS: Final = 150
+EVERY: Final = 25
 #: A class is within noise of a larger one if its error on seconds that were not fitted is larger by less.
 WITHIN: Final = 0.02
 #: A class that leaves out a kind which would remove this share of the residuals is wrong.
@@ -199,8 +200,11 @@ def identify_log(
         tried.append((float(np.sum(np.log(sigma))), x, sigma))
         report((i + 1) / (wanted.starts + 3))
     cost, x, sigma = min(tried, key=lambda each: each[0])
-    if not judge(rough.measured, rough.residual(x[:, None], sigma)[:, 0] * sigma[rough.measured.channel]).right:
-        x, sigma = rough.search(rough.sought(GENERATIONS, wanted.seed), iterations=STEPS, rounds=2)
+    far = rough.sought(GENERATIONS, EVERY, wanted.seed)
+    while not judge(rough.measured, rough.residual(x[:, None], sigma)[:, 0] * sigma[rough.measured.channel]).right:
+        if (start := next(far, None)) is None:
+            break
+        x, sigma = rough.search(start, iterations=STEPS, rounds=2)
         tried.append((float(np.sum(np.log(sigma))), x, sigma))
         cost, x, sigma = min(tried, key=lambda each: each[0])
     same = (sum(each[0] < cost + 0.05 * len(sigma) for each in tried), len(tried))
