@@ -8,6 +8,7 @@ and those with one more kind.
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -200,11 +201,11 @@ def identify_log(
         tried.append((float(np.sum(np.log(sigma))), x, sigma))
         report((i + 1) / (wanted.starts + 3))
     cost, x, sigma = min(tried, key=lambda each: each[0])
-    far = rough.sought(GENERATIONS, EVERY, wanted.seed)
+    far = itertools.chain([(x, sigma)], ((each, None) for each in rough.sought(GENERATIONS, EVERY, wanted.seed)))
     while not judge(rough.measured, rough.residual(x[:, None], sigma)[:, 0] * sigma[rough.measured.channel]).right:
         if (start := next(far, None)) is None:
             break
-        x, sigma = rough.search(start, iterations=STEPS, rounds=2)
+        x, sigma = rough.search(*start, iterations=STEPS, rounds=2)
         tried.append((float(np.sum(np.log(sigma))), x, sigma))
         cost, x, sigma = min(tried, key=lambda each: each[0])
     same = (sum(each[0] < cost + 0.05 * len(sigma) for each in tried), len(tried))
@@ -262,10 +263,12 @@ def _narrowed(parameters: list[Parameter], ranges: Mapping[str, tuple[float, flo
         own = [i for i, each in enumerate(parameters) if name in (each.name, each.kind)]
         if not own:
             raise ParameterError(f"--range names {name!r}, which is no free parameter.")
-        if not low < high:
-            raise ParameterError(f"--range {name}: {low:g} to {high:g} is empty.")
+        if not -math.inf < low < high < math.inf:
+            raise ParameterError(f"--range {name}: {low:g} to {high:g} is empty, or has no end.")
         for i in own:
             each = parameters[i]
+            if each.low > 0 >= low:
+                raise ParameterError(f"--range {name}: {low:g} to {high:g} is not above 0, as {each.name} is.")
             value = min(max(each.value, low), high)
             parameters[i] = dataclasses.replace(each, low=low, high=high, value=value, why="as given")
     return parameters

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import difflib
 from collections.abc import Iterator, Sequence
 from typing import Final
 
@@ -141,6 +142,8 @@ _LATE: Final = 0.01
 _PARTS: Final = 6
 _DRIFTED: Final = 0.01
 _CERTAIN: Final = 5.0
+#: Interval beyond which the unit of a time is in doubt [s].
+_SLOWEST: Final = 2.0
 #: Turns of servos [rad], angular velocities [rad/s], and weights [m/s^2] beyond which a unit is wrong: 2,000 deg/s is
 #: what gyros measure.
 _TURNS: Final = 2.0 * np.pi
@@ -180,6 +183,15 @@ def findings_of(log: Log) -> tuple[str, ...]:
             most = f"{1e3 * max(others):.0f} ms at most"
             found.append(f"{name} lags by {1e3 * lag:.0f} ms behind its command, the other servos by {most}.")
     found += _drifts(log, pairs)
+    alone, unled = ([of for of in a if of not in b] for a, b in ((commands, angles), (angles, commands)))
+    for of in alone:
+        for other in difflib.get_close_matches(of, unled, 1, 0.8):
+            found.append(
+                f"{commands[of].name} is of {of!r}, and {angles[other].name} of {other!r}: are both of one servo?"
+            )
+    if slow := [each.name for each in log.channels if each.interval > _SLOWEST]:
+        every = max(each.interval for each in log.channels)
+        found.append(f"{several(slow)}: a sample comes every {every:.3g} s: has the time another unit?")
     for channel in log.channels:
         led = channel.quantity == "angle" and channel.of in lags
         expected = values_at(commands[channel.of], channel.times - lags[channel.of][0]) if led else None

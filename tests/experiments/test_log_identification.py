@@ -251,6 +251,8 @@ def test_the_command_writes_a_report_the_model_and_what_to_measure_next(
     ("more", "sentence"),
     [
         (["--range", "kp=2"], "expected NAME=LOW:HIGH"),
+        (["--range", "kp=-1:2"], "--range kp: -1 to 2 is not above 0, as kp.servo is"),
+        (["--range", "kp=1:inf"], "--range kp: 1 to inf is empty, or has no end"),
         (["--free", "colour"], "is no kind of parameters"),
         (["--samples", "8"], "--samples is for the published speeds: it does not go with --log"),
         (["--robot", "nermo_lite"], "--model is another robot: give it, or --robot"),

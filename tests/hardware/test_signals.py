@@ -99,6 +99,20 @@ def test_a_lag_is_found_between_samples(lag, quantum):
     assert lag_of(log.of_quantity("angle")["spine"], command)[0] == pytest.approx(lag, abs=1.5e-3)
 
 
+def test_names_and_times_in_doubt_are_named():
+    log = log_with()
+    spine = log.channel("command", "spine")
+    log = dataclasses.replace(
+        log, channels=tuple(dataclasses.replace(e, of="spin") if e is spine else e for e in log.channels)
+    )
+    assert findings_of(log) == ("cmd_spine is of 'spin', and pos_spine of 'spine': are both of one servo?",)
+    slow = tuple(dataclasses.replace(each, times=1e3 * each.times) for each in log_with().channels)
+    (found,) = findings_of(Log(slow, "log"))
+    assert (
+        found == "cmd_hip_1, pos_hip_1, cmd_hip_2 and 9 others: a sample comes every 10 s: has the time another unit?"
+    )
+
+
 @pytest.mark.parametrize("drift", [0.0, 2e-3, -3e-3])
 def test_a_clock_that_drifts_is_found(drift):
     """The angles' clock, and that of a video whose yaw is beside a gyro; stamps of one clock are not suspected."""
