@@ -786,7 +786,13 @@ def _identify_log(
     seed: int,
 ) -> Output:
     from nermo_mjx.experiments import log_identification, log_report, log_twin
+    from nermo_mjx.files import MOST_FILE, read_bytes
     from nermo_mjx.hardware.log import read_log
+    from nermo_mjx.robot.robot import fingerprint
+    from nermo_mjx.runs import code
+    from nermo_mjx.runs.directory import digest
+    from nermo_mjx.runs.job import resumable
+    from nermo_mjx.specs.described import digest_of
 
     if channels is None:
         raise WrongUse("--log needs --channels FILE.yaml, which says what the columns are.")
@@ -810,8 +816,13 @@ def _identify_log(
     unread = [each.name for each in logs[0].channels if each.quantity not in (*log_twin.PREDICTED, "command")]
     if unread:
         say(f"not compared, since they are not predicted: {', '.join(unread)}.")
-    with ProgressBar("identify") as shown:
-        found = log_identification.identify_log(make, logs, wanted, judges, shown.share)
+    stamp = code.stamp(fingerprint(make(kinds).model), "c", ("experiments", "hardware"))
+    decides = digest_of(
+        stamp.id, repr(wanted), [digest(read_bytes(each, MOST_FILE)) for each in (*log, channels, *check)]
+    )
+    with ProgressBar("identify") as shown, resumable(out):
+        kept = log_report.kept_in(out, decides)
+        found = log_identification.identify_log(make, logs, wanted, judges, shown.share, kept)
     content = log_report.write_identification(found, out, shlex.join(["nermo-mjx", *sys.argv[1:]]))
 
     def show() -> None:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any, Final
+from typing import Any, Final, TypeAlias
 
 import numpy as np
 from mujoco import minimize
@@ -19,6 +19,8 @@ from scipy.stats import qmc
 
 from nermo_mjx.optimize.methods import strategy
 
+#: See `Estimation`.
+Kept: TypeAlias = Callable[[Callable[[], np.ndarray]], np.ndarray]
 #: A parameter is determined if its 90 % interval is narrower than this share of its range.
 DETERMINED: Final = 0.1
 #: A ratio or a product is determined if it is known this much better than each of its parameters.
@@ -181,10 +183,11 @@ class Estimation:
         space: of the parameters.
         problem: with `measured`; `predict(values)` (k, p) -> (k, n), NaN where the model fails; and `renew` and
             `project`, which remove from whitened residuals what unknown starts explain, see `without`.
+        kept: of what computes an array, that array: computed, or kept from before.
     """
 
-    def __init__(self, space: ParameterSpace, problem: Any) -> None:
-        self.space, self.problem, self.measured = space, problem, problem.measured
+    def __init__(self, space: ParameterSpace, problem: Any, kept: Kept = lambda compute: compute()) -> None:
+        self.space, self.problem, self.measured, self._kept = space, problem, problem.measured, kept
 
     def residual(self, x: np.ndarray, sigma: np.ndarray) -> np.ndarray:
         """Whitened residuals (n, k) at coordinates (p, k)."""
@@ -199,18 +202,16 @@ class Estimation:
         def posterior(x: np.ndarray) -> np.ndarray:
             return np.concatenate([self.residual(x, sigma), x])
 
-        found, _ = minimize.least_squares(
-            np.clip(x, self.space.low, self.space.high),
-            posterior,
-            [self.space.low, self.space.high],
-            eps=WIDTH,
-            mu_min=1.0,  # the prior's own weight: less changes no step, and each try is a simulation
-            mu_factor=10.0,
-            xtol=1e-4,
-            max_iter=iterations,
-            verbose=minimize.Verbosity.SILENT,
-        )
-        return np.asarray(found).ravel()
+        def found() -> np.ndarray:
+            start, bounds = np.clip(x, self.space.low, self.space.high), [self.space.low, self.space.high]
+            # Less regularization than the prior's own changes no step, and each try is a simulation.
+            least, _ = minimize.least_squares(
+                start, posterior, bounds, eps=WIDTH, mu_min=1.0, mu_factor=10.0, xtol=1e-4, max_iter=iterations,
+                verbose=minimize.Verbosity.SILENT,
+            )  # fmt: skip
+            return np.asarray(least).ravel()
+
+        return self._kept(found)
 
     def spread(self) -> np.ndarray:
         """Of each channel, a start for the weights: a tenth of its standard deviation (channels,)."""
@@ -228,8 +229,12 @@ class Estimation:
     def costs(self, points: np.ndarray) -> np.ndarray:
         """Of coordinates (k, p): the sum of the logarithms of the channels' residuals, whose least needs no weights."""
         of, floor = self.measured, self.spread() * 1e-6
-        away = np.nan_to_num(self.problem.predict(self.space.values(points)) - of.values, nan=1e6)
-        return np.array([np.sum(np.log(floor + of.by_channel(lambda each, i: rms(each), each))) for each in away])
+
+        def found() -> np.ndarray:
+            away = np.nan_to_num(self.problem.predict(self.space.values(points)) - of.values, nan=1e6)
+            return np.array([np.sum(np.log(floor + of.by_channel(lambda each, i: rms(each), each))) for each in away])
+
+        return self._kept(found)
 
     def sought(self, generations: int, every: int, seed: int) -> Iterator[np.ndarray]:
         """Best coordinates (p,) so far of CMA-ES over the whole ranges, which local minima of contacts do not stop.

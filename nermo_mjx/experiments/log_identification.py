@@ -17,7 +17,17 @@ from typing import Any, Final
 import numpy as np
 
 from nermo_mjx.experiments import determinacy
-from nermo_mjx.experiments.determinacy import Estimation, Fit, Judgement, Parameter, ParameterSpace, judge, percent, rms
+from nermo_mjx.experiments.determinacy import (
+    Estimation,
+    Fit,
+    Judgement,
+    Kept,
+    Parameter,
+    ParameterSpace,
+    judge,
+    percent,
+    rms,
+)
 from nermo_mjx.experiments.log_twin import KINDS, Body, LoggedTwin, until
 from nermo_mjx.hardware.log import Log
 from nermo_mjx.robot import ParameterError
@@ -166,6 +176,7 @@ def identify_log(
     wanted: Wanted,
     judges: Sequence[Log] = (),
     report: Callable[[float], None] = lambda share: None,
+    kept: Kept = lambda compute: compute(),
 ) -> Identification:
     """Fit a body to logs.
 
@@ -175,6 +186,7 @@ def identify_log(
         wanted: parameters, ranges, and effort.
         judges: other logs that judge; by default the last quarter of each.
         report: is told the share done.
+        kept: see `Estimation`; the order is always the same.
 
     Raises:
         ParameterError: the log and the model do not fit together, or no parameter is free.
@@ -195,7 +207,7 @@ def identify_log(
 
     # Starts are compared on a piece, where wrong ones are told from right ones as well.
     pieces = [until(log, min(log.duration, max(PIECE[0] * log.duration, PIECE[1]))) for log in heads]
-    rough, tried = Estimation(space, twin(pieces, names)), []
+    rough, tried = Estimation(space, twin(pieces, names), kept), []
     for i, start in enumerate([np.zeros(len(space)), *rough.scanned(SCANNED, wanted.seed)[: wanted.starts - 1]]):
         x, sigma = rough.search(start, iterations=STEPS, rounds=1)
         tried.append((float(np.sum(np.log(sigma))), x, sigma))
@@ -209,7 +221,7 @@ def identify_log(
         tried.append((float(np.sum(np.log(sigma))), x, sigma))
         cost, x, sigma = min(tried, key=lambda each: each[0])
     same = (sum(each[0] < cost + 0.05 * len(sigma) for each in tried), len(tried))
-    whole = Estimation(space, twin(heads, names))
+    whole = Estimation(space, twin(heads, names), kept)
     fit = whole.fit(x, sigma, iterations=STEPS, same=same, seed=wanted.seed)
     report(1 - 2 / (wanted.starts + 3))
 
@@ -232,14 +244,14 @@ def identify_log(
     errors = {"default body": before.error(sigma), "identified": after.error(sigma)}
     # A class without kinds that the data do not ask for, if the seconds that were not fitted do not miss them.
     left, simplest = determinacy.dispensable(fit), fit
-    kept = [each for each in space.parameters if each.kind not in left]
-    if left and kept:
+    asked = [each for each in space.parameters if each.kind not in left]
+    if left and asked:
         fixed = [each for each in space.parameters if each.kind in left]
         lean = body.at({each.name: float(np.clip(each.neutral, each.low, each.high)) for each in fixed})
-        smaller = ParameterSpace(kept)
-        start = smaller.coordinates(np.array([fit.values[names.index(each.name)] for each in kept]))
-        own = [each.name for each in kept]
-        candidate = Estimation(smaller, twin(heads, own, lean)).fit(start, fit.sigma, STEPS, 1, same, wanted.seed)
+        smaller = ParameterSpace(asked)
+        start = smaller.coordinates(np.array([fit.values[names.index(each.name)] for each in asked]))
+        own = [each.name for each in asked]
+        candidate = Estimation(smaller, twin(heads, own, lean), kept).fit(start, fit.sigma, STEPS, 1, same, wanted.seed)
         error = verdict(lean, own, candidate.values, *rest).error(sigma)
         if error < (1 + WITHIN) * errors["identified"]:
             simplest, errors["simplest class"] = candidate, error

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import html
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -16,7 +16,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from nermo_mjx.experiments import determinacy
-from nermo_mjx.experiments.determinacy import Estimation, percent
+from nermo_mjx.experiments.determinacy import Estimation, Kept, percent
 from nermo_mjx.experiments.log_identification import Identification
 from nermo_mjx.experiments.log_twin import LoggedTwin, MjcfBody, NermoBody
 from nermo_mjx.hardware.log import Channel, Log
@@ -26,9 +26,11 @@ from nermo_mjx.plotting.style import BAND, BEST, INK, LINE, MUTED
 from nermo_mjx.recording import Recording
 from nermo_mjx.robot import ModelParameters
 from nermo_mjx.robot.quantity import quantities
-from nermo_mjx.runs.files import make_writable, replace_file, to_json
+from nermo_mjx.runs.files import make_writable, replace_file, stored_json, to_json
 
 RESULT: Final = "identification.json"
+#: What is kept for a resume.
+STEPS: Final = "steps.json"
 #: Bodies in ensemble.csv, and draws in the posterior predictive check.
 BODIES: Final = 64
 SHOWN: Final = 24
@@ -105,6 +107,28 @@ def next_experiment(found: Identification) -> tuple[str, float, dict[str, np.nda
 
 
 # --- a directory
+
+
+def kept_in(out: Path, decides: str) -> Kept:
+    """Keeps arrays in their order in a directory, so that what was killed goes on after the last; see `Estimation`.
+
+    Args:
+        out: the directory.
+        decides: what decides the arrays: those of something else are not taken.
+    """
+    make_writable(out)
+    held = stored_json(out / STEPS) or {}
+    known = [np.array(each, float) for each in (held["arrays"] if held.get("decides") == decides else ())]
+    left = iter(known.copy())
+
+    def kept(compute: Callable[[], np.ndarray]) -> np.ndarray:
+        if (found := next(left, None)) is not None:
+            return found
+        known.append(compute())
+        replace_file(out / STEPS, to_json({"decides": decides, "arrays": [each.tolist() for each in known]}))
+        return known[-1]
+
+    return kept
 
 
 def estimate_rows(found: Identification) -> list[list[str]]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
+from collections.abc import Callable
 from pathlib import Path
 
 import mujoco
@@ -13,6 +14,7 @@ import pytest
 
 from nermo_mjx.cli import main as command
 from nermo_mjx.experiments.log_identification import Identification, Wanted, identify_log
+from nermo_mjx.experiments.log_report import kept_in
 from nermo_mjx.experiments.log_twin import LoggedTwin, MjcfBody, NermoBody
 from nermo_mjx.files import FileError
 from nermo_mjx.hardware.log import Channel, Log
@@ -245,6 +247,32 @@ def test_the_command_writes_a_report_the_model_and_what_to_measure_next(
     model = mujoco.MjModel.from_xml_path(str(out / "identified.xml"))
     assert model.actuator_gainprm[0, 0] == pytest.approx(content["parameters"]["kp.servo"]["value"], rel=1e-4)
     assert model.dof_damping[0] == pytest.approx(content["parameters"]["damping.j"]["value"], rel=1e-4)
+
+
+def test_what_was_killed_goes_on_after_its_last_step(path: Path, tmp_path: Path) -> None:
+    log, computed = logged(2.0), list[int]()
+
+    def identified_until(most: int, decides: str = "this") -> np.ndarray:
+        keeps, computed[:] = kept_in(tmp_path / "out", decides), [0]
+
+        def kept(compute: Callable[[], np.ndarray]) -> np.ndarray:
+            def counted() -> np.ndarray:
+                if computed[0] == most:
+                    raise KeyboardInterrupt
+                computed[0] += 1
+                return compute()
+
+            return keeps(counted)
+
+        wanted = Wanted(("damping", "kp"))
+        return identify_log(lambda kinds: MjcfBody(path, [log], kinds), [log], wanted, kept=kept).fit.draws
+
+    with pytest.raises(KeyboardInterrupt):
+        identified_until(3)
+    resumed, rest = identified_until(99), computed[0]
+    np.testing.assert_array_equal(identified_until(0), resumed)
+    np.testing.assert_array_equal(identified_until(99, "another"), resumed)
+    assert computed[0] == rest + 3
 
 
 @pytest.mark.parametrize(
