@@ -139,7 +139,6 @@ class Fit:
         share: standard deviation of the posterior along each of the directions, as a share of the prior's (p,).
         directions: orthonormal columns (p, p), the best determined one first.
         draws: of the posterior (draws, p), in coordinates.
-        same: how many of the starts came to this minimum, and of how many.
     """
 
     space: ParameterSpace
@@ -150,7 +149,6 @@ class Fit:
     share: np.ndarray
     directions: np.ndarray
     draws: np.ndarray
-    same: tuple[int, int]
 
     @property
     def values(self) -> np.ndarray:
@@ -287,7 +285,6 @@ class Estimation:
         sigma: np.ndarray | None = None,
         iterations: int = 15,
         rounds: int = 3,
-        same: tuple[int, int] = (1, 1),
         seed: int = 0,
     ) -> Fit:
         """The estimate from a start, by default the defaults, with its uncertainty; see `search` and `Fit`."""
@@ -299,7 +296,7 @@ class Estimation:
         random = np.random.default_rng(seed)
         draws = x + (random.standard_normal((DRAWS, len(x))) * share) @ vectors.T
         residual = white * sigma[self.measured.channel]
-        return Fit(self.space, x, residual, sigma, jacobian, share, vectors, draws, same)
+        return Fit(self.space, x, residual, sigma, jacobian, share, vectors, draws)
 
     def jacobian(self, x: np.ndarray, sigma: np.ndarray) -> np.ndarray:
         """Of the whitened residuals (n, p), by central differences within the bounds, in one batch."""

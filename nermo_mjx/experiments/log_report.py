@@ -20,12 +20,14 @@ from nermo_mjx.experiments.determinacy import Estimation, Kept, percent
 from nermo_mjx.experiments.log_identification import Identification
 from nermo_mjx.experiments.log_twin import LoggedTwin, MjcfBody, NermoBody
 from nermo_mjx.hardware.log import Channel, Log
+from nermo_mjx.hardware.table import servo_table
 from nermo_mjx.plotting.charts import page as blank_page
 from nermo_mjx.plotting.files import write_figures
 from nermo_mjx.plotting.style import BAND, BEST, INK, LINE, MUTED
 from nermo_mjx.recording import Recording
 from nermo_mjx.robot import ModelParameters
 from nermo_mjx.robot.quantity import quantities
+from nermo_mjx.rollout import Setup
 from nermo_mjx.runs.files import make_writable, replace_file, stored_json, to_json
 
 RESULT: Final = "identification.json"
@@ -57,13 +59,13 @@ def _excitations(found: Identification) -> dict[str, dict[str, np.ndarray]]:
     begun = np.clip(TIMES / 0.5, 0.0, 1.0) * np.clip((LASTS - TIMES) / 0.5, 0.0, 1.0)
     middle = {name: float(np.median(values)) for name, values in rest.items()}
 
-    def chirp(chosen: Sequence[str], factor: float = 1.0) -> dict[str, np.ndarray]:
+    def chirp(chosen: Sequence[str], factor: float = 1.0, wave: Any = np.sin) -> dict[str, np.ndarray]:
         """Of these servos, one after the other in phase; the others stand."""
         turned = 2 * np.pi * factor * (SWEPT[0] * TIMES + (SWEPT[1] - SWEPT[0]) * TIMES**2 / (2 * LASTS))
         made = {name: np.full(len(TIMES), middle[name]) for name in names}
         for i, name in enumerate(chosen):
             limits = body.model.actuator_ctrlrange[body.actuator(name)]
-            swing = middle[name] + SWING * begun * np.sin(turned + 2.4 * i)
+            swing = middle[name] + SWING * begun * wave(turned + 2.4 * i)
             made[name] = np.clip(swing, *limits) if limits[1] > limits[0] else swing
         return made
 
@@ -75,8 +77,13 @@ def _excitations(found: Identification) -> dict[str, dict[str, np.ndarray]]:
         name: np.interp(TIMES, log.channel("command", name).times, values)  # type: ignore[union-attr]
         for name, values in rest.items()
     }
+    if isinstance(body, NermoBody):  # a walk at 1 Hz, as `servos` plays it
+        table = servo_table(Setup(robot=body.robot), {"frequency": 1.0}, rate=RATE, cycles=round(LASTS))
+        angles = dict(zip(table.names, np.radians(table.angles.T), strict=True))
+        made["a walk"] = {name: middle[name] + begun * (angles[name] - middle[name]) for name in names}
     return made | {
         "slow chirp of all servos": chirp(names, 0.25),
+        "steps of all servos, which push the robot": chirp(names, 0.25, lambda phase: np.sign(np.sin(phase))),
         "chirp of all servos": chirp(names),
         "the same commands again": again,
     }
@@ -189,7 +196,6 @@ def write_identification(found: Identification, out: Path, command: str) -> dict
             label: {"rms": judged.rms[i], "noise": judged.noise[i], "before": found.before.judgement.rms[i]}
             for i, label in enumerate(found.after.twin.labels)
         },
-        "starts": list(found.fit.same),
         "next": {"name": name, "left": left, "file": proposed},
         "files": files,
         "wall_seconds": found.seconds,

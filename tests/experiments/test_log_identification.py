@@ -75,7 +75,7 @@ def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def identified_arm(path: Path, free: tuple[str, ...], *logs: Log, **more: object) -> Identification:
-    return identify_log(lambda kinds: MjcfBody(path, logs, kinds), logs, Wanted(free, starts=1, **more))
+    return identify_log(lambda kinds: MjcfBody(path, logs, kinds), logs, Wanted(free, **more))
 
 
 def values_of(found: Identification) -> dict[str, float]:
