@@ -789,7 +789,7 @@ def _identify_log(
     from nermo_mjx.files import MOST_FILE, read_bytes
     from nermo_mjx.hardware.log import read_log
     from nermo_mjx.robot.robot import fingerprint
-    from nermo_mjx.runs import code
+    from nermo_mjx.runs import RunDirectory, code
     from nermo_mjx.runs.directory import digest
     from nermo_mjx.runs.job import resumable
     from nermo_mjx.specs.described import digest_of
@@ -820,10 +820,11 @@ def _identify_log(
     decides = digest_of(
         stamp.id, repr(wanted), [digest(read_bytes(each, MOST_FILE)) for each in (*log, channels, *check)]
     )
-    with ProgressBar("identify") as shown, resumable(out):
+    with RunDirectory(out, "identification from a log") as held, ProgressBar("identify") as shown, resumable(out):
+        held.note_session(code.session())
         kept = log_report.kept_in(out, decides)
         found = log_identification.identify_log(make, logs, wanted, judges, shown.share, kept)
-    content = log_report.write_identification(found, out, shlex.join(["nermo-mjx", *sys.argv[1:]]))
+        content = log_report.write_identification(found, out, shlex.join(["nermo-mjx", *sys.argv[1:]]))
 
     def show() -> None:
         print_table("Parameters", log_report.HEADINGS, log_report.estimate_rows(found))

@@ -10,7 +10,7 @@ import dataclasses
 import html
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NoReturn
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -28,7 +28,8 @@ from nermo_mjx.recording import Recording
 from nermo_mjx.robot import ModelParameters
 from nermo_mjx.robot.quantity import quantities
 from nermo_mjx.rollout import Setup
-from nermo_mjx.runs.files import make_writable, replace_file, stored_json, to_json
+from nermo_mjx.runs.files import DirectoryError, make_writable, replace_file, stored_json, to_json
+from nermo_mjx.runs.status import Status, last_command
 
 RESULT: Final = "identification.json"
 #: What is kept for a resume.
@@ -123,7 +124,6 @@ def kept_in(out: Path, decides: str) -> Kept:
         out: the directory.
         decides: what decides the arrays: those of something else are not taken.
     """
-    make_writable(out)
     held = stored_json(out / STEPS) or {}
     known = [np.array(each, float) for each in (held["arrays"] if held.get("decides") == decides else ())]
     left = iter(known.copy())
@@ -136,6 +136,17 @@ def kept_in(out: Path, decides: str) -> Kept:
         return known[-1]
 
     return kept
+
+
+def log_status(out: Path) -> Status:
+    """How far the identification from a log in a directory is."""
+    done, complete = len((stored_json(out / STEPS) or {}).get("arrays", ())), (out / RESULT).exists()
+    return Status("steps", done, done if complete else None, complete, last_command(out), "c")
+
+
+def kept_figures(out: Path) -> NoReturn:
+    """Raise `DirectoryError`: they are of curves that a directory does not keep."""
+    raise DirectoryError(f"{out / 'plots'} has the figures: only the command that made {out} draws them.")
 
 
 def estimate_rows(found: Identification) -> list[list[str]]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -247,10 +248,19 @@ def test_the_command_writes_a_report_the_model_and_what_to_measure_next(
     model = mujoco.MjModel.from_xml_path(str(out / "identified.xml"))
     assert model.actuator_gainprm[0, 0] == pytest.approx(content["parameters"]["kp.servo"]["value"], rel=1e-4)
     assert model.dof_damping[0] == pytest.approx(content["parameters"]["damping.j"]["value"], rel=1e-4)
+    assert not main(["status", str(out)])
+    assert re.search(r"an identification from a log, \d+ steps, complete", capsys.readouterr().out)
+    assert main(["plot", str(out)])
+    assert "only the command that made" in capsys.readouterr().err
+    (tmp_path / "sweep").mkdir()
+    (tmp_path / "sweep" / "run.json").write_text('{"kind": "sweep"}')
+    assert main([*arguments, "--model", str(path), "--out", str(tmp_path / "sweep")])
+    assert "holds a sweep, and not an identification from a log" in capsys.readouterr().err
 
 
 def test_what_was_killed_goes_on_after_its_last_step(path: Path, tmp_path: Path) -> None:
     log, computed = logged(2.0), list[int]()
+    (tmp_path / "out").mkdir()
 
     def identified_until(most: int, decides: str = "this") -> np.ndarray:
         keeps, computed[:] = kept_in(tmp_path / "out", decides), [0]
