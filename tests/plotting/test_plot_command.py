@@ -134,7 +134,8 @@ def test_what_has_no_figures_says_why(sweep: Path, tmp_path: Path) -> None:
     assert result.exit_code == 2
     assert (
         "is not a results directory: it contains neither a sweep, a search, a tuning, a training, a landscape, "
-        "published experiments, an identification, a comparison nor a sensitivity analysis." in result.stderr
+        "published experiments, an identification, an identification from a log, a comparison nor a sensitivity "
+        "analysis." in result.stderr
     )
     shutil.rmtree(sweep / "results")
     result = plot(sweep)
