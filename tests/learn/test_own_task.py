@@ -197,6 +197,7 @@ def rougher(key, steps):
     return {"terrain.height": 0.02 * jnp.clip(steps / 100, 0.0, 1.0)}
 
 
+@pytest.mark.release
 @pytest.mark.compiles
 def test_a_curriculum_raises_the_ground():
     """What the critic sees of it ahead: nothing at first, planks of one and of two centimetres later."""

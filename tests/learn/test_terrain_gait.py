@@ -34,6 +34,7 @@ def howto():
     return module
 
 
+@pytest.mark.release
 def test_the_search_of_the_how_to_finds_a_gait_within_its_bounds_and_the_legs_reach(howto, capsys):
     """A generation of four gaits on one plank height, and one with the steering; it says how often its gait passes."""
     stage, steered = (
@@ -51,6 +52,7 @@ def test_the_search_of_the_how_to_finds_a_gait_within_its_bounds_and_the_legs_re
     assert not ground.inside(gait | {"stance.rear_z": -0.072, "stride": 1.2})
 
 
+@pytest.mark.release
 def test_the_search_counts_a_way_beside_the_path(howto):
     """Ten times as far in a corridor of a tenth of the width, and not at all in a stage that does not steer."""
     place = howto.Place("planks", (0.004,))
@@ -83,6 +85,7 @@ def test_trainings_of_the_three_spines_differ_in_gait_and_spine_alone():
         assert "spine" not in other.setup.spine
 
 
+@pytest.mark.release
 def test_the_policy_of_the_page_climbs_the_spiral_stair():
     """On steps of 10 mm, from 128 starts, and nearer its path than the gait alone.
 

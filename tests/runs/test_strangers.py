@@ -466,7 +466,7 @@ def _text(path: Path, text: str) -> Path:
     return path
 
 
-@pytest.mark.parametrize("share", [0, *(pytest.param(share, marks=pytest.mark.slow) for share in range(1, 4))])
+@pytest.mark.parametrize("share", [0, *(pytest.param(share, marks=pytest.mark.release) for share in range(1, 4))])
 def test_mutants_of_all_kinds_of_files_end_in_a_sentence(kinds_of_files: Any, share: int) -> None:
     """2,000 in all."""
     assert hunted(kinds_of_files, 500, seed=share) == []
