@@ -174,7 +174,7 @@ def played(
         ParameterError: there is no such scene, policy or value there, or the policy is not told a command.
     """
     values, evaluation = values or {}, training.evaluation
-    scenes = [scene or str(training.evaluated()[0][0].scene)]
+    scenes = (scene or str(training.evaluated()[0][0].scene),)
     for name in values:
         if name.startswith("terrain.") and name not in terrain_values(scenes[0]):
             raise ParameterError(f"{name} is given, and {scene_name(scenes[0])!r} does not have it: leave it out.")
