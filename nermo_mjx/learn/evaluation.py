@@ -174,7 +174,10 @@ def played(
         ParameterError: there is no such scene, policy or value there, or the policy is not told a command.
     """
     values, evaluation = values or {}, training.evaluation
-    scenes = [scene or str(training.evaluated()[0][0].scene)]
+    scenes = (scene or str(training.evaluated()[0][0].scene),)
+    for name in values:
+        if name.startswith("terrain.") and name not in terrain_values(scenes[0]):
+            raise ParameterError(f"{name} is given, and {scene_name(scenes[0])!r} does not have it: leave it out.")
     evaluation = dataclasses.replace(evaluation, scenes=scenes, set={**evaluation.set, **values})
     run = training.run if seconds is None else Run(duration=seconds, warmup=0.0)
     training = dataclasses.replace(training, evaluation=evaluation, run=run)
@@ -186,11 +189,11 @@ def played(
         acting = RandomPolicy(**vars(acting)) if policy == RANDOM else acting
     else:
         acting = load_policy(policy, code_place(training.task.observe))
-    known = dict(quantities(acting.parameters)) | terrain_values(str(setup.scene))
+    commands, late, noisy = acting.observer.commands, bool(acting.observer.delayed), acting.observer.noisy
+    told = {f"command.{name}" for name in commands} | ({"sensing.delay"} if late else set())
     for name in values:
-        if name not in known and (name in GIVEN or name.startswith("terrain.")):
-            why = "the policy is not told it" if name in GIVEN else f"{scene_name(str(setup.scene))!r} does not have it"
-            raise ParameterError(f"{name} is given, and {why}: leave it out.")
+        if name in GIVEN and name not in told and not (noisy and name.endswith("_noise")):
+            raise ParameterError(f"{name} is given, and the policy was not trained with it: leave it out.")
     return next(recorded(training, acting))[1]
 
 

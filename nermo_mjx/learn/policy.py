@@ -235,7 +235,8 @@ class Policy:
 
     def choose(self, params: PolicyParameters, state: PolicyState, observation: Array) -> Array:
         """The action (a,) of a control step."""
-        return _action(*params.network, observation)
+        actor, statistics = params.network
+        return _action(actor, statistics, observation)
 
     def act(self, observation: Array) -> Array:
         """The action (..., a) at observations (..., o)."""

@@ -49,7 +49,6 @@ from nermo_mjx.runs.job import (
     resumable,
 )
 from nermo_mjx.runtime import compiler_options
-from nermo_mjx.view import check_video, render, robot_of, shown_model
 
 #: The table of what was tried: one row per checkpoint.
 VALIDATION: Final = "validation.parquet"
@@ -197,6 +196,8 @@ def run_training(
     if tensorboard:
         require_tensorboard()
     if video:
+        from nermo_mjx.view import check_video
+
         check_video(training.setup.load().model, VIDEO.format(0))
     name = training_engine(training, engine)
     with (
@@ -299,9 +300,7 @@ class _Learning:
                 self.directory.keep(learned, curves)
             self.publish(learned, curves)
             if self.video and (policy := self._policy(learned)) is not None:
-                walk, out = next(recorded(training, policy))[1], self.directory.out / VIDEO.format(int(learned.steps))
-                out.parent.mkdir(exist_ok=True)
-                render(walk, shown_model(walk, robot_of(walk)), out)
+                self._film(policy, self.directory.out / VIDEO.format(int(learned.steps)))
         return learned, curves
 
     def publish(self, learned: Learned, curves: Curves) -> Policy | None:
@@ -338,6 +337,14 @@ class _Learning:
         """The robot's environment, the first of several."""
         first = self.environment.parts[0] if isinstance(self.environment, Mixture) else self.environment
         return first if isinstance(first, Environment) else None
+
+    def _film(self, policy: Policy, path: Path) -> None:
+        """Render the policy's walk on the first scene of the evaluation."""
+        from nermo_mjx.view import render, robot_of, shown_model
+
+        _, walk = next(recorded(self.directory.training, policy))
+        path.parent.mkdir(exist_ok=True)
+        render(walk, shown_model(walk, robot_of(walk)), path)
 
     def _tell(self, done: int, numbers: Mapping[str, float]) -> None:
         total = self.directory.training.steps

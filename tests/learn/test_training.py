@@ -35,6 +35,7 @@ from nermo_mjx.learn.run import _KEY, BestPolicy, successes
 from nermo_mjx.runs import RunDirectory
 from nermo_mjx.runs.files import WrongDirectory
 from nermo_mjx.runs.job import Watch
+from nermo_mjx.view.trained import trained
 
 pytestmark = pytest.mark.compiles
 SHIPPED = sorted((Path(__file__).parents[2] / "sweeps").glob("train_*.yaml"))
@@ -90,6 +91,7 @@ def test_its_page_has_curves_evaluation_and_the_policy_in_3d(tmp_path, done, mon
     page = show(out).html
     assert [f'alt="{name}"' in page for name in ("curves", "rewards", "evaluation")] == [True, True, False]
     assert "<iframe" not in page
+    assert ['http-equiv="refresh"' in each for each in (page, trained(out, reload=20.0).html)] == [False, True]
     numbers = {"success": 0.98, "speed": 0.1234, "distance": 1.1, "cost_of_transport": 5.43}
     numbers["electrical_cost_of_transport"] = 91.23
     (out / "policy.npz").touch()
