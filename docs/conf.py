@@ -51,10 +51,12 @@ html_math_renderer = "mathml"
 html_theme = "furo"
 html_title = "nermo_mjx"
 html_static_path = ["_static"]
-html_css_files = ["formulas.css"]
+html_css_files = ["site.css"]
+html_logo = "_static/mark.svg"
+html_favicon = "_static/mark.svg"
 html_theme_options = {
-    "light_css_variables": {"color-brand-primary": "#0072b2", "color-brand-content": "#0072b2"},
-    "dark_css_variables": {"color-brand-primary": "#56b4e9", "color-brand-content": "#56b4e9"},
+    f"{scheme}_css_variables": {f"color-brand-{part}": colour for part in ("primary", "content", "visited")}
+    for scheme, colour in (("light", "#b3440a"), ("dark", "#ff9d5c"))
 }
 if REPOSITORY is not None:
     html_theme_options |= {"source_repository": REPOSITORY, "source_branch": "main", "source_directory": "docs/"}

@@ -91,13 +91,13 @@ def test_a_notebook_installs_its_checkout_or_its_source_or_says_what_is_missing(
     assert installed(source) == [f'pip install -q "{source}"']
     with pytest.raises(RuntimeError, match="nermo_mjx is not installed: set SOURCE above, or open the notebook in a"):
         installed()
-    # In Colab a wheel is chosen in the file dialogue.
+    # In Colab an archive of the checkout or a wheel is chosen in the file dialogue.
     colab = types.ModuleType("google.colab")
-    colab.files = types.SimpleNamespace(upload=lambda: {"nermo_mjx-0.1.0-py3-none-any.whl": b""})
+    colab.files = types.SimpleNamespace(upload=lambda: {"nermo_mjx.zip": b""})
     monkeypatch.setitem(sys.modules, "google", types.ModuleType("google"))
     monkeypatch.setitem(sys.modules, "google.colab", colab)
     draw = "apt-get -qq install -y libosmesa6 > /dev/null"
-    assert installed() == ['pip install -q "nermo_mjx-0.1.0-py3-none-any.whl"', draw]
+    assert installed() == ['pip install -q "nermo_mjx.zip"', draw]
     assert installed("https://example.org/a.whl") == ['pip install -q "https://example.org/a.whl"', draw]
     colab.files.upload = dict  # the dialogue was closed
     with pytest.raises(RuntimeError, match="set SOURCE"):

@@ -71,7 +71,7 @@ def test_a_mesh_that_is_missing_is_left_out_where_it_is_only_drawn(tmp_path: Pat
 
 
 def test_lines_become_a_table(tmp_path: Path) -> None:
-    """A model's parts are one row; what is off is bold; what was not measured has its reason."""
+    """A model's parts are one; what is off has a row, and is bold; what was not measured has its reason."""
     first = {"nv": 2, "contacts": 1, "rows": 4, "finite": True, "spread": 1e-9, "end_off_c": 0.0}
     lines = [
         {"model": "a", "part": "gradient", **first, "error": 2e-8},
@@ -82,8 +82,9 @@ def test_lines_become_a_table(tmp_path: Path) -> None:
     (tmp_path / "lines.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
     text = step_page.page(tmp_path / "lines.jsonl")
     assert "2 models; the gradients of 2 are finite, and 1 are within 0.0001" in text
-    assert "| a | 2 | 1, 4 | 2e-08 | 1e-09 | 0e+00 |  | refuses: while_loop |" in text
-    assert "| b | 2 | 1, 4 | **3e-02** |" in text
+    assert "`mjx.step` was differentiated on 1 of them: it refuses 1, and 0 more gradients are wrong or NaN" in text
+    assert "| b | 2 | 1, 4 | **3e-02** | 1e-09 | 0e+00 |" in text
+    assert "end of C's, on 1:\n\n- a\n" in text
     assert "| c | ValueError: no file |" in text
 
 

@@ -69,7 +69,7 @@ def as_saved():
 
 
 def as_observed():
-    raw = [name for name in SENSED if name not in ("foot_contact", "motor_current", "projected_gravity")]
+    raw = [name for name in SENSED if name not in ("foot_contact", "motor_current", "projected_gravity", "height_scan")]
     observer = Observer(tuple(raw), (), (), False, False, 0, False, 0.01)
     scales = [SENSED[name].scale for name in raw for _ in reading_names(name, ACTED)]
     yield from zip(observer.names, np.asarray(observer.readings(SENSORS)) * scales, strict=True)

@@ -20,7 +20,8 @@ NEEDS: Final = {
     "draws": "draws figures, pictures or videos",
     "browser": "opens pages in a browser",
     "slow": "compiles MJX, or takes several seconds",
-    "release": "builds the site, runs notebooks, examples, experiments, a cluster or a browser: with -m release only",
+    "release": "builds the site, runs notebooks, examples, experiments, a cluster or a browser, or widens what a "
+    "shorter test of the suite shows: with -m release only",
     "long": "takes a minute or more and resembles other tests, or needs the machine for itself: with -m long only",
 }
 #: Fixtures that bring what they need to whatever asks for them.

@@ -128,7 +128,6 @@ def compared(found: Identification, truth: dict[str, float], noise: np.ndarray |
         "error": found.errors["identified"],
         "default": found.errors["default body"],
         "right": found.right,
-        "same": found.fit.same,
         "seconds": found.seconds,
     }
 
@@ -227,11 +226,11 @@ def classes(robots: int, first: int, folder: Path) -> None:
         else:
             values["backlash"] = random.uniform(0.03, 0.08)
         log = driven(model, values, seed, 6.0, 3e-4)
-        without = Wanted(("damping", "bias"), starts=1)
+        without = Wanted(("damping", "bias"))
         found = identify_log(lambda kinds, log=log: MjcfBody(path, [log], kinds), [log], without)
         row = {"seed": seed, "wrong": wrong, "named": not found.right, "missing": dict(found.missing)}
         if wrong == "gain":
-            right = Wanted(("damping", "bias", "kp"), starts=1)
+            right = Wanted(("damping", "bias", "kp"))
             row["right class"] = identify_log(lambda kinds, log=log: MjcfBody(path, [log], kinds), [log], right).right
         rows.append(row)
         print(json.dumps(row), flush=True)

@@ -20,7 +20,7 @@ from nermo_mjx.optimize.objective import from_unconstrained, slope, to_unconstra
 from nermo_mjx.optimize.problems import WalkProblem
 from nermo_mjx.optimize.run import tuner_of, verified
 
-SECONDS = float(sys.argv[2]) if len(sys.argv) > 2 else 40.0
+SECONDS = 40.0
 SECANTS = {"differences": {"scheme": "forward", "step": 0.02}}
 METHODS = {"exact": "gradient", "secants": SECANTS, "secants, L-BFGS": SECANTS, "CMA-ES": {"cma": {"sigma": 0.5}}}
 FEET = ("foot.front", "foot.rear", "foot.front_left", "foot.front_right", "foot.rear_left", "foot.rear_right")
@@ -99,7 +99,7 @@ def search(tuning, method):
 
 
 if __name__ == "__main__":
-    file = Path(sys.argv[1])
+    file, SECONDS = Path(sys.argv[1]), float(sys.argv[2]) if len(sys.argv) > 2 else SECONDS
     kept = [json.loads(line) for line in file.read_text().splitlines()] if file.exists() else []
     known = [line["of"] for line in kept if line["cpu_s"] == SECONDS]
     cases = [

@@ -1,4 +1,4 @@
-"""The table of the results of `step_matrix`, in a page: `python docs/benchmarks/step_page.py LINES PAGE`."""
+"""The tables of the results of `step_matrix`, in a page: `python docs/benchmarks/step_page.py LINES PAGE`."""
 
 from __future__ import annotations
 
@@ -12,53 +12,69 @@ BEGIN: Final = "<!-- made by step_page.py -->"
 END: Final = "<!-- end -->"
 #: Largest error at which a gradient counts as equal to the differences.
 LARGEST: Final = 1e-4
-_HEAD: Final = (
-    "| model | nv | contacts, rows | against differences | differences among themselves | end against C "
-    "| float32, cosine | `mjx.step` | trace, compile [s] | a step [ms] | gradient over steps |\n"
-    "|---|---|---|---|---|---|---|---|---|---|---|"
-)
+#: What is off, and what a step costs.
+_OFF: Final = "| model | nv | contacts, rows | against differences | differences among themselves | end against C |"
+_COST: Final = "| model | trace, compile [s] | a step [ms] | gradient over steps | float32, cosine |"
 
 
 def page(lines: Path) -> str:
-    """The text between `BEGIN` and `END`: number of correct models, their table, and the others."""
-    models = lines_of(lines)
+    """The text between `BEGIN` and `END`: how many models are right, what is off, the others' names, and the cost."""
+    models = dict(sorted(lines_of(lines).items()))
     measured = {name: each for name, each in models.items() if "error" in each}
     exact = [name for name, each in measured.items() if each["finite"] and each["error"] <= LARGEST]
     finite = sum(each["finite"] for each in measured.values())
-    refused = {name: each["failed"] for name, each in models.items() if "error" not in each}
+    right = [name for name in exact if measured[name]["end_off_c"] <= LARGEST]
+    plain = [each["plain"] for each in measured.values() if "plain" in each]
+    refusals = sum(isinstance(each, str) and each != "NaN" for each in plain)
+    wrong = sum(each == "NaN" or (not isinstance(each, str) and each > LARGEST) for each in plain)
+    off = [_row(name, each) for name, each in measured.items() if name not in right]
+    cost = [_cost(name, each) for name, each in measured.items() if "compile_s" in each]
+    refused = [
+        f"| {name} | {' '.join(each['failed'].split()).replace('|', '/')} |"
+        for name, each in models.items()
+        if "error" not in each
+    ]
     said = [
         f"{len(measured)} models; the gradients of {finite} are finite, and {len(exact)} are within {LARGEST:g} of the "
         f"differences, {sum(measured[name]['rows'] > 0 for name in exact)} of these with constraints and "
-        f"{sum(measured[name]['contacts'] > 0 for name in exact)} with contacts.",
-        "\n".join([_HEAD, *(_row(name, each) for name, each in sorted(measured.items()))]),
+        f"{sum(measured[name]['contacts'] > 0 for name in exact)} with contacts. `mjx.step` was differentiated on "
+        f"{len(plain)} of them: it refuses {refusals}, and {wrong} more gradients are wrong or NaN.",
+        *_table("Where something is off:", _OFF, off),
+        f"Gradient within {LARGEST:g} of the differences, and end of C's, on {len(right)}:",
+        "\n".join(_names(right)),
+        *_table("What it costs:", _COST, cost),
+        *_table("Not measured:", "| model | because |", refused),
     ]
-    if refused:
-        said.append(
-            "Not measured:\n\n| model | because |\n|---|---|\n"
-            + "\n".join(
-                f"| {name} | {' '.join(reason.split()).replace('|', '/')} |" for name, reason in sorted(refused.items())
-            )
-        )
     return "\n\n".join(said)
 
 
-def _row(name: str, each: dict[str, Any]) -> str:
-    plain = each.get("plain", each.get("failed", ""))
-    cost = "compile_s" in each
-    cells = [
-        name,
-        each["nv"],
-        f"{each['contacts']}, {each['rows']}",
-        _error(each["error"]),
-        _error(each["spread"]),
-        _error(each["end_off_c"]),
-        "" if each.get("cosine") is None else f"{each['cosine']:.7f}",
-        plain if isinstance(plain, str) else _error(plain),
-        f"{each['trace_s']:.1f}, {each['compile_s']:.1f}" if cost else "",
-        f"{each['forward_ms']:.3f}" if cost else "",
-        f"{each['ratio']:.1f}" if cost else "",
+def _table(title: str, head: str, rows: list[str]) -> list[str]:
+    """Nothing if there are no rows."""
+    return [title, "\n".join([head, "|---" * (head.count("|") - 1) + "|", *rows])] if rows else []
+
+
+def _names(models: list[str]) -> list[str]:
+    """A line for each folder of models."""
+    folders: dict[str, list[str]] = {}
+    for name in models:
+        folder, _, own = name.rpartition("/")
+        folders.setdefault(folder, []).append(own)
+    return [
+        f"- {folder}: {', '.join(names)}" if folder else f"- {', '.join(names)}" for folder, names in folders.items()
     ]
-    return "| " + " | ".join(str(cell) for cell in cells) + " |"
+
+
+def _row(name: str, each: dict[str, Any]) -> str:
+    """With a path that a browser may break."""
+    rows = f"{each['contacts']}, {each['rows']}"
+    errors = (_error(each[key]) for key in ("error", "spread", "end_off_c"))
+    return f"| {' | '.join([name.replace('/', '/<wbr>'), str(each['nv']), rows, *errors])} |"
+
+
+def _cost(name: str, each: dict[str, Any]) -> str:
+    cosine = "" if each.get("cosine") is None else f"{each['cosine']:.7f}"
+    times = f"{each['trace_s']:.1f}, {each['compile_s']:.1f} | {each['forward_ms']:.3f} | {each['ratio']:.1f}"
+    return f"| {name} | {times} | {cosine} |"
 
 
 def _error(value: float) -> str:

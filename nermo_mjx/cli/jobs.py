@@ -42,7 +42,6 @@ if TYPE_CHECKING:
 #: Arguments and options that several jobs have.
 _spec = click.argument("spec", metavar="SPEC.yaml", type=options.SPEC)
 _seed = number("--seed", "Seed, overriding the file.", click.IntRange(0, 2**32 - 1))
-_plots = click.option("--plots/--no-plots", default=None, help="Draw figures regardless of the file.")
 _dry_run = flag("--dry-run", "Estimate the cost on this machine; write nothing.")
 _on_workers = options.grouped(options.workers, options.accept_new_code)
 _on_engine = options.grouped(options.engine, _on_workers)
@@ -116,6 +115,7 @@ def _shard(text: str) -> tuple[int, int]:
     type=FileKind(".csv", ".parquet", exists=True, dir_okay=False),
 )
 @flag("--extend", "Add rows to DIR: more values, repeats, structures or Sobol points.")
+@options.best_body
 @options.text("--optimum", "YAML", "What is best, as the field optimum of a file has it; also of a finished DIR.")
 @options.text("--use", "DIR2", "Reuse rows from DIR2 instead of running them.", multiple=True, type=options.PATH)
 @flag("--tensorboard", _tensorboard.format("chunk"))
@@ -129,6 +129,7 @@ def sweep_command(
     dry_run: bool,
     list_parameters: bool,
     optimum: str | None,
+    body: str | None,
     **how: Any,
 ) -> Output:
     """Run every variant of a sweep file.
@@ -159,7 +160,7 @@ def sweep_command(
     from nermo_mjx.sweep import Sweep, run_sweep
     from nermo_mjx.sweep.run import sweep_forecast
 
-    sweep = Sweep.from_rows(rows, spec) if rows is not None else Sweep.from_file(str(spec))
+    sweep = Sweep.from_rows(rows, spec, body) if rows is not None else Sweep.from_file(str(spec), body)
     sweep = dataclasses.replace(sweep, **_fields(how, "seed"))
     sweep = sweep if optimum is None else sweep.seeking(optimum)
     if dry_run or out is None:
@@ -304,12 +305,13 @@ def merge_command(sources: tuple[Path, ...], out: Path, **how: Any) -> Output:
 @options.out
 @_spec
 @number("--budget", "Number of evaluations, overriding the file.", click.IntRange(1, 10_000_000))
-@number("--batch", "Points evaluated together, overriding the file.", click.IntRange(4, 100_000))
+@options.best_body
 @_seed
-@_plots
 @_dry_run
 @_on_engine
-def search_command(spec: Path, out: Path, budget: int | None, seed: int | None, dry_run: bool, **how: Any) -> Output:
+def search_command(
+    spec: Path, out: Path, budget: int | None, seed: int | None, body: str | None, dry_run: bool, **how: Any
+) -> Output:
     """Search for the best parameters that a search file allows.
 
     A single objective is optimized by CMA-ES, several by NSGA-II for their
@@ -326,7 +328,7 @@ def search_command(spec: Path, out: Path, budget: int | None, seed: int | None, 
     from nermo_mjx.optimize import Search, run_search
     from nermo_mjx.optimize.run import search_forecast
 
-    search = dataclasses.replace(Search.from_file(spec), **_fields(how, "batch", "plots"))
+    search = Search.from_file(spec, body)
     if budget is not None:
         search = dataclasses.replace(search, evaluations=budget, simulated_seconds=None)
     if seed is not None:
@@ -382,12 +384,12 @@ def _print_search(result: SearchResult) -> None:
 @_spec
 @number("--iterations", "Number of steps, overriding the file.", click.IntRange(1, 1_000_000))
 @number("--starts", "Number of points tuned in parallel, overriding the file.", click.IntRange(1, 100_000))
+@options.best_body
 @_seed
-@_plots
 @click.option("--video/--no-video", default=None, help="Render start and best regardless of the file.")
 @flag("--dry-run", "Estimate the cost of each method on this machine; write nothing.")
 @_on_workers
-def tune_command(spec: Path, out: Path, dry_run: bool, **how: Any) -> Output:
+def tune_command(spec: Path, out: Path, body: str | None, dry_run: bool, **how: Any) -> Output:
     """Tune the parameters that a tuning file names.
 
     The file's method says how: by exact gradients, by finite differences, or
@@ -410,10 +412,10 @@ def tune_command(spec: Path, out: Path, dry_run: bool, **how: Any) -> Output:
     from nermo_mjx.optimize import Tuning, run_tuning
     from nermo_mjx.optimize.run import tuning_forecasts
 
-    tuning = Tuning.from_file(spec)
+    tuning = Tuning.from_file(spec, body)
     if how["starts"] is not None and tuning.method.name == "cma":
         raise WrongUse("--starts is not used by the method cma: give method: {cma: {population: N}} in the file.")
-    tuning = dataclasses.replace(tuning, **_fields(how, "iterations", "starts", "seed", "plots", "video"))
+    tuning = dataclasses.replace(tuning, **_fields(how, "iterations", "starts", "seed", "video"))
     # A resumed tuning keeps the method with which it started.
     begins = not (is_given("as_json") or is_given("quiet") or (out / "history.parquet").exists())
     costs = tuning_forecasts(tuning) if dry_run or begins else []
@@ -500,26 +502,22 @@ def _shortest(tuning: Tuning, name: str, change: float) -> float:
 @command("landscape")
 @options.out
 @_spec
-@number("--points", "Points per line.", click.IntRange(5, 100_000), default=41)
-@number(
-    "--span", "Length of the lines, as a fraction of the bounds.", click.FloatRange(0, 1, min_open=True), default=1.0
-)
+@options.best_body
 @options.accept_new_code
-def landscape_command(spec: Path, out: Path, **how: Any) -> Output:
+def landscape_command(spec: Path, out: Path, body: str | None, **how: Any) -> Output:
     """Measure whether the gradients of a tuning file can be trusted.
 
     Follows a line along each tuned parameter through the given start, and
     compares exact slopes of the objective with secants of five widths.
-    Writes all points, a report, and a figure for each parameter to DIR.
+    Writes all points, measures, and a figure for each parameter to DIR.
 
     Examples:
       nermo-mjx landscape sweeps/tune_speed.yaml --out runs/landscape
-      nermo-mjx landscape sweeps/tune_roll.yaml --span 0.2 --out runs/near
     """
-    from nermo_mjx.optimize import run_landscape
+    from nermo_mjx.optimize import Tuning, run_landscape
 
     with _working("walks", how) as given:
-        result = run_landscape(spec, out, **given)
+        result = run_landscape(Tuning.from_file(spec, body), out, **given)
     content = _content(result, "out", "evaluated") | result.content
     return Output(content, lambda: _print_landscape(result))
 
@@ -533,7 +531,7 @@ def _print_landscape(result: LandscapeResult) -> None:
         click.echo(sentence)
     kept = "" if result.evaluated else ", kept from before"
     click.echo(f"\n{content['evaluations']} walks with gradients in {duration(content['wall_seconds'])}{kept}")
-    print_places(result.out, report="report.md", plots="plots", table="landscape.parquet")
+    print_places(result.out, measures="landscape.json", plots="plots", table="landscape.parquet")
 
 
 @command("train")
@@ -541,14 +539,15 @@ def _print_landscape(result: LandscapeResult) -> None:
 @_spec
 @number("--steps", "Number of control steps, overriding the file.", click.IntRange(1))
 @number("--worlds", "Number of parallel worlds, overriding the file.", click.IntRange(1, 1_000_000))
+@options.best_body
 @_seed
-@_plots
 @flag("--onnx", "Also write policy.onnx; needs the extra onnx.")
 @flag("--tensorboard", _tensorboard.format("iteration"))
+@flag("--video", "Render a walk of the policy at each checkpoint, in DIR/videos.")
 @_dry_run
 @options.engine
 @options.accept_new_code
-def train_command(spec: Path, out: Path, onnx: bool, dry_run: bool, **how: Any) -> Output:
+def train_command(spec: Path, out: Path, body: str | None, onnx: bool, dry_run: bool, **how: Any) -> Output:
     """Train a policy as described in a training file.
 
     Writes the policy, which walk and sweep files accept as a controller,
@@ -563,7 +562,7 @@ def train_command(spec: Path, out: Path, onnx: bool, dry_run: bool, **how: Any) 
     """
     from nermo_mjx.learn.spec import Training, changed
 
-    training = changed(Training.from_file(spec), **_fields(how, "steps", "worlds", "seed", "plots"))
+    training = changed(Training.from_file(spec, body), **_fields(how, "steps", "worlds", "seed"))
     if onnx:
         from nermo_mjx.learn.policy import check_onnx
 
@@ -778,7 +777,13 @@ def _identify_log(
     seed: int,
 ) -> Output:
     from nermo_mjx.experiments import log_identification, log_report, log_twin
+    from nermo_mjx.files import MOST_FILE, read_bytes
     from nermo_mjx.hardware.log import read_log
+    from nermo_mjx.robot.robot import fingerprint
+    from nermo_mjx.runs import RunDirectory, code
+    from nermo_mjx.runs.directory import digest
+    from nermo_mjx.runs.job import resumable
+    from nermo_mjx.specs.described import digest_of
 
     if channels is None:
         raise WrongUse("--log needs --channels FILE.yaml, which says what the columns are.")
@@ -802,9 +807,15 @@ def _identify_log(
     unread = [each.name for each in logs[0].channels if each.quantity not in (*log_twin.PREDICTED, "command")]
     if unread:
         say(f"not compared, since they are not predicted: {', '.join(unread)}.")
-    with ProgressBar("identify") as shown:
-        found = log_identification.identify_log(make, logs, wanted, judges, shown.share)
-    content = log_report.write_identification(found, out, shlex.join(["nermo-mjx", *sys.argv[1:]]))
+    stamp = code.stamp(fingerprint(make(kinds).model), "c", ("experiments", "hardware"))
+    decides = digest_of(
+        stamp.id, repr(wanted), [digest(read_bytes(each, MOST_FILE)) for each in (*log, channels, *check)]
+    )
+    with RunDirectory(out, "identification from a log") as held, ProgressBar("identify") as shown, resumable(out):
+        held.note_session(code.session())
+        kept = log_report.kept_in(out, decides)
+        found = log_identification.identify_log(make, logs, wanted, judges, shown.share, kept)
+        content = log_report.write_identification(found, out, shlex.join(["nermo-mjx", *sys.argv[1:]]))
 
     def show() -> None:
         print_table("Parameters", log_report.HEADINGS, log_report.estimate_rows(found))

@@ -43,7 +43,7 @@ def log_of(file: Path, channels: Path | None) -> Log:
 
 
 @command("log", reads=True)
-@click.argument("file", metavar="FILE", type=FileKind(*LOGS))
+@click.argument("file", metavar="FILE", type=FileKind(*LOGS, dir_okay=False))
 @log_channels
 def log_command(file: Path, channels: Path | None) -> Output:
     """Check a robot's own log, and say what looks wrong in it.

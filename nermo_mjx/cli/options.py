@@ -195,8 +195,7 @@ def _best_body(ctx: click.Context, parameter: click.Parameter, source: str | Non
     if source is not None:
         from nermo_mjx.robot import identified
 
-        best = {name: column[0] for name, column in identified.bodies(source).values.items()}
-        ctx.meta[_BODY] = tuple(f"{name}={value:.12g}" for name, value in best.items())
+        ctx.meta[_BODY] = tuple(f"{name}={value:.12g}" for name, value in identified.best(source).items())
 
 
 def _with_body(ctx: click.Context, given: tuple[str, ...]) -> tuple[str, ...]:
@@ -275,18 +274,14 @@ camera = text(
 produced = grouped(
     file("--record", ".npz", "Save the whole run."), file("--video", ".mp4", "Render it; MP4, GIF or WebP."), camera
 )
+_BEST = "The best body of an identification's directory; {} goes before it."
 controller = text("--controller", "FILE", "Custom controller: FILE.py:NAME, or a policy FILE.npz.")
 set_any = grouped(
     set_option("Any parameter that `sweep --list-parameters` prints; repeatable."),
-    text(
-        "--body",
-        "DIR",
-        "The best body of an identification's directory; --set goes before it.",
-        is_eager=True,
-        expose_value=False,
-        callback=_best_body,
-    ),
+    text("--body", "DIR", _BEST.format("--set"), is_eager=True, expose_value=False, callback=_best_body),
 )
+#: The same of a job's file, see `Described.from_file`.
+best_body = text("--body", "DIR", _BEST.format("what the file names"))
 #: What decides how the robot steps.
 gait = grouped(
     click.option(

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import sys
 import tempfile
+import time
 import webbrowser
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -18,6 +20,7 @@ from nermo_mjx.cli.directories import kind_of_directory
 from nermo_mjx.cli.options import FileKind, flag, number
 from nermo_mjx.cli.output import Output, WrongUse, command, say
 from nermo_mjx.progress import ProgressBar
+from nermo_mjx.trust import only_reading
 
 if TYPE_CHECKING:
     from nermo_mjx.plotting.files import Figures
@@ -123,33 +126,82 @@ def render_with_progress(
         render(panes, robots[0].model, path, progress=progress.count, **drawn)
 
 
-@command("play", reads=True)
-@click.argument("recording", metavar="FILE.npz", type=options.RECORDING)
+#: Options of `play` that need another kind of file, and which.
+_TASK, _RECORDED = "a training", "a recording"
+PLAY_NEEDS = dict.fromkeys(("policy", "scene", "assignments", "seconds", "video", "camera"), _TASK)
+PLAY_NEEDS |= dict.fromkeys(("speed", "xml", "rate"), _RECORDED)
+
+
+@command("play")
+@click.argument("path", metavar="FILE.npz|TRAINING.yaml|DIR", type=FileKind(".npz", ".yaml", ".yml", exists=True))
 @number("--speed", "1 is real time, 0.25 a quarter of it.", options.POSITIVE, default=1.0)
-@flag("--once", "Stop at the end instead of looping.")
 @options.file("--xml", ".xml", "Write MJCF with the recording as keyframes instead.")
 @number("--rate", "Keyframes per second.", options.POSITIVE, default=25.0)
-def play_command(recording: Path, speed: float, once: bool, xml: Path | None, rate: float) -> Output:
-    """Play a recording in MuJoCo's viewer; it needs a display.
+@options.text("--policy", "zero|random|FILE.npz", "Of a training: what acts; by default the policy in DIR, or zero.")
+@options.text("--scene", "NAME", "Of a training: where; by default the first scene of its evaluation.")
+@options.set_option("Of a training: a parameter or a command of its task; repeatable.")
+@number("--seconds", "Of a training: how long; by default as in its evaluation.", options.POSITIVE)
+@options.file("--video", ".mp4", "Of a training: an MP4, GIF or WebP instead of a page.")
+@options.camera
+def play_command(path: Path, speed: float, xml: Path | None, rate: float, policy: str | None, **task: Any) -> Output:
+    """Play a recording in MuJoCo's viewer, or a policy in a training's task.
 
-    With --xml, no window is opened: the file contains the robot, its scene and
-    the recording, and plain MuJoCo can show it anywhere with
-    `python -m mujoco.viewer --mjcf=FILE.xml` and its slider over keyframes.
+    A recording needs a display. With --xml, no window is opened: the file
+    contains the robot, its scene and the recording, and plain MuJoCo can show
+    it anywhere with `python -m mujoco.viewer --mjcf=FILE.xml` and its slider
+    over keyframes.
+
+    A training is its file, or its directory, which may be at work. Its robot
+    walks under a policy's actions, or under none or random ones, and the walk
+    opens in the browser. `drive --controller policy.npz` is the same live.
 
     Examples:
-      nermo-mjx play walk.npz
       nermo-mjx play walk.npz --speed 0.25
       nermo-mjx play walk.npz --xml walk.xml
+      nermo-mjx play runs/walker --scene stairs --video stairs.mp4
+      nermo-mjx play sweeps/train_residual.yaml --policy random
     """
-    from nermo_mjx.view import play, write_keyframes
+    from nermo_mjx.view import play, show, write_keyframes
 
-    loaded, keys = load_recording(recording), None
+    is_task = path.is_dir() or path.suffix in (".yaml", ".yml")
+    options.refuse_without(PLAY_NEEDS, {_TASK: is_task, _RECORDED: not is_task})
+    if is_task:
+        walk, video = _play_task(path, policy, **task), task["video"]
+        if video is None:
+            return _shown(show(walk), None, path.resolve().stem, False, {"seconds": walk.duration})
+        render_with_progress([walk], video, camera=task["camera"])
+        return Output({"video": video, "seconds": walk.duration}, files=[video])
+    with only_reading():
+        loaded = load_recording(path)
+    keys = None
     if xml is None:
-        play(loaded, speed=speed, loop=not once)
+        play(loaded, speed=speed)
     else:
         keys = write_keyframes(loaded, xml, rate=rate)
-    content = {"recording": recording, "seconds": loaded.duration, "xml": xml, "keyframes": keys}
+    content = {"recording": path, "seconds": loaded.duration, "xml": xml, "keyframes": keys}
     return Output(content, lambda: None if xml is None else click.echo(f"wrote {xml}, with {keys} keyframes"))
+
+
+def _play_task(
+    path: Path,
+    policy: str | None,
+    assignments: tuple[str, ...],
+    video: Path | None,
+    camera: str,
+    **how: Any,
+) -> Recording:
+    """A walk in the task of a training's file or directory."""
+    from nermo_mjx.learn.directory import POLICY_FILE, SPEC
+    from nermo_mjx.learn.evaluation import ZERO, played
+    from nermo_mjx.learn.spec import Training
+    from nermo_mjx.learn.task import task_parameters
+
+    training = Training.from_file(path / SPEC if path.is_dir() else path)
+    refuse_video(training.setup, video, camera)
+    values = options.assigned(assignments, task_parameters(training.setup))
+    policy = policy or (str(path / POLICY_FILE) if path.is_dir() else ZERO)
+    with ProgressBar("play", compiles=True):
+        return played(training, policy, values=values, **how)
 
 
 @command("view", reads=True)
@@ -158,7 +210,10 @@ def play_command(recording: Path, speed: float, once: bool, xml: Path | None, ra
 @options.file("--out", ".html", "Write the page to this file.")
 @number("--recordings", "For a directory: maximum number of recordings in the page; by default 50.", click.IntRange(0))
 @flag("--no-open", "Do not open a browser.")
-def view_command(path: Path, other: Path | None, out: Path | None, recordings: int | None, no_open: bool) -> Output:
+@flag("--follow", "For a training at work: a page that shows each checkpoint, until it ends or Ctrl-C.")
+def view_command(
+    path: Path, other: Path | None, out: Path | None, recordings: int | None, no_open: bool, follow: bool
+) -> Output:
     """View a recording, a sweep, a search or a training in the browser.
 
     The page is self-contained and needs no network. For a recording FILE.npz:
@@ -175,6 +230,7 @@ def view_command(path: Path, other: Path | None, out: Path | None, recordings: i
       nermo-mjx view walk.npz other.npz
       nermo-mjx view walk.npz --out walk.html --no-open
       nermo-mjx view runs/quickstart
+      nermo-mjx view runs/walker --follow
     """
     if out is not None and out.suffix.lower() not in (".html", ".htm"):
         raise WrongUse(f"{out}: a page ends in .html, not in {out.suffix or 'nothing'!r}.")
@@ -182,16 +238,53 @@ def view_command(path: Path, other: Path | None, out: Path | None, recordings: i
         raise WrongUse(
             f"{path} does not exist: allowed is a recording FILE.npz, or the directory of a sweep or search."
         )
+    if follow:
+        return _follow(path, out, no_open)
     notes: list[str] = []
     page, amounts = _page(path, other, recordings, notes)
-    file = page.save(out or Path(tempfile.mkdtemp(prefix="nermo-mjx-")) / f"{path.resolve().stem}.html")
-    opened = not no_open and _has_browser() and webbrowser.open(file.resolve().as_uri())
     for note in notes:
         say(note)
+    return _shown(page, out, path.resolve().stem, no_open, amounts)
+
+
+def _shown(page: Page, out: Path | None, name: str, no_open: bool, amounts: dict[str, Any]) -> Output:
+    """Save a page, in a new folder unless a file is given, and open it."""
+    file = page.save(out or Path(tempfile.mkdtemp(prefix="nermo-mjx-")) / f"{name}.html")
+    opened = not no_open and _has_browser() and webbrowser.open(file.resolve().as_uri())
     sentence = f"wrote {file}" + ("" if opened or no_open else "; no browser was found, open it in one")
     content = {"page": str(file), "bytes": file.stat().st_size, **amounts, "opened": opened}
     # Nobody else knows where it is.
     return Output(content, lambda: click.echo(sentence), always=out is None and not opened)
+
+
+#: After how many seconds a browser loads the page of a training at work anew.
+_RELOAD = 20.0
+
+
+def _follow(path: Path, out: Path | None, no_open: bool) -> Output:
+    """Write the page of a training anew after each of its checkpoints, until it has ended."""
+    from nermo_mjx.learn.directory import HISTORY, training_status
+    from nermo_mjx.runs import kind_of
+    from nermo_mjx.view.trained import trained
+
+    if not path.is_dir() or kind_of(path) != "training":
+        raise WrongUse(f"--follow is for the directory of a training, but {path} is none.")
+    shown, seen, status = None, 0, training_status(path)
+    with contextlib.suppress(KeyboardInterrupt):
+        while seen == 0 or not status.complete:
+            status = training_status(path)
+            written = (path / HISTORY).stat().st_mtime_ns if (path / HISTORY).exists() else 0
+            if written != seen or (seen and status.complete):
+                page = trained(path, reload=None if status.complete else _RELOAD)
+                file = None if shown is None else Path(shown.content["page"])
+                amounts = {"iterations": status.rows_done, "complete": status.complete}
+                shown, seen = _shown(page, out or file, path.resolve().stem, no_open or seen != 0, amounts), written
+                say(f"{shown.content['page']} shows {status.rows_done:,} of {status.rows:,} iterations")
+            elif not status.complete:
+                time.sleep(1.0)
+    if shown is None:
+        raise WrongUse(f"{path} has no checkpoint yet: nothing was shown.")
+    return shown
 
 
 def _page(path: Path, other: Path | None, recordings: int | None, notes: list[str]) -> tuple[Page, dict[str, Any]]:

@@ -15,7 +15,7 @@ import inspect
 import pkgutil
 import sys
 import traceback
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import FunctionType, ModuleType
 from typing import Any, Final, Protocol, runtime_checkable
@@ -92,6 +92,23 @@ class ActsUpon(Protocol):
     def elsewhere(self, physics: str, timestep: float) -> str:
         """A sentence on why it may walk otherwise in this physics, with this time step [s]; empty if nothing is known
         of that."""
+
+
+#: Height of the ground [m] at (x, y) in the world [m], which broadcast.
+Ground = Callable[[Any, Any], Array]
+
+
+@runtime_checkable
+class SeesGround(Protocol):
+    """A controller that may observe the ground, which the loop knows."""
+
+    def over(self, ground: Ground) -> ControllerLike:
+        """The same controller over a ground of this height."""
+
+
+def seeing(controller: Any, ground: Ground) -> Any:
+    """A controller over a ground, which it sees if it can."""
+    return controller.over(ground) if isinstance(controller, SeesGround) else controller
 
 
 @runtime_checkable

@@ -58,7 +58,8 @@ class Column:
 def columns_about(experiment: str) -> dict[str, Column]:
     """Unit and meaning of the columns that an experiment may have: its labels, metrics, and what it measures itself."""
     own, labels = (
-        {name: Column(*about) for name, about in texts("columns")[key].items()} for key in (experiment, "labels")
+        {name: Column(*about) for name, about in texts("columns").get(key, {}).items()}
+        for key in (experiment, "labels")
     )
     return labels | {name: Column(metric.unit, metric.doc) for name, metric in METRICS.items()} | own
 

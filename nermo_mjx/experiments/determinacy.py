@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Sequence
-from typing import Any, Final
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, Final, TypeAlias
 
 import numpy as np
 from mujoco import minimize
@@ -19,6 +19,8 @@ from scipy.stats import qmc
 
 from nermo_mjx.optimize.methods import strategy
 
+#: See `Estimation`.
+Kept: TypeAlias = Callable[[Callable[[], np.ndarray]], np.ndarray]
 #: A parameter is determined if its 90 % interval is narrower than this share of its range.
 DETERMINED: Final = 0.1
 #: A ratio or a product is determined if it is known this much better than each of its parameters.
@@ -58,6 +60,11 @@ class Parameter:
     high: float
     why: str
     neutral: float
+
+    @property
+    def absent(self) -> float:
+        """Its value where its kind is left out, in the range."""
+        return min(max(self.neutral, self.low), self.high) if math.isfinite(self.neutral) else self.value
 
     @property
     def logarithmic(self) -> bool:
@@ -137,7 +144,6 @@ class Fit:
         share: standard deviation of the posterior along each of the directions, as a share of the prior's (p,).
         directions: orthonormal columns (p, p), the best determined one first.
         draws: of the posterior (draws, p), in coordinates.
-        same: how many of the starts came to this minimum, and of how many.
     """
 
     space: ParameterSpace
@@ -148,12 +154,18 @@ class Fit:
     share: np.ndarray
     directions: np.ndarray
     draws: np.ndarray
-    same: tuple[int, int]
 
     @property
     def values(self) -> np.ndarray:
         """Of the parameters (p,)."""
         return self.space.values(self.x)
+
+    @property
+    def bodies(self) -> np.ndarray:
+        """Values of the draws inside the ranges (n, p): cut at an end, one would lose what is determined together."""
+        free = [not each for each in self.at_bound]
+        inside = ((self.draws >= self.space.low) & (self.draws <= self.space.high))[:, free].all(axis=1)
+        return self.space.values(self.draws[inside] if inside.any() else self.draws)
 
     @property
     def intervals(self) -> np.ndarray:
@@ -181,10 +193,11 @@ class Estimation:
         space: of the parameters.
         problem: with `measured`; `predict(values)` (k, p) -> (k, n), NaN where the model fails; and `renew` and
             `project`, which remove from whitened residuals what unknown starts explain, see `without`.
+        kept: of what computes an array, that array: computed, or kept from before.
     """
 
-    def __init__(self, space: ParameterSpace, problem: Any) -> None:
-        self.space, self.problem, self.measured = space, problem, problem.measured
+    def __init__(self, space: ParameterSpace, problem: Any, kept: Kept = lambda compute: compute()) -> None:
+        self.space, self.problem, self.measured, self._kept = space, problem, problem.measured, kept
 
     def residual(self, x: np.ndarray, sigma: np.ndarray) -> np.ndarray:
         """Whitened residuals (n, k) at coordinates (p, k)."""
@@ -199,16 +212,16 @@ class Estimation:
         def posterior(x: np.ndarray) -> np.ndarray:
             return np.concatenate([self.residual(x, sigma), x])
 
-        found, _ = minimize.least_squares(
-            np.clip(x, self.space.low, self.space.high),
-            posterior,
-            [self.space.low, self.space.high],
-            eps=WIDTH,
-            xtol=1e-4,
-            max_iter=iterations,
-            verbose=minimize.Verbosity.SILENT,
-        )
-        return np.asarray(found).ravel()
+        def found() -> np.ndarray:
+            start, bounds = np.clip(x, self.space.low, self.space.high), [self.space.low, self.space.high]
+            # Less regularization than the prior's own changes no step, and each try is a simulation.
+            least, _ = minimize.least_squares(
+                start, posterior, bounds, eps=WIDTH, mu_min=1.0, mu_factor=10.0, xtol=1e-4, max_iter=iterations,
+                verbose=minimize.Verbosity.SILENT,
+            )  # fmt: skip
+            return np.asarray(least).ravel()
+
+        return self._kept(found)
 
     def spread(self) -> np.ndarray:
         """Of each channel, a start for the weights: a tenth of its standard deviation (channels,)."""
@@ -226,11 +239,21 @@ class Estimation:
     def costs(self, points: np.ndarray) -> np.ndarray:
         """Of coordinates (k, p): the sum of the logarithms of the channels' residuals, whose least needs no weights."""
         of, floor = self.measured, self.spread() * 1e-6
-        away = np.nan_to_num(self.problem.predict(self.space.values(points)) - of.values, nan=1e6)
-        return np.array([np.sum(np.log(floor + of.by_channel(lambda each, i: rms(each), each))) for each in away])
 
-    def sought(self, generations: int, seed: int) -> np.ndarray:
-        """Coordinates (p,) by CMA-ES over the whole ranges, which contacts and their local minima do not stop."""
+        def found() -> np.ndarray:
+            away = np.nan_to_num(self.problem.predict(self.space.values(points)) - of.values, nan=1e6)
+            return np.array([np.sum(np.log(floor + of.by_channel(lambda each, i: rms(each), each))) for each in away])
+
+        return self._kept(found)
+
+    def sought(self, generations: int, every: int, seed: int) -> Iterator[np.ndarray]:
+        """Best coordinates (p,) so far of CMA-ES over the whole ranges, which local minima of contacts do not stop.
+
+        Args:
+            generations: at most.
+            every: how many come before each of what is found.
+            seed: of the draws.
+        """
         low, wide = self.space.low, self.space.high - self.space.low
         found = strategy(
             np.full(len(wide), 0.5), 0.3, 24, np.random.default_rng(seed), bounds=[0.0, 1.0], maxiter=generations
@@ -238,7 +261,8 @@ class Estimation:
         while not found.stop():
             shares = found.ask()
             found.tell(shares, self.costs(low + np.array(shares) * wide).tolist())
-        return low + np.asarray(found.best.x) * wide
+            if found.countiter % every == 0:
+                yield low + np.asarray(found.best.x) * wide
 
     def weights(self, x: np.ndarray, sigma: np.ndarray) -> np.ndarray:
         """Each channel's residuals, but no less than what its values can tell (channels,)."""
@@ -273,7 +297,6 @@ class Estimation:
         sigma: np.ndarray | None = None,
         iterations: int = 15,
         rounds: int = 3,
-        same: tuple[int, int] = (1, 1),
         seed: int = 0,
     ) -> Fit:
         """The estimate from a start, by default the defaults, with its uncertainty; see `search` and `Fit`."""
@@ -285,7 +308,7 @@ class Estimation:
         random = np.random.default_rng(seed)
         draws = x + (random.standard_normal((DRAWS, len(x))) * share) @ vectors.T
         residual = white * sigma[self.measured.channel]
-        return Fit(self.space, x, residual, sigma, jacobian, share, vectors, draws, same)
+        return Fit(self.space, x, residual, sigma, jacobian, share, vectors, draws)
 
     def jacobian(self, x: np.ndarray, sigma: np.ndarray) -> np.ndarray:
         """Of the whitened residuals (n, p), by central differences within the bounds, in one batch."""
@@ -448,10 +471,7 @@ def dispensable(fit: Fit) -> list[str]:
     kinds = list(dict.fromkeys(each.kind for each in space.parameters))
     optional = [k for k in kinds if all(math.isfinite(p.neutral) for p in space.parameters if p.kind == k)]
     covariance = (fit.directions * fit.share**2) @ fit.directions.T
-    neutral = np.array(
-        [np.clip(p.neutral, p.low, p.high) if math.isfinite(p.neutral) else p.value for p in space.parameters]
-    )
-    away = fit.x - space.coordinates(neutral)
+    away = fit.x - space.coordinates(np.array([each.absent for each in space.parameters]))
     while optional:
 
         def rise(kind: str) -> float:

@@ -1,6 +1,6 @@
 """Identification of a robot from its own logs: `nermo-mjx identify --log`, its directory and its report.
 
-The first three quarters of each log are fitted, from several starts of which the best on a short piece goes on; the
+The first three quarters of each log are fitted, from the best of several starts on a short piece; the
 rest, or another log, is the judge. Other classes are one without the kinds of parameters that the data do not ask for,
 and those with one more kind.
 """
@@ -10,7 +10,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -19,19 +19,23 @@ from nermo_mjx.experiments import determinacy
 from nermo_mjx.experiments.determinacy import Estimation, Fit, Judgement, Parameter, ParameterSpace, judge, percent, rms
 from nermo_mjx.experiments.log_twin import KINDS, Body, LoggedTwin, until
 from nermo_mjx.hardware.log import Log
+from nermo_mjx.hardware.signals import channel_differences
 from nermo_mjx.robot import ParameterError
 
 #: Share of a log that is fitted where no other log judges.
 FITTED: Final = 0.75
 #: Piece on which starts are compared: share of a log, but no less than this [s].
 PIECE: Final = (0.2, 2.5)
-#: Starts, and Gauss-Newton steps of each on its piece.
+#: Gauss-Newton begins at the default, then at the best points of a Sobol sequence (a delay has local minima), then at
+#: the best of so many generations of CMA-ES each time, until the piece is explained, or two ends are alike.
 STARTS: Final = 3
-#: Points of a Sobol sequence, of which the best are starts beside the default: a delay has local minima.
 SCANNED: Final = 96
-STEPS: Final = 14
-#: Generations of the search that follows where no start explains the piece.
 GENERATIONS: Final = 150
+EVERY: Final = 25
+#: Steps of Gauss-Newton, at most.
+STEPS: Final = 14
+#: Ends are one minimum if the mean logarithm of their channels' residuals differs by less.
+ALIKE: Final = 1e-3
 #: A class is within noise of a larger one if its error on seconds that were not fitted is larger by less.
 WITHIN: Final = 0.02
 #: A class that leaves out a kind which would remove this share of the residuals is wrong.
@@ -49,13 +53,11 @@ class Wanted:
     Attributes:
         free: kinds of parameters.
         ranges: name or kind -> (low, high), inside which it is searched.
-        starts: of Gauss-Newton.
         seed: of starts and draws.
     """
 
     free: tuple[str, ...] = FREE
     ranges: Mapping[str, tuple[float, float]] = dataclasses.field(default_factory=dict)
-    starts: int = STARTS
     seed: int = 0
 
 
@@ -112,20 +114,28 @@ class Identification:
         return self.fitted.judgement.right or (not self.missing and self.after.judgement.right)
 
     @property
-    def draws(self) -> np.ndarray:
-        """Values drawn from the posterior of both classes (draws, p)."""
+    def _own(self) -> list[int]:
+        """Places of the simplest class's parameters among all."""
         names = [each.name for each in self.fit.space.parameters]
-        drawn = self.fit.space.values(self.fit.draws)
-        if self.simplest is not self.fit:
-            own = [names.index(each.name) for each in self.simplest.space.parameters]
-            half = len(drawn) // 2
-            drawn[half:, own] = self.simplest.space.values(self.simplest.draws)[half:]
-        return drawn
+        return [names.index(each.name) for each in self.simplest.space.parameters]
+
+    @property
+    def bodies(self) -> np.ndarray:
+        """Values of bodies drawn from the posterior, as many of each of both classes (n, p)."""
+        whole, own = self.fit.bodies, self.simplest.bodies
+        simple = np.tile([each.absent for each in self.fit.space.parameters], (len(own), 1))
+        simple[:, self._own] = own
+        each = min(len(whole), len(simple))
+        return whole if self.simplest is self.fit else np.concatenate([whole[:each], simple[:each]])
 
     @property
     def intervals(self) -> np.ndarray:
-        """Ends of the 90 % intervals over both classes (p, 2)."""
-        return np.quantile(self.draws, determinacy.ENDS, axis=0).T
+        """Ends of the 90 % intervals over both classes (p, 2); of what one leaves out, those of the other."""
+        drawn = self.fit.space.values(self.fit.draws)
+        if self.simplest is not self.fit:
+            half = len(drawn) // 2
+            drawn[half:, self._own] = self.simplest.space.values(self.simplest.draws)[half:]
+        return np.quantile(drawn, determinacy.ENDS, axis=0).T
 
     def sentences(self) -> list[str]:
         """The verdict in words."""
@@ -164,6 +174,7 @@ def identify_log(
     wanted: Wanted,
     judges: Sequence[Log] = (),
     report: Callable[[float], None] = lambda share: None,
+    kept: determinacy.Kept = lambda compute: compute(),
 ) -> Identification:
     """Fit a body to logs.
 
@@ -173,6 +184,7 @@ def identify_log(
         wanted: parameters, ranges, and effort.
         judges: other logs that judge; by default the last quarter of each.
         report: is told the share done.
+        kept: see `Estimation`; the order is always the same.
 
     Raises:
         ParameterError: the log and the model do not fit together, or no parameter is free.
@@ -193,20 +205,25 @@ def identify_log(
 
     # Starts are compared on a piece, where wrong ones are told from right ones as well.
     pieces = [until(log, min(log.duration, max(PIECE[0] * log.duration, PIECE[1]))) for log in heads]
-    rough, tried = Estimation(space, twin(pieces, names)), []
-    for i, start in enumerate([np.zeros(len(space)), *rough.scanned(SCANNED, wanted.seed)[: wanted.starts - 1]]):
-        x, sigma = rough.search(start, iterations=STEPS, rounds=1)
-        tried.append((float(np.sum(np.log(sigma))), x, sigma))
-        report((i + 1) / (wanted.starts + 3))
-    cost, x, sigma = min(tried, key=lambda each: each[0])
-    if not judge(rough.measured, rough.residual(x[:, None], sigma)[:, 0] * sigma[rough.measured.channel]).right:
-        x, sigma = rough.search(rough.sought(GENERATIONS, wanted.seed), iterations=STEPS, rounds=2)
-        tried.append((float(np.sum(np.log(sigma))), x, sigma))
-        cost, x, sigma = min(tried, key=lambda each: each[0])
-    same = (sum(each[0] < cost + 0.05 * len(sigma) for each in tried), len(tried))
-    whole = Estimation(space, twin(heads, names))
-    fit = whole.fit(x, sigma, iterations=STEPS, same=same, seed=wanted.seed)
-    report(1 - 2 / (wanted.starts + 3))
+    rough, tried = Estimation(space, twin(pieces, names), kept), list[tuple[np.ndarray, np.ndarray]]()
+
+    def starts() -> Iterator[np.ndarray]:
+        yield np.zeros(len(space))
+        yield from rough.scanned(SCANNED, wanted.seed)[: STARTS - 1]
+        yield from rough.sought(GENERATIONS, EVERY, wanted.seed)
+
+    most = STARTS + GENERATIONS // EVERY
+    for i, start in enumerate(starts()):
+        tried.append(rough.search(start, iterations=STEPS, rounds=2))
+        costs = [float(np.sum(np.log(sigma))) for _, sigma in tried]
+        x, sigma = tried[int(np.argmin(costs))]
+        report((i + 1) / (most + 3))
+        left = rough.residual(x[:, None], sigma)[:, 0] * sigma[rough.measured.channel]
+        if judge(rough.measured, left).right or sum(each < min(costs) + ALIKE * len(sigma) for each in costs) > 1:
+            break
+    whole = Estimation(space, twin(heads, names), kept)
+    fit = whole.fit(x, sigma, iterations=STEPS, seed=wanted.seed)
+    report(1 - 2 / (most + 3))
 
     def verdict(
         own: Body, names: Sequence[str], values: np.ndarray, of: Sequence[Log], only: Any = None
@@ -227,14 +244,14 @@ def identify_log(
     errors = {"default body": before.error(sigma), "identified": after.error(sigma)}
     # A class without kinds that the data do not ask for, if the seconds that were not fitted do not miss them.
     left, simplest = determinacy.dispensable(fit), fit
-    kept = [each for each in space.parameters if each.kind not in left]
-    if left and kept:
+    asked = [each for each in space.parameters if each.kind not in left]
+    if left and asked:
         fixed = [each for each in space.parameters if each.kind in left]
-        lean = body.at({each.name: float(np.clip(each.neutral, each.low, each.high)) for each in fixed})
-        smaller = ParameterSpace(kept)
-        start = smaller.coordinates(np.array([fit.values[names.index(each.name)] for each in kept]))
-        own = [each.name for each in kept]
-        candidate = Estimation(smaller, twin(heads, own, lean)).fit(start, fit.sigma, STEPS, 1, same, wanted.seed)
+        lean = body.at({each.name: each.absent for each in fixed})
+        smaller = ParameterSpace(asked)
+        start = smaller.coordinates(np.array([fit.values[names.index(each.name)] for each in asked]))
+        own = [each.name for each in asked]
+        candidate = Estimation(smaller, twin(heads, own, lean), kept).fit(start, fit.sigma, STEPS, 1, wanted.seed)
         error = verdict(lean, own, candidate.values, *rest).error(sigma)
         if error < (1 + WITHIN) * errors["identified"]:
             simplest, errors["simplest class"] = candidate, error
@@ -258,10 +275,12 @@ def _narrowed(parameters: list[Parameter], ranges: Mapping[str, tuple[float, flo
         own = [i for i, each in enumerate(parameters) if name in (each.name, each.kind)]
         if not own:
             raise ParameterError(f"--range names {name!r}, which is no free parameter.")
-        if not low < high:
-            raise ParameterError(f"--range {name}: {low:g} to {high:g} is empty.")
+        if not -math.inf < low < high < math.inf:
+            raise ParameterError(f"--range {name}: {low:g} to {high:g} is empty, or has no end.")
         for i in own:
             each = parameters[i]
+            if each.low > 0 >= low:
+                raise ParameterError(f"--range {name}: {low:g} to {high:g} is not above 0, as {each.name} is.")
             value = min(max(each.value, low), high)
             parameters[i] = dataclasses.replace(each, low=low, high=high, value=value, why="as given")
     return parameters
@@ -299,18 +318,11 @@ def _repeatability(logs: Sequence[Log], sigma: np.ndarray, labels: Sequence[str]
     """How much the robot itself differs between two logs of one command, by channel [noise]."""
     if len(logs) < 2:
         return {}
-    one, other = ({(each.quantity, each.of): each for each in log.channels} for log in logs[:2])
-
-    def difference(key: Any) -> float:
-        a, b = one[key], other[key]
-        end = min(a.times[-1], b.times[-1])
-        at = a.times[a.times <= end]
-        columns = [np.interp(at, b.times, c) for c in b.values.reshape(len(b.times), -1).T]
-        return rms((a.values[: len(at)].reshape(len(at), -1) - np.stack(columns, axis=1)).ravel()) / math.sqrt(2)
-
-    common = [key for key in one if key in other]
-    commands = [key for key in common if key[0] == "command"]
-    if not commands or max(difference(key) for key in commands) > 0.01:
+    found = {each.name: each.rms / math.sqrt(2) for each in channel_differences(*logs[:2])}
+    commands = [found[each.name] for each in logs[0].of_quantity("command").values() if each.name in found]
+    if not commands or max(commands) > 0.01:
         return {}
-    seen = [key for key in common if one[key].name in labels]
-    return {one[key].name: difference(key) / sigma[labels.index(one[key].name)] for key in seen}
+    axes = [[found[n] for n in (label, *(f"{label} {axis}" for axis in "xyz")) if n in found] for label in labels]
+    return {
+        label: rms(np.array(each)) / sigma[i] for i, (label, each) in enumerate(zip(labels, axes, strict=True)) if each
+    }

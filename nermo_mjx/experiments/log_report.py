@@ -8,27 +8,32 @@ from __future__ import annotations
 
 import dataclasses
 import html
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NoReturn
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from nermo_mjx.experiments import determinacy
-from nermo_mjx.experiments.determinacy import Estimation, percent
+from nermo_mjx.experiments.determinacy import Estimation, Kept, percent
 from nermo_mjx.experiments.log_identification import Identification
 from nermo_mjx.experiments.log_twin import LoggedTwin, MjcfBody, NermoBody
 from nermo_mjx.hardware.log import Channel, Log
+from nermo_mjx.hardware.table import servo_table
 from nermo_mjx.plotting.charts import page as blank_page
 from nermo_mjx.plotting.files import write_figures
 from nermo_mjx.plotting.style import BAND, BEST, INK, LINE, MUTED
 from nermo_mjx.recording import Recording
 from nermo_mjx.robot import ModelParameters
 from nermo_mjx.robot.quantity import quantities
-from nermo_mjx.runs.files import make_writable, replace_file, to_json
+from nermo_mjx.rollout import Setup
+from nermo_mjx.runs.files import DirectoryError, make_writable, replace_file, stored_json, to_json
+from nermo_mjx.runs.status import Status, last_command
 
 RESULT: Final = "identification.json"
+#: What is kept for a resume.
+STEPS: Final = "steps.json"
 #: Bodies in ensemble.csv, and draws in the posterior predictive check.
 BODIES: Final = 64
 SHOWN: Final = 24
@@ -55,13 +60,13 @@ def _excitations(found: Identification) -> dict[str, dict[str, np.ndarray]]:
     begun = np.clip(TIMES / 0.5, 0.0, 1.0) * np.clip((LASTS - TIMES) / 0.5, 0.0, 1.0)
     middle = {name: float(np.median(values)) for name, values in rest.items()}
 
-    def chirp(chosen: Sequence[str], factor: float = 1.0) -> dict[str, np.ndarray]:
+    def chirp(chosen: Sequence[str], factor: float = 1.0, wave: Any = np.sin) -> dict[str, np.ndarray]:
         """Of these servos, one after the other in phase; the others stand."""
         turned = 2 * np.pi * factor * (SWEPT[0] * TIMES + (SWEPT[1] - SWEPT[0]) * TIMES**2 / (2 * LASTS))
         made = {name: np.full(len(TIMES), middle[name]) for name in names}
         for i, name in enumerate(chosen):
             limits = body.model.actuator_ctrlrange[body.actuator(name)]
-            swing = middle[name] + SWING * begun * np.sin(turned + 2.4 * i)
+            swing = middle[name] + SWING * begun * wave(turned + 2.4 * i)
             made[name] = np.clip(swing, *limits) if limits[1] > limits[0] else swing
         return made
 
@@ -73,8 +78,13 @@ def _excitations(found: Identification) -> dict[str, dict[str, np.ndarray]]:
         name: np.interp(TIMES, log.channel("command", name).times, values)  # type: ignore[union-attr]
         for name, values in rest.items()
     }
+    if isinstance(body, NermoBody):  # a walk at 1 Hz, as `servos` plays it
+        table = servo_table(Setup(robot=body.robot), {"frequency": 1.0}, rate=RATE, cycles=round(LASTS))
+        angles = dict(zip(table.names, np.radians(table.angles.T), strict=True))
+        made["a walk"] = {name: middle[name] + begun * (angles[name] - middle[name]) for name in names}
     return made | {
         "slow chirp of all servos": chirp(names, 0.25),
+        "steps of all servos, which push the robot": chirp(names, 0.25, lambda phase: np.sign(np.sin(phase))),
         "chirp of all servos": chirp(names),
         "the same commands again": again,
     }
@@ -105,6 +115,38 @@ def next_experiment(found: Identification) -> tuple[str, float, dict[str, np.nda
 
 
 # --- a directory
+
+
+def kept_in(out: Path, decides: str) -> Kept:
+    """Keeps arrays in their order in a directory, so that what was killed goes on after the last; see `Estimation`.
+
+    Args:
+        out: the directory.
+        decides: what decides the arrays: those of something else are not taken.
+    """
+    held = stored_json(out / STEPS) or {}
+    known = [np.array(each, float) for each in (held["arrays"] if held.get("decides") == decides else ())]
+    left = iter(known.copy())
+
+    def kept(compute: Callable[[], np.ndarray]) -> np.ndarray:
+        if (found := next(left, None)) is not None:
+            return found
+        known.append(compute())
+        replace_file(out / STEPS, to_json({"decides": decides, "arrays": [each.tolist() for each in known]}))
+        return known[-1]
+
+    return kept
+
+
+def log_status(out: Path) -> Status:
+    """How far the identification from a log in a directory is."""
+    done, complete = len((stored_json(out / STEPS) or {}).get("arrays", ())), (out / RESULT).exists()
+    return Status("steps", done, done if complete else None, complete, last_command(out), "c")
+
+
+def kept_figures(out: Path) -> NoReturn:
+    """Raise `DirectoryError`: they are of curves that a directory does not keep."""
+    raise DirectoryError(f"{out / 'plots'} has the figures: only the command that made {out} draws them.")
 
 
 def estimate_rows(found: Identification) -> list[list[str]]:
@@ -165,7 +207,6 @@ def write_identification(found: Identification, out: Path, command: str) -> dict
             label: {"rms": judged.rms[i], "noise": judged.noise[i], "before": found.before.judgement.rms[i]}
             for i, label in enumerate(found.after.twin.labels)
         },
-        "starts": list(found.fit.same),
         "next": {"name": name, "left": left, "file": proposed},
         "files": files,
         "wall_seconds": found.seconds,
@@ -215,7 +256,7 @@ def _written_body(found: Identification, out: Path) -> list[str]:
     known = [name for name in dict(quantities(ModelParameters)) if name in names]
     columns = [names.index(name) for name in known]
     fixed = {name: value for name, value in found.body.standing.items() if name not in known}
-    bodies = np.vstack([found.fit.values, found.draws[:: max(len(found.draws) // (BODIES - 1), 1)][: BODIES - 1]])
+    bodies = np.vstack([found.fit.values, found.bodies[:: max(len(found.bodies) // (BODIES - 1), 1)][: BODIES - 1]])
     lines = [
         "# Bodies drawn from the posterior of an identification from a log; the first is the best.",
         ",".join([*known, *fixed, "objective", "weight"]),
@@ -238,7 +279,7 @@ def figures_of(found: Identification) -> Iterator[tuple[str, Figure]]:
 def _predicted(found: Identification, most: int = 6) -> Figure:
     """Measured and predicted curves where nothing was fitted, with a band of the posterior."""
     twin = found.after.twin
-    drawn = twin.predict(found.draws[:: len(found.draws) // SHOWN][:SHOWN])
+    drawn = twin.predict(found.bodies[:: max(len(found.bodies) // SHOWN, 1)][:SHOWN])
     low, high = np.quantile(drawn, determinacy.ENDS, axis=0)
     best = twin.measured.values + found.after.residual
     before = twin.measured.values + found.before.residual

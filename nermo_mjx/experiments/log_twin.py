@@ -266,7 +266,7 @@ class NermoBody(Body):
             robot: its name.
             free: kinds of parameters that are estimated.
         """
-        nermo = load_robot(robot)
+        nermo, self.robot = load_robot(robot), robot
         super().__init__(nermo.physical)
         self._variation, self.standing = Variation(nermo), dict(mass_values(robot))
         self.model.opt.jacobian = mujoco.mjtJacobian.mjJAC_SPARSE

@@ -376,6 +376,8 @@ class _Reader:
         if len(names) not in axes or (entry.column is not None and entry.columns is not None):
             allowed = " or ".join(map(str, axes))
             self.doc.fail(("channels", name), f"has {len(names)} columns: allowed for its quantity is {allowed}.")
+        if len({*names}) < len(names):
+            self.doc.fail(("channels", name, "columns"), "names a column twice: expected one for each axis.")
         return names
 
     def samples(self, name: str, entry: SignalFields) -> tuple[np.ndarray, np.ndarray, str]:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
+import difflib
+from collections.abc import Iterator, Sequence
 from typing import Final
 
 import numpy as np
 from jaxtyping import Float
 
-from nermo_mjx.hardware.log import MOVED, Channel, Log
+from nermo_mjx.hardware.log import MOVED, Channel, Log, several
 
 #: Largest lag that is looked for [s].
 LONGEST_LAG: Final = 0.25
@@ -136,6 +137,13 @@ _GAINS: Final = (0.5, 2.0)
 _OFF: Final = 0.2
 #: A servo is late where its lag is beyond all others' by more than this [s], and by more than these are apart.
 _LATE: Final = 0.01
+#: A clock drifts where lags in so many parts of a log change by more than this in all [s], and than so many standard
+#: deviations.
+_PARTS: Final = 6
+_DRIFTED: Final = 0.01
+_CERTAIN: Final = 5.0
+#: Interval beyond which the unit of a time is in doubt [s].
+_SLOWEST: Final = 2.0
 #: Turns of servos [rad], angular velocities [rad/s], and weights [m/s^2] beyond which a unit is wrong: 2,000 deg/s is
 #: what gyros measure.
 _TURNS: Final = 2.0 * np.pi
@@ -174,11 +182,50 @@ def findings_of(log: Log) -> tuple[str, ...]:
         elif len(others) > 1 and lag - max(others) > max(_LATE, np.ptp(others)):
             most = f"{1e3 * max(others):.0f} ms at most"
             found.append(f"{name} lags by {1e3 * lag:.0f} ms behind its command, the other servos by {most}.")
+    found += _drifts(log, pairs)
+    alone, unled = ([of for of in a if of not in b] for a, b in ((commands, angles), (angles, commands)))
+    for of in alone:
+        for other in difflib.get_close_matches(of, unled, 1, 0.8):
+            found.append(
+                f"{commands[of].name} is of {of!r}, and {angles[other].name} of {other!r}: are both of one servo?"
+            )
+    if slow := [each.name for each in log.channels if each.interval > _SLOWEST]:
+        every = max(each.interval for each in log.channels)
+        found.append(f"{several(slow)}: a sample comes every {every:.3g} s: has the time another unit?")
     for channel in log.channels:
         led = channel.quantity == "angle" and channel.of in lags
         expected = values_at(commands[channel.of], channel.times - lags[channel.of][0]) if led else None
         found += _own_findings(channel, expected)
     return tuple(found)
+
+
+def _drifts(log: Log, pairs: Sequence[tuple[Channel, Channel]]) -> Iterator[str]:
+    """Clocks that run away from another one: angles behind their commands, and the change of a yaw behind a gyro."""
+    yaw, gyro = log.channel("yaw"), log.channel("gyro")
+    seen = {angle.name: (angle, command) for angle, command in pairs}
+    if yaw is not None and gyro is not None:
+        rate = dataclasses.replace(yaw, values=np.gradient(yaw.values, yaw.times))
+        seen[yaw.name] = rate, dataclasses.replace(gyro, values=gyro.values[:, 2])
+    found: dict[tuple[str, str], list[tuple[str, float]]] = {}
+    for name, (channel, other) in seen.items():
+        # Channels that share most stamps are of one clock; their lags may change with the motion.
+        few, many = sorted((each.times.round(9) for each in (channel, other)), key=len)
+        if np.isin(few, many).mean() > 0.5:
+            continue
+        parts = [part for part in np.array_split(np.arange(len(channel.times)), _PARTS) if len(part) > 2]
+        pieces = [dataclasses.replace(channel, times=channel.times[p], values=channel.values[p]) for p in parts]
+        lags, middle = np.array([lag_of(each, other) for each in pieces]).T[0], [each.times.mean() for each in pieces]
+        (slope, _), (variance, *_) = np.polyfit(middle, lags, 1, cov=True)
+        change = abs(slope) * np.ptp(channel.times)
+        if change > _DRIFTED and abs(slope) > _CERTAIN * np.sqrt(variance[0]):
+            found.setdefault((channel.quantity, other.quantity), []).append((name, float(slope)))
+    for (_, behind), each in found.items():
+        names, slopes = zip(*each, strict=True)
+        slope = float(np.median(slopes))
+        yield (
+            f"{several(names)}: the lag behind the {behind} {'grows' if slope > 0 else 'shrinks'} by "
+            f"{1e3 * abs(slope):.2g} ms in a second: do the clocks differ, by scale: {1 / (1 + slope):.5g}?"
+        )
 
 
 def _own_findings(channel: Channel, expected: np.ndarray | None) -> Iterator[str]:

@@ -11,6 +11,7 @@ DIR/history.parquet    one row per iteration; in each column's metadata its unit
 DIR/evaluation.parquet one row per walk on a body and start that the policy has not seen, and the same without it
 DIR/summary.json       success, return and speed
 DIR/plots/             figures
+DIR/videos/            a walk of the policy at each checkpoint, where that was asked for
 DIR/*.aside-N          files that did not match: nothing is deleted
 
 Roles in the history: `index` (iteration, steps), `return` (of the episodes that ended), `term` (of the reward),

@@ -11,20 +11,24 @@ import jax.numpy as jnp
 import numpy as np
 import pyarrow as pa
 
-from nermo_mjx.learn.own import own_terminations
-from nermo_mjx.learn.policy import Policy
+from nermo_mjx.learn.environment import Environment
+from nermo_mjx.learn.own import code_place, own_terminations
+from nermo_mjx.learn.policy import Policy, RandomPolicy, load_policy
 from nermo_mjx.learn.spec import Training
 from nermo_mjx.learn.task import GIVEN, Task, task_parameters
 from nermo_mjx.recording import Recording
-from nermo_mjx.robot import identified
+from nermo_mjx.robot import ParameterError, identified
 from nermo_mjx.robot.quantity import quantities
 from nermo_mjx.robot.scene import scene_name
-from nermo_mjx.rollout import RunResult, Setup, Simulator
+from nermo_mjx.robot.terrains import terrain_values
+from nermo_mjx.rollout import Run, RunResult, Setup, Simulator
 from nermo_mjx.rollout.own_metrics import OwnMetric
 from nermo_mjx.runs.rows import Columns
 
 #: Added to a training's seed, so that no training episode was drawn from such a key.
 UNSEEN: Final = 0x5EED
+#: Policies without a file.
+ZERO, RANDOM = "zero", "random"
 #: What is evaluated: the policy, and the controller that it acts on.
 POLICY, ALONE = "policy", "alone"
 #: Metrics of the table.
@@ -147,6 +151,50 @@ def recorded(training: Training, policy: Policy, engine: str = "c") -> Iterator[
         simulator = Simulator(there, engine=engine)
         values = _known(simulator.setup, {**task.set, **unseen_bodies(training, task, Draws(1, UNSEEN))})
         yield scene_name(str(setup.scene)), simulator.run(values, training.run, record=True).recording()
+
+
+def played(
+    training: Training,
+    policy: str,
+    *,
+    scene: str | None = None,
+    seconds: float | None = None,
+    values: Mapping[str, float] | None = None,
+) -> Recording:
+    """A walk in the task of a training, of its evaluation's first unseen body from its first start.
+
+    Args:
+        training: of the task.
+        policy: a policy's file; or `zero`, which never acts, or `random`, see `RandomPolicy`.
+        scene: as in `Setup`; by default the first of the evaluation.
+        seconds: how long; by default as in the evaluation.
+        values: of parameters and commands, by name, instead of what the task sets and draws.
+
+    Raises:
+        ParameterError: there is no such scene, policy or value there, or the policy is not told a command.
+    """
+    values, evaluation = values or {}, training.evaluation
+    scenes = (scene or str(training.evaluated()[0][0].scene),)
+    for name in values:
+        if name.startswith("terrain.") and name not in terrain_values(scenes[0]):
+            raise ParameterError(f"{name} is given, and {scene_name(scenes[0])!r} does not have it: leave it out.")
+    evaluation = dataclasses.replace(evaluation, scenes=scenes, set={**evaluation.set, **values})
+    run = training.run if seconds is None else Run(duration=seconds, warmup=0.0)
+    training = dataclasses.replace(training, evaluation=evaluation, run=run)
+    ((setup, task),) = training.evaluated()
+    task.check(setup)
+    if policy in (ZERO, RANDOM):
+        environment = Environment(setup, worlds=1, task=task)
+        acting = Policy.of(environment, training.algorithm.begin(environment, training.seed))
+        acting = RandomPolicy(**vars(acting)) if policy == RANDOM else acting
+    else:
+        acting = load_policy(policy, code_place(training.task.observe))
+    commands, late, noisy = acting.observer.commands, bool(acting.observer.delayed), acting.observer.noisy
+    told = {f"command.{name}" for name in commands} | ({"sensing.delay"} if late else set())
+    for name in values:
+        if name in GIVEN and name not in told and not (noisy and name.endswith("_noise")):
+            raise ParameterError(f"{name} is given, and the policy was not trained with it: leave it out.")
+    return next(recorded(training, acting))[1]
 
 
 def _as_number(ends: Callable[[Any], Any]) -> Callable[[Any], Any]:

@@ -16,6 +16,7 @@ import jax.numpy as jnp
 from jaxtyping import Float
 
 from nermo_mjx.control.controller import with_dtypes_of
+from nermo_mjx.control.protocol import Ground
 from nermo_mjx.learn import observing
 from nermo_mjx.learn.acting import Acting
 from nermo_mjx.learn.observing import Observer
@@ -142,7 +143,7 @@ class EpisodeLoop:
         loop = self.run.init(params.loop, sensordata)
         sensors = self.robot.sensors(jnp.where(jnp.isfinite(sensordata), sensordata, 0.0))
         nothing = jnp.zeros_like(self.input(params))
-        memory = self.observer.memory(self.observer.readings(sensors))
+        memory = self.observer.memory(self.observer.readings(sensors, self._ground(params)))
         return EpisodeState(loop, loop.metrics, jnp.zeros(()), memory, nothing, nothing)
 
     def step(
@@ -155,7 +156,7 @@ class EpisodeLoop:
         first = {"before": loop.metrics, "action": jnp.clip(self.input(params), -1.0, 1.0), "last_action": state.action}
         kept = {name: getattr(state, name) for name in first}
         chosen = jax.tree.map(functools.partial(jnp.where, begins), first, kept)
-        memory = self.observer.remembered(state.memory, self.observer.readings(sensors))
+        memory = self.observer.remembered(state.memory, self.observer.readings(sensors, self._ground(params)))
         after = EpisodeState(loop=loop, speed=speed, memory=memory, **chosen)
         return with_dtypes_of(state, after), ctrl
 
@@ -186,10 +187,10 @@ class EpisodeLoop:
         path = self.controller.path(control, state.loop.control, sensors.position)
         told = self.observer.informed(params.given.command, state.loop.control.control, path, state.action, geometry)
         key = jax.random.fold_in(jax.random.key(params.seed), state.loop.tick) if self.observer.noisy else None
-        observation = self.observer.observe(params.given.sensing, state.memory, sensors, told, key)
-        exact = jnp.concatenate([self.observer.readings(sensors), self.observer.told(told, sensors)])
+        ground = self._ground(params)
+        observation = self.observer.observe(params.given.sensing, state.memory, sensors, told, key, ground)
+        exact = jnp.concatenate([self.observer.readings(sensors, ground), self.observer.told(told, sensors)])
         left = (params.ticks - state.loop.tick) / self.task.ticks(self.dt)
-        ground = functools.partial(self.robot.terrain.height, shape=params.loop.terrain)
         known = observing.privileged(exact, sensors, ground, now.readings[2], left, params.drawn, self.has_path)
         cut = (status == _code(Outcome.timed_out)) | (status == _code(Outcome.arrived))
         return Observed(
@@ -207,6 +208,9 @@ class EpisodeLoop:
                 "unsolved": jnp.zeros(()),  # the engine knows
             },
         )
+
+    def _ground(self, params: EpisodeParameters) -> Ground:
+        return functools.partial(self.robot.terrain.height, shape=params.loop.terrain)
 
     def _moment_at_rest(self) -> Moment:
         """Of a robot that has not moved."""

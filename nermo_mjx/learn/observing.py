@@ -16,12 +16,13 @@ from jaxtyping import Float
 
 from nermo_mjx.control.path import PathPoint
 from nermo_mjx.control.pilot import heading
-from nermo_mjx.control.protocol import NAMED
+from nermo_mjx.control.protocol import NAMED, Ground
+from nermo_mjx.kinematics.body import attitude
 from nermo_mjx.learn.acting import ACTED
 from nermo_mjx.robot import LIMBS, ParameterError, Sensors
 from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.model_parameters import ModelParameters
-from nermo_mjx.robot.parameters import reading_names
+from nermo_mjx.robot.parameters import SCANNED, reading_names
 from nermo_mjx.robot.quantity import parameter_tree, quantity
 from nermo_mjx.rollout.metrics import LOADED
 from nermo_mjx.shapes import Array, Scalar
@@ -45,6 +46,7 @@ class Sensing:
     gyro_noise: Any = quantity(0.0, "rad/s", 0.0, 10.0, "of the IMU's angular velocity")
     accelerometer_noise: Any = quantity(0.0, "m/s^2", 0.0, 50.0, "of the IMU's acceleration")
     projected_gravity_noise: Any = quantity(0.0, "1", 0.0, 1.0, "of the direction of gravity")
+    height_scan_noise: Any = quantity(0.0, "m", 0.0, 0.05, "of the ground's heights")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -52,14 +54,16 @@ class Sensed:
     """What a policy observes of a reading.
 
     Attributes:
-        read: the readings of one world, in SI units.
+        read: the readings of one world, in SI units, from its sensors and, with `ground`, the ground's height.
         scale: what is observed is the reading over this, so that it is about 1. Its noise is a field of `Sensing`.
         labels: of the numbers of one's own; "" for one without a label.
+        ground: whether `read` gets, beside the sensors, a function from (x, y) in the world to the ground's height [m].
     """
 
-    read: Callable[[Sensors], Vector]
+    read: Callable[..., Vector]
     scale: float = 1.0
     labels: tuple[str, ...] = ()
+    ground: bool = False
 
 
 def projected_gravity(sensors: Sensors) -> Float[Array, " 3"]:
@@ -84,7 +88,28 @@ def current(sensors: Sensors) -> Float[Array, " k"]:
     return servo.idle_current + per_torque * jnp.abs(sensors.servo_torque[: len(ACTED)])
 
 
-#: What the robot senses, by names of `READINGS`. Currents are what a motor's supply shows of its torque: no sign.
+def height_scan(sensors: Sensors, ground: Ground, yaw: Scalar | None = None) -> Float[Array, " 12"]:
+    """Heights of the ground at `SCANNED` over that beneath the torso, at most 0.05 up or down [m].
+
+    The grid turns with the torso's `yaw` [rad], by default that of its attitude, and stays level, as the term of this
+    name does in Isaac Lab and mjlab, which count down from the robot instead. Obstacles are no ground.
+    """
+    x, y, _ = sensors.position
+    left, ahead = directions(attitude(sensors.orientation)[2] if yaw is None else yaw)
+    points = jnp.asarray(SCANNED)
+    seen = ground(
+        x + points[:, 0] * left[0] + points[:, 1] * ahead[0], y + points[:, 0] * left[1] + points[:, 1] * ahead[1]
+    )
+    return jnp.clip(seen - ground(x, y), -0.05, 0.05)
+
+
+def directions(yaw: Scalar) -> tuple[Array, Array]:
+    """The torso's left and ahead on the ground, (2,) each."""
+    return jnp.stack([jnp.cos(yaw), jnp.sin(yaw)]), jnp.stack([jnp.sin(yaw), -jnp.cos(yaw)])
+
+
+#: What the robot senses, and the ground's heights, by names of `READINGS`. Currents are what a motor's supply shows of
+#: its torque: no sign.
 SENSED: Final[dict[str, Sensed]] = {
     "servo_angle": Sensed(lambda s: s.servo_angle[: len(ACTED)]),
     "servo_torque": Sensed(lambda s: s.servo_torque[: len(ACTED)], 0.1),
@@ -94,6 +119,7 @@ SENSED: Final[dict[str, Sensed]] = {
     "gyro": Sensed(lambda s: s.gyro, 3.0),
     "accelerometer": Sensed(lambda s: s.accelerometer, 9.81),
     "projected_gravity": Sensed(projected_gravity),
+    "height_scan": Sensed(height_scan, 0.01, ground=True),
 }
 _RENAMED: Final = {"servo_load": "servo_torque", "servo_current": "motor_current", "tilt": "projected_gravity"}
 #: What files of former versions call readings and their noise.
@@ -129,8 +155,6 @@ OBSERVED: Final = (
     "path",
     "action",
 )
-#: Points of the ground that the critic sees, left of and ahead of the torso [m].
-SCANNED: Final = tuple((side, ahead) for ahead in (-0.1, 0.0, 0.1, 0.2) for side in (0.04, 0.0, -0.04))
 
 
 class Told(NamedTuple):
@@ -207,9 +231,20 @@ class Observer:
         labels |= {name: tuple(f"{name}.{label}" for label in told[name]) for name in TOLD if name in self.groups}
         return tuple(itertools.chain.from_iterable(labels.values()))
 
-    def readings(self, sensors: Sensors) -> Vector:
-        """Current sensor readings, scaled."""
-        parts = [group.read(sensors) / group.scale for group in self.sensed.values()]
+    def readings(self, sensors: Sensors, ground: Ground | None = None) -> Vector:
+        """Current sensor readings, scaled; `ground` gives its height at (x, y), where it is known.
+
+        Raises:
+            ParameterError: it is not known, and a group needs it.
+        """
+        parts = []
+        for name, group in self.sensed.items():
+            if group.ground and ground is None:
+                raise ParameterError(
+                    f"controller observes {name}, and nothing tells it the ground's height: give it a robot's scene, "
+                    "by controller.over(robot.terrain.height)."
+                )
+            parts.append((group.read(sensors, ground) if group.ground else group.read(sensors)) / group.scale)
         return jnp.concatenate(parts) if parts else jnp.zeros(0)
 
     def memory(self, readings: Vector) -> Float[Array, "ticks k"]:
@@ -221,13 +256,20 @@ class Observer:
         return jnp.concatenate([readings[None], memory[:-1]]) if self.delayed else memory
 
     def observe(
-        self, sensing: Sensing, memory: Float[Array, "ticks k"], sensors: Sensors, told: Told, key: Any
+        self,
+        sensing: Sensing,
+        memory: Float[Array, "ticks k"],
+        sensors: Sensors,
+        told: Told,
+        key: Any,
+        ground: Ground | None = None,
     ) -> Vector:
         """The observation: readings, as late and as noisy as `sensing` says, and the policy's other inputs.
 
-        `memory` has earlier readings, newest first; between two ticks they are interpolated. `key` is of the noise.
+        `memory` has earlier readings, newest first; between two ticks they are interpolated. `key` is of the noise,
+        `ground` as in `readings`.
         """
-        readings = self.readings(sensors)
+        readings = self.readings(sensors, ground)
         if self.delayed:
             newest_first = jnp.concatenate([readings[None], memory])
             ticks = jnp.clip(jnp.asarray(sensing.delay) / self.dt, 0.0, self.delayed)
@@ -278,7 +320,7 @@ def privileged_names(observed: Sequence[str], drawn: Sequence[str], path: bool) 
         *reading_names("foot_force"),
         "tail_force",
         *(f"{limb}_foot_height" for limb in LIMBS),
-        *(f"ground.{side:g}.{ahead:g}" for side, ahead in SCANNED),
+        *reading_names("height_scan"),
         *(() if path else ("yaw",)),
         "time_left",
         *(f"drawn.{name}" for name in drawn),
@@ -288,7 +330,7 @@ def privileged_names(observed: Sequence[str], drawn: Sequence[str], path: bool) 
 def privileged(
     exact: Vector,
     sensors: Sensors,
-    ground: Callable[[Any, Any], Array],
+    ground: Ground,
     yaw: Scalar,
     time_left: Scalar,
     drawn: Vector,
@@ -300,16 +342,11 @@ def privileged(
     what was drawn for it, in [-1, 1], and `path` is whether the observation says where the robot heads.
     """
     x, y, z = sensors.position
-    # The torso's left and ahead on the ground.
-    left, ahead = jnp.stack([jnp.cos(yaw), jnp.sin(yaw)]), jnp.stack([jnp.sin(yaw), -jnp.cos(yaw)])
+    left, ahead = directions(yaw)
     velocity = sensors.linear_velocity
     ours = jnp.stack([velocity[:2] @ left, velocity[:2] @ ahead, velocity[2]])
     beneath = ground(x, y)
     feet = sensors.foot_position[:, 2] - ground(sensors.foot_position[:, 0], sensors.foot_position[:, 1])
-    points = jnp.asarray(SCANNED)
-    seen = ground(
-        x + points[:, 0] * left[0] + points[:, 1] * ahead[0], y + points[:, 0] * left[1] + points[:, 1] * ahead[1]
-    )
     force = jnp.append(sensors.foot_force, sensors.tail_force)
     height = jnp.reshape(z - beneath, 1)
     course = () if path else (jnp.reshape(yaw, 1),)
@@ -321,7 +358,7 @@ def privileged(
             height / 0.05,
             jnp.tanh(force / 2.0),
             feet / 0.01,
-            jnp.clip((seen - beneath) / 0.01, -5.0, 5.0),
+            height_scan(sensors, ground, yaw) / SENSED["height_scan"].scale,
             *course,
             jnp.reshape(time_left, 1),
             drawn,

@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from nermo_mjx.control.protocol import function_place, load_object, named_object, user_code
+from nermo_mjx.control.protocol import Ground, function_place, load_object, named_object, user_code
 from nermo_mjx.learn.observing import SENSED, TOLD, Sensed
 from nermo_mjx.robot import ParameterError, RobotConfig, Sensors
 from nermo_mjx.rollout.own_metrics import at_rest, described, numbers_at_rest
@@ -76,15 +76,16 @@ def own_readings(config: RobotConfig, observe: Iterable[Any]) -> dict[str, Sense
 def _readings(config: RobotConfig, name: str, group: Sensed) -> Sensed:
     """A group of readings with a label for each of its numbers."""
     subject = f"observe has {function_place(name, group.read)}"
-    size = numbers_at_rest(subject, group.read, at_rest(config), several=True)
+    level = (lambda x, y: jnp.zeros(jnp.broadcast_shapes(jnp.shape(x), jnp.shape(y))),) if group.ground else ()
+    size = numbers_at_rest(subject, lambda sensors: group.read(sensors, *level), at_rest(config), several=True)
     labels = group.labels or (tuple(map(str, range(size.size))) if size.ndim else ("",))
     if len(labels) != size.size:
         raise ParameterError(f"{subject}, which gives {described(size)}: it has {len(labels)} labels.")
 
-    def read(sensors: Sensors) -> Any:
-        return jnp.reshape(jnp.asarray(group.read(sensors), sensors.position.dtype), -1)
+    def read(sensors: Sensors, *ground: Ground) -> Any:
+        return jnp.reshape(jnp.asarray(group.read(sensors, *ground), sensors.position.dtype), -1)
 
-    return Sensed(read, group.scale, labels)
+    return Sensed(read, group.scale, labels, group.ground)
 
 
 def own_terminations(config: RobotConfig, given: Iterable[Any]) -> dict[str, Callable[[Sensors], Any]]:

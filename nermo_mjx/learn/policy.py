@@ -24,7 +24,7 @@ from pydantic import BaseModel, Field, FiniteFloat
 
 from nermo_mjx.control.controller import with_dtypes_of
 from nermo_mjx.control.path import PathPoint
-from nermo_mjx.control.protocol import NAMED, ChecksParameters, CompletesValues, Source
+from nermo_mjx.control.protocol import NAMED, ChecksParameters, CompletesValues, Ground, Source
 from nermo_mjx.files import MOST_ARRAYS, FileError, arrays_of, check_arrays, read_as, read_bytes
 from nermo_mjx.learn.acting import ACTIONS, Acted, ActedState, Acting, ActionField, ActionKind
 from nermo_mjx.learn.environment import Environment
@@ -117,6 +117,7 @@ class Policy:
         base: choices of the setup whose controller is acted on, by name.
         fixed: parameters that differ from that setup's defaults, and those of `Given`.
         about: what else the file says: how it was trained, in which physics it was judged, versions.
+        ground: height of the ground at (x, y) [m], for what it observes of that; the loop gives it, see `SeesGround`.
     """
 
     actor: Actor
@@ -127,6 +128,7 @@ class Policy:
     base: Mapping[str, Any]
     fixed: Mapping[str, float]
     about: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    ground: Ground | None = None
 
     @classmethod
     def of(cls, environment: Environment, learned: Learned, about: Mapping[str, Any] | None = None) -> Policy:
@@ -168,6 +170,10 @@ class Policy:
             raise ParameterError("pilot is 'open_loop', which has no path, and the policy observes one.")
         return dataclasses.replace(self, base={**self.base, **choices})
 
+    def over(self, ground: Ground) -> Policy:
+        """See `SeesGround`."""
+        return dataclasses.replace(self, ground=ground)
+
     def elsewhere(self, physics: str, timestep: float) -> str:
         """See `ActsUpon`: a policy has adapted to the physics in which it was chosen."""
         judged = self.about.get("judged")
@@ -206,7 +212,7 @@ class Policy:
     def init(self, params: PolicyParameters, sensors: Sensors, phase: Scalar) -> PolicyState:
         nothing = jnp.zeros(len(self.kind.names))
         acted = self.acting.init(Acted(params.control, nothing), sensors, phase)
-        memory = self.observer.memory(self.observer.readings(sensors))
+        memory = self.observer.memory(self.observer.readings(sensors, self.ground))
         return PolicyState(jnp.zeros((), jnp.int32), acted, memory, nothing)
 
     def initial_servo(self, params: PolicyParameters, phase: Scalar) -> ServoAngles:
@@ -218,15 +224,19 @@ class Policy:
         told = observer.informed(given.command, state.acted.control, path, state.action, geometry_of(control))
         # The same noise in every world: runs from one start are equal.
         key = jax.random.fold_in(jax.random.key(0), state.tick) if observer.noisy else None
-        observation = observer.observe(given.sensing, state.memory, sensors, told, key)
+        observation = observer.observe(given.sensing, state.memory, sensors, told, key, self.ground)
         due = state.tick % self.decimation == 0
-        actor, statistics = params.network
-        action = jnp.where(due, _action(actor, statistics, observation), state.action)
+        action = jnp.where(due, self.choose(params, state, observation), state.action)
         if observer.commands:
             control = commanded(self.acting.base, observer.commands, control, given.command)
         acted, servo = self.acting.update(Acted(control, action), state.acted, sensors)
-        memory = observer.remembered(state.memory, observer.readings(sensors))
+        memory = observer.remembered(state.memory, observer.readings(sensors, self.ground))
         return with_dtypes_of(state, PolicyState(state.tick + 1, acted, memory, action)), servo
+
+    def choose(self, params: PolicyParameters, state: PolicyState, observation: Array) -> Array:
+        """The action (a,) of a control step."""
+        actor, statistics = params.network
+        return _action(actor, statistics, observation)
 
     def act(self, observation: Array) -> Array:
         """The action (..., a) at observations (..., o)."""
@@ -293,6 +303,14 @@ def _action(actor: Actor, statistics: Statistics, observation: Array) -> Array:
     """See `Policy.act`; in single precision, as it was learned."""
     actor, statistics = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), (actor, statistics))
     return jnp.clip(actor.mean(statistics.normalized(jnp.asarray(observation, jnp.float32))), -1.0, 1.0)
+
+
+class RandomPolicy(Policy):
+    """A policy whose every action is drawn anew, evenly from [-1, 1]; the same in every run."""
+
+    def choose(self, params: PolicyParameters, state: PolicyState, observation: Array) -> Array:
+        key = jax.random.fold_in(jax.random.key(1), state.tick)
+        return jax.random.uniform(key, state.action.shape, jnp.float32, -1.0, 1.0)
 
 
 def load_policy(path: str | Path, code: str = "") -> Policy:

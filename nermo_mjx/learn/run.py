@@ -27,7 +27,7 @@ import pyarrow.compute as pc
 
 from nermo_mjx.learn.directory import EVALUATION, POLICY_FILE, SPEC, SUMMARY, Curves, TrainingDirectory
 from nermo_mjx.learn.environment import Environment, Mixture
-from nermo_mjx.learn.evaluation import POLICY, Draws, PolicyEvaluator, summary_of
+from nermo_mjx.learn.evaluation import POLICY, Draws, PolicyEvaluator, recorded, summary_of
 from nermo_mjx.learn.experience import RESET, EnvironmentLike, EpisodeScores, Learned
 from nermo_mjx.learn.own import code_place
 from nermo_mjx.learn.policy import Policy, judged_in, load_policy
@@ -52,6 +52,8 @@ from nermo_mjx.runtime import compiler_options
 
 #: The table of what was tried: one row per checkpoint.
 VALIDATION: Final = "validation.parquet"
+#: A video of the policy after so many control steps.
+VIDEO: Final = "videos/{:012d}.mp4"
 #: Added to a training's seed; another number than that of the evaluation.
 _KEY: Final = 0xB0D1E5
 
@@ -167,6 +169,7 @@ def run_training(
     progress: bool = True,
     accept_new_code: bool = False,
     tensorboard: bool = False,
+    video: bool = False,
 ) -> TrainingResult:
     """Learn a policy into a directory, or resume what it contains, and evaluate it.
 
@@ -184,6 +187,7 @@ def run_training(
         progress: whether it is shown where somebody looks, if there is no watch.
         accept_new_code: resume a directory that other code started.
         tensorboard: write scalars of each iteration to DIR/tensorboard; needs the extra of this name.
+        video: make one of the newest policy at each checkpoint, on the evaluation's first scene, in DIR/videos.
 
     Raises:
         SpecError, DirectoryError, OtherCode, Interrupted: see "Errors of jobs" in docs/reference/python.md.
@@ -191,6 +195,10 @@ def run_training(
     training = Training.of(spec)
     if tensorboard:
         require_tensorboard()
+    if video:
+        from nermo_mjx.view import check_video
+
+        check_video(training.setup.load().model, VIDEO.format(0))
     name = training_engine(training, engine)
     with (
         TrainingDirectory(out, training, name, watch.warn) as directory,
@@ -208,7 +216,7 @@ def run_training(
         code = directory.take_code(curves, accept=accept_new_code) if goes_on else ""
         directory.claim()
         board = stack.enter_context(TensorBoard(directory.out)) if tensorboard else None
-        learning = _Learning(directory, worlds, interruption, watch, board, code, choice)
+        learning = _Learning(directory, worlds, interruption, watch, board, code, choice, video)
         if goes_on:
             directory.held.note_session(session(begun_at=begun))
             learned, curves = learning.learn(learned, curves)
@@ -260,6 +268,7 @@ class _Learning:
     board: TensorBoard | None
     code: str
     choice: BestPolicy | None
+    video: bool
 
     def learn(self, learned: Learned, curves: Curves) -> tuple[Learned, Curves]:
         """Section by section, to the end."""
@@ -290,6 +299,8 @@ class _Learning:
             with self.interruption.shielded():
                 self.directory.keep(learned, curves)
             self.publish(learned, curves)
+            if self.video and (policy := self._policy(learned)) is not None:
+                self._film(policy, self.directory.out / VIDEO.format(int(learned.steps)))
         return learned, curves
 
     def publish(self, learned: Learned, curves: Curves) -> Policy | None:
@@ -326,6 +337,14 @@ class _Learning:
         """The robot's environment, the first of several."""
         first = self.environment.parts[0] if isinstance(self.environment, Mixture) else self.environment
         return first if isinstance(first, Environment) else None
+
+    def _film(self, policy: Policy, path: Path) -> None:
+        """Render the policy's walk on the first scene of the evaluation."""
+        from nermo_mjx.view import render, robot_of, shown_model
+
+        _, walk = next(recorded(self.directory.training, policy))
+        path.parent.mkdir(exist_ok=True)
+        render(walk, shown_model(walk, robot_of(walk)), path)
 
     def _tell(self, done: int, numbers: Mapping[str, float]) -> None:
         total = self.directory.training.steps

@@ -37,7 +37,7 @@ from nermo_mjx.specs.described import Described, digest_of
 from nermo_mjx.specs.fields import Fields, Refused, optional, read
 from nermo_mjx.specs.model import Spec, named_section, one_of, written
 from nermo_mjx.specs.reading import Document, SpecError, plain_data
-from nermo_mjx.specs.values import Choice, Ends, FiniteInUnits, Positive, Way, Whole
+from nermo_mjx.specs.values import BodiesField, Choice, Ends, FiniteInUnits, Positive, Way, Whole
 from nermo_mjx.specs.walk import (
     PilotFields,
     SceneField,
@@ -159,6 +159,19 @@ class Until(Spec):
     """speed that a walk must have to count as a success in the validation [m/s]"""
 
 
+class DrawnFields(Fields):
+    """Where bodies are drawn from, and parameters by name: [low, high]."""
+
+    __pydantic_extra__: dict[str, Ends]
+    model_config = ConfigDict(extra="allow")
+    expected: ClassVar = "a mapping of parameters to their ranges [low, high]"
+    bodies: Annotated[str, BodiesField()] = optional("as task.bodies", alias="from")
+
+    @classmethod
+    def refuse(cls, key: str) -> None:
+        """None here: a task knows its parameters."""
+
+
 class TrainingFile(WalkFields):
     """A file for `nermo-mjx train`."""
 
@@ -167,8 +180,8 @@ class TrainingFile(WalkFields):
     sources: ClassVar = "'randomize' or 'set'"
     task: Task = Field(default_factory=Task)
     """what a policy does, and what it is rewarded for"""
-    randomize: dict[str, Ends] = Field({**RANDOMIZED})
-    """what each episode draws: a parameter, and its range [low, high]"""
+    randomize: DrawnFields = Field(DrawnFields.model_validate({name: [*ends] for name, ends in RANDOMIZED.items()}))
+    """what each episode draws: a parameter, and its range [low, high]; with from: DIR whole bodies"""
     scenes: list[SceneFields] = optional(
         "instead of 'scene': several, on which one policy learns, the worlds divided among them"
     )
@@ -362,7 +375,11 @@ def _read(doc: Document) -> Training:
         **walk["fixed"],
         **{f"pilot.{key}": value for key, value in walk["pilot"].items() if f"pilot.{key}" in setup.defaults()},
     }
-    task = dataclasses.replace(file.task, set={**fixed, **file.task.set}, randomize=file.randomize)
+    task = dataclasses.replace(file.task, set={**fixed, **file.task.set}, randomize=file.randomize.model_extra or {})
+    if file.randomize.bodies is not None:
+        if task.bodies:
+            doc.fail(("randomize", "from"), "stands beside 'task.bodies': leave one of them out.")
+        task = dataclasses.replace(task, bodies=file.randomize.bodies)
     with _refusals(doc, "task"):
         for field in ("observe", "rewards", "terminations"):
             for each in filter(is_own, getattr(task, field)):

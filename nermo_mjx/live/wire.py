@@ -28,6 +28,7 @@ from jax.interpreters.partial_eval import dce_jaxpr
 from jaxtyping import Float
 
 from nermo_mjx.control.controller import canonical
+from nermo_mjx.control.protocol import seeing
 from nermo_mjx.files import replace_file
 from nermo_mjx.hardware.channels import Channels
 from nermo_mjx.hardware.live import (
@@ -81,7 +82,8 @@ _LARGEST: Final = 1e4
 
 def needed_sensors(setup: Setup) -> set[str]:
     """The fields of `Sensors` on which a setup's controller depends, found in its program."""
-    robot, controller = setup.load(), setup.make_controller()
+    robot = setup.load()
+    controller = seeing(setup.make_controller(), robot.terrain.height)
     rest = robot.sensors(robot.sensordata_at_rest(jnp.asarray(robot.model.qpos0)))
 
     def run(sensors: Sensors) -> Any:

@@ -52,7 +52,7 @@ from nermo_mjx.specs.values import (
     Whole,
     check_value,
 )
-from nermo_mjx.specs.walk import WalkFields, WalkSpec, check_reach, check_sources, read_walk, written_out
+from nermo_mjx.specs.walk import WalkFields, WalkSpec, check_reach, check_sources, read_walk, with_body, written_out
 from nermo_mjx.sweep.sampling import Axis, read_axis, read_draw
 from nermo_mjx.sweep.spec import Randomized, Sweep, start_draws
 from nermo_mjx.sweep.structures import Structure
@@ -382,9 +382,9 @@ class Tuning(WalkSpec, Described):
     method: TuningMethod
 
     @classmethod
-    def from_file(cls, path: str | os.PathLike[str], *, recorded: bool = True) -> Tuning:
-        """Read a YAML tuning file; raises `SpecError`. Without `recorded`, its recording may be gone."""
-        return _read_tuning(read_file(path, cls.kind), recorded=recorded)
+    def from_file(cls, path: str | os.PathLike[str], body: str | None = None, *, recorded: bool = True) -> Tuning:
+        """See `Described.from_file`. Without `recorded`, its recording may be gone."""
+        return _read_tuning(with_body(read_file(path, cls.kind), body), recorded=recorded)
 
     @classmethod
     def of_document(cls, doc: Document) -> Tuning:

@@ -76,6 +76,11 @@ def bodies(source: str = IDENTIFIED) -> Ensemble:
         raise ParameterError(f"{path} is damaged: expected names of columns, and then a body in each line.") from None
 
 
+def best(source: str) -> dict[str, float]:
+    """Parameters of the best body of an identification's directory; raises as `bodies` does."""
+    return {name: float(column[0]) for name, column in bodies(source).values.items()}
+
+
 def choose(n: int, seed: int) -> dict[str, np.ndarray]:
     """Parameters of n different bodies, drawn by weight, of which the first are those that a smaller n draws; all of
     them, in order, if n is the ensemble's size.

@@ -465,6 +465,8 @@ def _feet(name: str) -> tuple[str, ...]:
     return tuple(f"{limb}_{name}" for limb in LIMBS)
 
 
+#: Points of the ground that a policy or a critic sees, left of and ahead of the torso [m].
+SCANNED: Final = tuple((side, ahead) for ahead in (-0.1, 0.0, 0.1, 0.2) for side in (0.04, 0.0, -0.04))
 #: Every reading by its one name, in the model, recordings, saved signals, observations, metrics and messages. A log
 #: says apart what a channel is of, and has the last word: its `angle` of the servo `spine` is `spine_servo_angle`.
 READINGS: Final[dict[str, Reading]] = {
@@ -488,6 +490,11 @@ READINGS: Final[dict[str, Reading]] = {
     "foot_contact": Reading(_feet("foot_contact"), "1", "whether a foot bears load"),
     "motor_current": Reading((), "A", "current in the servo's motor, by its torque"),
     "projected_gravity": Reading(_axes("projected_gravity"), "1", "direction of gravity in the IMU's frame"),
+    "height_scan": Reading(
+        tuple(f"height_scan_{1e3 * ahead:g}_{1e3 * side:g}" for side, ahead in SCANNED),
+        "m",
+        "height of the ground, so many mm ahead and to the left of the torso, over that beneath it, at most 50 mm",
+    ),
 }
 
 

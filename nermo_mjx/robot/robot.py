@@ -93,9 +93,14 @@ class _Compiled:
 
     @functools.cached_property
     def fingerprint(self) -> str:
-        buffer = np.empty(mujoco.mj_sizeModel(self.model), np.uint8)
-        mujoco.mj_saveModel(self.model, None, buffer)
-        return hashlib.sha256(buffer.tobytes()).hexdigest()[:16]
+        return fingerprint(self.model)
+
+
+def fingerprint(model: mujoco.MjModel) -> str:
+    """Hash of a compiled model."""
+    buffer = np.empty(mujoco.mj_sizeModel(model), np.uint8)
+    mujoco.mj_saveModel(model, None, buffer)
+    return hashlib.sha256(buffer.tobytes()).hexdigest()[:16]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

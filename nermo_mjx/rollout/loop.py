@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import warnings
 from collections.abc import Callable, Container
 from typing import Any, Final, NoReturn
@@ -13,7 +14,15 @@ import numpy as np
 from jaxtyping import Float
 
 from nermo_mjx.control.controller import Controller, canonical, with_dtypes_of
-from nermo_mjx.control.protocol import ActsUpon, ControllerLike, FollowsPath, PlansContact, named_place, user_code
+from nermo_mjx.control.protocol import (
+    ActsUpon,
+    ControllerLike,
+    FollowsPath,
+    PlansContact,
+    named_place,
+    seeing,
+    user_code,
+)
 from nermo_mjx.control.schedule import Schedule, scheduled
 from nermo_mjx.robot import ParameterError, Robot, Sensors, ServoAngles
 from nermo_mjx.robot.model_parameters import Servo
@@ -102,7 +111,7 @@ class ClosedLoop:
         """See `Loop.init`."""
         sensors = self.robot.sensors(sensordata)
         own = self.control_at(params, 0.0)
-        control = canonical(self.controller.init(own, sensors, params.start.phase))
+        control = canonical(self._seeing(params).init(own, sensors, params.start.phase))
         servo = self.controller.initial_servo(own, params.start.phase).vector(self.robot.servos)
         servo = self._within_range(params, servo)
         first, now = jnp.zeros((), jnp.int32), jnp.zeros(())
@@ -120,7 +129,7 @@ class ClosedLoop:
     ) -> tuple[LoopState, Float[Array, " n_servos"]]:
         """See `Loop.step`. Metrics get the tick that has just ended, the controller its last reading."""
         measured = self.measure(params, state, sensordata)
-        controller, own = self.controller, self.control_at(params, state.time)
+        controller, own = self._seeing(params), self.control_at(params, state.time)
         control, servo = controller.update(own, state.control, self.last_reading(measured, sensordata))
         reach = params.servo.top_speed * controller.dt
         asked = servo.vector(self.robot.servos)
@@ -135,6 +144,11 @@ class ClosedLoop:
         """The controller's parameters at a time [s]."""
         rate = self.controller.cycle_rate(params.control) if params.schedule is not None else None
         return scheduled(params.control, params.schedule, time, rate)
+
+    def _seeing(self, params: LoopParameters) -> Any:
+        """The controller over the ground of this world."""
+        ground = functools.partial(self.robot.terrain.height, shape=params.terrain)
+        return seeing(self.controller, ground)
 
     def _within_range(self, params: LoopParameters, angles: Float[Array, " n_servos"]) -> Float[Array, " n_servos"]:
         low, high = jnp.asarray(self.robot.model.actuator_ctrlrange.T, angles.dtype)
@@ -190,6 +204,7 @@ def check_controller(robot: Robot, controller: ControllerLike) -> None:
     """
     if isinstance(controller, Controller):
         return  # its parts are checked by its tests, and tracing it takes half a second
+    controller = seeing(controller, robot.terrain.height)
     readings = jax.eval_shape(robot.sensors, jax.ShapeDtypeStruct((robot.model.nsensordata,), jnp.zeros(()).dtype))
     phase = jax.ShapeDtypeStruct((), jnp.zeros(()).dtype)
     params = controller.parameters

@@ -28,7 +28,9 @@ _ROOT: Final = {
     "qvel": [*((f"_{axis}", "m/s") for axis in "xyz"), *((f"_w{axis}", "rad/s") for axis in "xyz")],
 }
 #: The readings that a simulation can store; the others are a policy's.
-SAVED: Final = tuple(name for name in READINGS if name not in ("foot_contact", "motor_current", "projected_gravity"))
+SAVED: Final = tuple(
+    name for name in READINGS if name not in ("foot_contact", "motor_current", "projected_gravity", "height_scan")
+)
 _STATE: Final = {"qpos": ("rad", "generalised position"), "qvel": ("rad/s", "generalised velocity")}
 
 

@@ -15,6 +15,7 @@ from nermo_mjx.files import MOST_JSON, read_bytes
 from nermo_mjx.robot.quantity import of_type
 from nermo_mjx.runs.directory import RunDirectory
 from nermo_mjx.specs.reading import Document, SpecError, dump, read_file, read_mapping, read_text
+from nermo_mjx.specs.walk import with_body
 
 
 class Described(abc.ABC):
@@ -36,9 +37,14 @@ class Described(abc.ABC):
         """
 
     @classmethod
-    def from_file(cls, path: str | os.PathLike[str]) -> Self:
-        """Read a YAML file; raises `SpecError`."""
-        return cls.of_document(read_file(path, cls.kind))
+    def from_file(cls, path: str | os.PathLike[str], body: str | None = None) -> Self:
+        """Read a YAML file; raises `SpecError`.
+
+        Args:
+            path: of the file.
+            body: directory of an identification, whose best body stands under `set`; see `with_body`.
+        """
+        return cls.of_document(with_body(read_file(path, cls.kind), body))
 
     @classmethod
     def from_text(cls, text: str, source: str = "") -> Self:

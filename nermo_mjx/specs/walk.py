@@ -20,7 +20,7 @@ from nermo_mjx.control.parameters import STEERING, robot_choices
 from nermo_mjx.control.schedule import Switch
 from nermo_mjx.control.spine_modes import SPINES
 from nermo_mjx.control.stepping import FREE
-from nermo_mjx.robot import GAITS
+from nermo_mjx.robot import GAITS, identified
 from nermo_mjx.robot.equipment import MOST_HINGES
 from nermo_mjx.robot.parameters import ProfileChoice
 from nermo_mjx.robot.quantity import ParameterError, Quantity, did_you_mean
@@ -555,6 +555,23 @@ def written_out(doc: Document) -> Document:
         for name, key in origin.items():
             lines |= {(section, name, *path[2:]): doc.lines[path] for path in below.get(key, ())}
     return in_numbers(dataclasses.replace(doc, data=data, lines=lines))
+
+
+def with_body(doc: Document, source: str | None) -> Document:
+    """The document with the best body of an identification's directory under `set`, but for what the file names.
+
+    Raises:
+        ParameterError: the directory has no bodies.
+    """
+    given = doc.data.get("set") or {}
+    if source is None or not isinstance(given, dict):
+        return doc
+    best = identified.best(source)
+    sections = [each for section in _SECTIONS if isinstance(each := doc.data.get(section), dict)]
+    keys = {key for section in sections for key in section}
+    named = {name for key in keys for name in (matches(key, best) if is_pattern(key) else [key])}
+    body = {name: value for name, value in best.items() if name not in named}
+    return dataclasses.replace(doc, data=doc.data | {"set": body | given})
 
 
 def in_numbers(doc: Document, more: Mapping[str, Quantity] | None = None) -> Document:

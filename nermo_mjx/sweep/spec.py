@@ -29,7 +29,7 @@ from nermo_mjx.specs.described import Described, digest_of
 from nermo_mjx.specs.fields import Fields, OneOf, Refused, documented, optional, read
 from nermo_mjx.specs.reading import Document, FieldPath, describe, read_file, read_mapping, read_text
 from nermo_mjx.specs.values import NAMES, BodiesField, Positive, Whole, refuse_parameter
-from nermo_mjx.specs.walk import WalkFields, WalkSpec, check_reach, check_sources, unread, written_out
+from nermo_mjx.specs.walk import WalkFields, WalkSpec, check_reach, check_sources, unread, with_body, written_out
 from nermo_mjx.sweep.sampling import Axis, Draw, Saltelli, read_axis, read_draw, saltelli_points, saltelli_size
 from nermo_mjx.sweep.structures import (
     RowList,
@@ -462,14 +462,17 @@ class Sweep(WalkSpec, Described):
     keep: Annotated[Keep, Field(description="rows that are recorded when the table is complete")] = _ABSENT
 
     @classmethod
-    def from_rows(cls, rows: str | os.PathLike[str], path: str | os.PathLike[str] | None = None) -> Sweep:
+    def from_rows(
+        cls, rows: str | os.PathLike[str], path: str | os.PathLike[str] | None = None, body: str | None = None
+    ) -> Sweep:
         """The variants of a table (see `rows` of a sweep file), with everything else from a sweep file, if given.
 
-        What the file varies is ignored. Raises `SpecError`.
+        What the file varies is ignored; `body` is that of `from_file`. Raises `SpecError`.
         """
         doc = read_mapping({}) if path is None else read_file(path)
         data = {key: value for key, value in doc.data.items() if key not in ("vary", "sample", "rows")}
-        return cls.of_document(Document(doc.source, data | {"rows": str(Path(rows).resolve())}, doc.lines))
+        data |= {"rows": str(Path(rows).resolve())}
+        return cls.of_document(with_body(Document(doc.source, data, doc.lines), body))
 
     @classmethod
     def from_directory(cls, out: str | os.PathLike[str]) -> Sweep:

@@ -37,8 +37,10 @@ _NUMBERS: Final = {
 }
 
 
-def trained(path: Path, *, engine: str = "c") -> Page:
+def trained(path: Path, *, engine: str = "c", reload: float | None = None) -> Page:
     """The page of a training, which may be unfinished; the directory is only read.
+
+    With `reload` a browser loads the page anew after so many seconds.
 
     The policy walks once on each scene of the evaluation, from its first unseen start, on its first unseen body.
 
@@ -63,6 +65,8 @@ def trained(path: Path, *, engine: str = "c") -> Page:
         where = f"On {training.evaluation.bodies:,} unseen bodies and starts, in physics {judged['physics']}; medians."
         table = _table(summary_of(parquet_table(content)))
         parts.append(f'<h2>Evaluation</h2><p>{where}</p><div class="wide"><table>{table}</table></div>')
+    if reload is not None:
+        parts.insert(0, f'<meta http-equiv="refresh" content="{reload:g}">')
     return Page(offline_page(name, "a training", parts, drawn), 680, samples)
 
 

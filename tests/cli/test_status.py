@@ -134,14 +134,14 @@ def test_a_tuning_counts_the_evaluations_of_its_starts(tmp_path: Path) -> None:
 @pytest.mark.compiles
 def test_a_landscape_counts_points_also_of_an_unfinished_one(tmp_path: Path) -> None:
     tuning = Tuning.from_dict(TUNE_SPEC)
-    points = run_landscape(tuning, tmp_path, problem=FakeProblem(tuning), points=9).table.num_rows
+    points = run_landscape(tuning, tmp_path, problem=FakeProblem(tuning)).table.num_rows
     assert known(said(tmp_path)) == ("landscape", points, points, True)
     assert "session  20" in status(tmp_path).stdout
     (tmp_path / "landscape.parquet").unlink()
-    assert known(said(tmp_path)) == ("landscape", None, points, False)
+    assert known(said(tmp_path)) == ("landscape", points, points, False)
     for part in part_files(tmp_path):
         part.unlink()
-    assert known(said(tmp_path)) == ("landscape", None, 0, False)
+    assert known(said(tmp_path)) == ("landscape", points, 0, False)
 
 
 @pytest.fixture

@@ -157,6 +157,7 @@ def gazing(simulator):
     }
 
 
+@pytest.mark.release
 def test_the_gaze_halves_the_yaw_of_the_head_and_more(gazing) -> None:
     """In trot with the spine, and with it the motion of the picture; the walk stays the same."""
     held, gaze = (gazing[head].metrics for head in ("none", "gaze"))

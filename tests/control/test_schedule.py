@@ -60,7 +60,7 @@ def commanded(setups: list[Setup], rate: float, seconds: float):
     return walk, at_phases, (control, schedule)
 
 
-@pytest.mark.parametrize("switches", ["gaits", "spine"])
+@pytest.mark.parametrize("switches", ["gaits", pytest.param("spine", marks=pytest.mark.release)])
 def test_feet_and_servos_are_continuous(switches):
     """In a tick of 1 ms a foot moves by 0.1 mm more than in a steady walk at most, and no servo faster than it can."""
     gaits = [Setup(gait=a, pilot="open_loop", schedule=(Switch(AT, gait=b),)) for a, b in PAIRS]
@@ -166,6 +166,7 @@ def falls(setup: Setup, phases: np.ndarray) -> list[str]:
     return [str(each) for each in status if each != "ok"]
 
 
+@pytest.mark.release
 def test_no_walk_falls_where_trot_becomes_a_lateral_walk_with_the_spine():
     assert falls(Setup(schedule=(Switch(AT, gait="lateral_walk", spine="stride_extension"),)), PHASES[::4]) == []
 

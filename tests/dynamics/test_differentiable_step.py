@@ -209,11 +209,17 @@ class Measured:
 
 #: Cases that resemble another one: another integrator of the same joint, another cone of the same contacts.
 LONG = ("a pendulum at its limit, RK4", "a sphere and a box on a plane, pyramidal")
+#: With contacts, which is what a walk needs.
+EVERY_TIME = "a sphere and a box on a plane, elliptic"
+
+
+def marked(name: str) -> list[pytest.MarkDecorator]:
+    return [pytest.mark.long if name in LONG else pytest.mark.release] if name != EVERY_TIME else []
 
 
 @pytest.fixture(
     scope="module",
-    params=[pytest.param(case, id=name, marks=[pytest.mark.long] * (name in LONG)) for name, case in MODELS.items()],
+    params=[pytest.param(case, id=name, marks=marked(name)) for name, case in MODELS.items()],
 )
 def small(request):
     case: Small = request.param

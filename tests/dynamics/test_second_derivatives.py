@@ -235,6 +235,7 @@ def test_second_derivatives_of_a_step(name: str) -> None:
     assert max(found.values()) < 1e-5, found
 
 
+@pytest.mark.release
 @pytest.mark.slow
 def test_second_derivatives_of_several_steps() -> None:
     """Of where a sphere comes to that slides and rolls, in a loop, whose body JAX linearizes on its own."""

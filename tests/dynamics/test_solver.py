@@ -125,7 +125,7 @@ def error(found: np.ndarray, right: np.ndarray, problem: ConstraintProblem) -> n
 
 
 @pytest.mark.parametrize("real", [np.float64, np.float32])
-@pytest.mark.parametrize("kind", ["elliptic", "pyramidal", "maze", "ends"])
+@pytest.mark.parametrize("kind", ["elliptic", "pyramidal", "maze", pytest.param("ends", marks=pytest.mark.release)])
 def test_solutions_are_those_of_c(kind: str, real: type) -> None:
     """In all of thousands of states: to the rounding of float32, and to C's own 1e-8 in float64.
 

@@ -162,6 +162,7 @@ def test_each_picture_is_a_png_and_an_svg(experiment, tmp_path):
     assert len(np.unique(picture.reshape(-1, picture.shape[2]), axis=0)) > 30
 
 
+@pytest.mark.release
 @pytest.mark.parametrize("experiment", EXPERIMENTS)
 def test_one_profile_is_enough(experiment):
     """With `exact` alone, the same pictures are drawn, and no legend speaks of profiles."""
@@ -170,6 +171,7 @@ def test_one_profile_is_enough(experiment):
     assert all("as published" not in entries(figure) for name, figure in alone.items() if name != "report")
 
 
+@pytest.mark.release
 @pytest.mark.parametrize("experiment", EXPERIMENTS)
 def test_a_picture_of_nothing_is_not_drawn(experiment):
     """Without recordings and lines, what needs them is left out, and the rest is drawn."""

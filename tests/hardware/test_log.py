@@ -112,6 +112,11 @@ WRONG = {
         told(a=ANGLE, b={**ANGLE, "column": "a"}),
         "'channels.b.of' is 'spine': its angle is channel 'a' already",
     ),
+    "an axis twice": (
+        ROWS,
+        told(a={**GYRO, "columns": ["a", "a", "t"]}),
+        "'channels.a.columns' names a column twice: expected one for each axis",
+    ),
     "axes": (ROWS, told(a=GYRO), "'channels.a' has 2 columns: allowed for its quantity is 3"),
     "no channels": (ROWS, told(), "'channels' names no channel"),
     "clock": (ROWS, {"time": {"unit": "s"}, "channels": {"a": ANGLE}}, "field 'time' has no 'column'"),

@@ -30,10 +30,15 @@ pytestmark = pytest.mark.compiles
 #: The balancing spine jumps where a leg switches, so that no tick may fall on a switch but for its rounding.
 GAITS = [
     (Setup(gait="trot", spine="stride_extension"), {"frequency": 0.8, "spine.phase": -0.5}),
-    (Setup(gait="lateral_walk", steering="mix"), {"frequency": 0.5, "pilot.turn_rate": -0.4}),
-    (
+    pytest.param(
+        Setup(gait="lateral_walk", steering="mix"),
+        {"frequency": 0.5, "pilot.turn_rate": -0.4},
+        marks=pytest.mark.release,
+    ),
+    pytest.param(
         Setup(gait="walking_trot", spine="stride_extension+balance"),
         {"frequency": 1.0, "spine.offset_compensation": 1.0, "start.phase": 0.004},
+        marks=pytest.mark.release,
     ),
     # In the stance of the tests the rear knees would go beyond the servos' range.
     (

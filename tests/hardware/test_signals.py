@@ -99,6 +99,41 @@ def test_a_lag_is_found_between_samples(lag, quantum):
     assert lag_of(log.of_quantity("angle")["spine"], command)[0] == pytest.approx(lag, abs=1.5e-3)
 
 
+def test_names_and_times_in_doubt_are_named():
+    log = log_with()
+    spine = log.channel("command", "spine")
+    log = dataclasses.replace(
+        log, channels=tuple(dataclasses.replace(e, of="spin") if e is spine else e for e in log.channels)
+    )
+    assert findings_of(log) == ("cmd_spine is of 'spin', and pos_spine of 'spine': are both of one servo?",)
+    slow = tuple(dataclasses.replace(each, times=1e3 * each.times) for each in log_with().channels)
+    (found,) = findings_of(Log(slow, "log"))
+    assert (
+        found == "cmd_hip_1, pos_hip_1, cmd_hip_2 and 9 others: a sample comes every 10 s: has the time another unit?"
+    )
+
+
+@pytest.mark.parametrize("drift", [0.0, 2e-3, -3e-3])
+def test_a_clock_that_drifts_is_found(drift):
+    """The angles' clock, and that of a video whose yaw is beside a gyro; stamps of one clock are not suspected."""
+    log, end = log_with(lag=0.02), 12.0
+    turning = log.channel("gyro", "imu")
+    yaw = np.cumsum(turning.values[:, 2]) * turning.interval
+    log = dataclasses.replace(log, channels=(*log.channels, Channel("yaw", "yaw", "torso", turning.times, yaw, "rad")))
+    own = ("angle", "yaw")
+    moved = [dataclasses.replace(each, times=each.times * (1 + drift) + 1e-4) for each in log.channels]
+    both = [new if each.quantity in own else each for each, new in zip(log.channels, moved, strict=True)]
+    found = [each for each in findings_of(dataclasses.replace(log, channels=tuple(both))) if "clock" in each]
+    if not drift:
+        assert found == []
+        return
+    scales = [float(re.search(r"scale: ([\d.]+)", each).group(1)) for each in found]
+    assert [each.split(":")[0] for each in found] == ["pos_hip_1, pos_hip_2, pos_hip_3 and 2 others", "yaw"]
+    assert scales == pytest.approx([1 / (1 + drift)] * 2, abs=0.004 / end)
+    late = [dataclasses.replace(each, times=each.times * (1 + drift)) for each in log.channels]
+    assert findings_of(dataclasses.replace(log, channels=tuple(late))) == ()
+
+
 def test_a_track_is_compared_in_its_own_frame():
     """The camera looks from elsewhere: what is left is what was added to the track."""
     times = np.arange(0.0, 5.0, 0.02)

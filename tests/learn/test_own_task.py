@@ -197,12 +197,13 @@ def rougher(key, steps):
     return {"terrain.height": 0.02 * jnp.clip(steps / 100, 0.0, 1.0)}
 
 
+@pytest.mark.release
 @pytest.mark.compiles
 def test_a_curriculum_raises_the_ground():
     """What the critic sees of it ahead: nothing at first, planks of one and of two centimetres later."""
     setup = Setup(scene="planks", physics="fast")
     environment = Environment(setup, worlds=8, task=Task(commands=rougher, randomize={"start.phase": (0.0, 1.0)}))
-    ground = [name.startswith("ground.") for name in environment.privileged_names]
+    ground = [name.startswith("height_scan_") for name in environment.privileged_names]
     highest = []
     for steps in (0, 50, 1e9):
         state = environment.reset(0, steps=steps)
@@ -281,7 +282,7 @@ def test_a_policy_with_an_own_observation_says_what_it_needs(tmp_path, done):
         load_policy(done.policy, str(other))
     with pytest.raises(ParameterError, match=r"^controller is 'away.py': away.py cannot be read"):
         load_policy(done.policy, "away.py")
-    plain = SWEEPS.parent / "docs" / "howto" / "terrain" / "stiff.npz"
+    plain = SWEEPS.parent / "tests" / "data" / "former_policy.npz"
     with pytest.raises(ParameterError, match=r"observes nothing of one's own: leave 'away.py' out"):
         load_policy(plain, "away.py")
     policy = load_policy(done.policy, str(code))

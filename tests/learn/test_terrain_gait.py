@@ -28,6 +28,7 @@ def howto():
     return module
 
 
+@pytest.mark.release
 def test_the_search_of_the_how_to_finds_a_gait_within_its_bounds_and_the_legs_reach(howto, capsys):
     """A generation of four gaits on one plank height; it says how often they pass."""
     ground = howto.Ground("stiff", (howto.Place("planks", (0.004,)),))
@@ -42,6 +43,7 @@ def test_the_search_of_the_how_to_finds_a_gait_within_its_bounds_and_the_legs_re
     assert not ground.inside(gait | {"stance.rear_z": -0.072, "stride": 1.2})
 
 
+@pytest.mark.release
 def test_the_search_counts_a_way_beside_the_path(howto):
     """Ten times as far in a corridor of a tenth of the width."""
     place = howto.Place("planks", (0.004,))
@@ -78,6 +80,7 @@ def test_the_gaits_of_the_page_differ_in_the_spine_alone(howto):
     )
 
 
+@pytest.mark.release
 def test_a_gait_of_the_page_climbs_the_spiral_stair(howto):
     """On steps of 10 mm, on drawn bodies that the table does not have."""
     spiral = next(place for place in howto.PLACES if place.scene == "spiral_stairs")

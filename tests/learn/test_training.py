@@ -35,6 +35,7 @@ from nermo_mjx.learn.run import _KEY, BestPolicy, successes
 from nermo_mjx.runs import RunDirectory
 from nermo_mjx.runs.files import WrongDirectory
 from nermo_mjx.runs.job import Watch
+from nermo_mjx.view.trained import trained
 
 pytestmark = pytest.mark.compiles
 SHIPPED = sorted((Path(__file__).parents[2] / "sweeps").glob("train_*.yaml"))
@@ -90,6 +91,7 @@ def test_its_page_has_curves_evaluation_and_the_policy_in_3d(tmp_path, done, mon
     page = show(out).html
     assert [f'alt="{name}"' in page for name in ("curves", "rewards", "evaluation")] == [True, True, False]
     assert "<iframe" not in page
+    assert ['http-equiv="refresh"' in each for each in (page, trained(out, reload=20.0).html)] == [False, True]
     numbers = {"success": 0.98, "speed": 0.1234, "distance": 1.1, "cost_of_transport": 5.43}
     numbers["electrical_cost_of_transport"] = 91.23
     (out / "policy.npz").touch()
@@ -222,6 +224,7 @@ def test_an_evaluation_has_physics_of_its_own():
     assert Training.from_dict(training.resolved()).evaluated()[0][0] == setup
 
 
+@pytest.mark.release
 def test_a_walk_beside_its_path_is_no_success(evaluated):
     """The corridor of a scene counts there and nowhere else; the walks themselves are the same."""
     wide, narrow = evaluated
@@ -376,6 +379,7 @@ def test_more_unseen_walks_begin_with_those_of_fewer(key: int, identified: bool)
     assert abs(np.corrcoef([many[name] for name in randomize])[np.triu_indices(3, 1)]).max() < 0.25
 
 
+@pytest.mark.release
 def test_a_page_shows_the_first_walk_of_the_evaluation(policy):
     """On each scene the same start, body and numbers."""
     fields = {
@@ -393,6 +397,7 @@ def test_a_page_shows_the_first_walk_of_the_evaluation(policy):
             assert recording.metadata["metrics"][name] == first[name]
 
 
+@pytest.mark.release
 def test_a_policy_in_another_physics_than_it_was_judged_in_says_so(policy, tmp_path):
     """In Python, for a walk and for a sweep; nothing is said in its own, or of a file that does not know."""
     policy, path, run = policy[0], tmp_path / "policy.npz", Run(duration=0.05, warmup=0.0)
@@ -421,6 +426,7 @@ def test_a_policy_in_another_physics_than_it_was_judged_in_says_so(policy, tmp_p
         json.loads(result.stdout)
 
 
+@pytest.mark.release
 def test_a_policys_evaluation_is_made_again_from_its_file(tmp_path):
     """In another process, to the last bit, in the physics that the summary names; whatever is loaded first."""
     fields = SPEC | {"physics": "fast", "worlds": 2, "steps": 16, "checkpoint": 16, "task": {"episode_length": 0.1}}
@@ -446,6 +452,7 @@ for name in ("speed", "distance", "servo_work"):
     subprocess.run([sys.executable, "-W", "error::UserWarning", "-c", again, str(out)], check=True)
 
 
+@pytest.mark.release
 def test_an_evaluation_without_todays_metrics_is_still_summed_up(evaluated):
     """As a directory from before has it."""
     before = pa.Table.from_pandas(evaluated[0].drop(columns=["cross_track_peak", "slip"]))
@@ -527,6 +534,7 @@ def test_a_mixture_is_its_parts_side_by_side():
     assert told["drawn.contact.friction"].astype(bool).tolist() == [True, True, False]
 
 
+@pytest.mark.release
 def test_parts_that_do_not_wait_for_each_other_step_as_together():
     """What a policy collects in a mixture, against its steps of all worlds at once; episodes end in between."""
     task = Task(episode_length=0.02, observe=("gyro", "action"), randomize={})

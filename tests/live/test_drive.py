@@ -356,7 +356,13 @@ def wait(reached, seconds: float = 20.0) -> None:
         time.sleep(0.02)
 
 
-@pytest.mark.parametrize("message", ['{"set": {"stride": 0.8}}', "garbage", '{"shown": 1}'])
+@pytest.mark.parametrize(
+    "message",
+    [
+        "garbage",
+        *(pytest.param(each, marks=pytest.mark.release) for each in ('{"set": {"stride": 0.8}}', '{"shown": 1}')),
+    ],
+)
 def test_a_page_that_sends_without_reading_stops_neither_time_nor_a_second_page(drive, message):
     with socket(drive) as first:
         said(first, wanted=lambda told: not told["paused"], pause=False, speed=1.0)
@@ -559,7 +565,10 @@ def test_a_file_that_exists_is_never_replaced(tmp_path, running):
 
 
 @pytest.mark.process
-@pytest.mark.parametrize("number", [signal.SIGHUP, signal.SIGUSR1, signal.SIGKILL])
+@pytest.mark.parametrize(
+    "number",
+    [signal.SIGKILL, *(pytest.param(each, marks=pytest.mark.release) for each in (signal.SIGHUP, signal.SIGUSR1))],
+)
 def test_a_drive_outlives_every_signal(number, tmp_path):
     """A terminal that closes saves it, as Ctrl-C does; of one that is killed there is the journal."""
     words = [sys.executable, "-m", "nermo_mjx", "drive", "--no-browser", "--record", str(tmp_path / "d.npz")]

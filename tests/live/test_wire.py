@@ -209,6 +209,7 @@ class Together:
             self.clock.now += self.body.dt
 
 
+@pytest.mark.release
 def test_over_topics_it_walks_as_far_as_without_and_almost_so_with_delay_and_loss(driving) -> None:
     """6 s, against the plain walk; then with 20 ms (10 to 30) and 1 % lost, both ways, within the 5 % allowed."""
     history = shared_simulator(Setup(), "c").run({}, Run(duration=6.0), record=True).recording().sensors["position"]

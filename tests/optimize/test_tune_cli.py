@@ -64,7 +64,8 @@ def test_tune_json_is_one_object_in_si_units(fakes: dict[str, Any], spec: Path, 
 @pytest.mark.draws
 def test_options_stand_for_fields_of_the_file(fakes: dict[str, Any], spec: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    options = ("--iterations", "2", "--starts", "3", "--seed", "8", "--plots", "--no-video")
+    spec.write_text(spec.read_text().replace("plots: false", "plots: true"))
+    options = ("--iterations", "2", "--starts", "3", "--seed", "8", "--no-video")
     result = json_of("tune", spec, "--out", out, *options)
     tuning = Tuning.from_file(out / "tuning.yaml")
     assert (tuning.iterations, tuning.starts, tuning.seed, tuning.plots, tuning.video) == (2, 3, 8, True, False)
@@ -158,18 +159,18 @@ def test_what_could_not_be_made_is_a_sentence_and_no_failure(
 @pytest.mark.draws
 def test_landscape_prints_a_table_sentences_and_places(fakes: dict[str, Any], spec: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    result = call("landscape", spec, "--out", out, "--points", "21")
+    result = call("landscape", spec, "--out", out)
     assert result.exit_code == 0
-    assert re.search(r"^spine\.phase +0\.36 deg +0\.1 % +\d ", result.stdout, re.MULTILINE)
+    assert re.search(r"^spine\.phase +0\.36 deg +0\.1 % +9 ", result.stdout, re.MULTILINE)
     assert "spine.amplitude: exact gradients can be followed." in result.stdout
-    for name in ("report.md", "plots", "landscape.parquet"):
+    for name in ("landscape.json", "plots", "landscape.parquet"):
         assert (out / name).exists()
         assert str(out / name) in result.stdout
     assert re.search(r"^landscape: 100%, (\d+) of \1 walks", result.stderr, re.MULTILINE)
-    kept = json_of("landscape", spec, "--out", out, "--points", "21")
+    kept = json_of("landscape", spec, "--out", out)
     assert kept["evaluated"] == 0
     assert kept["parameters"] == json.loads((out / "landscape.json").read_text())["parameters"]
-    quiet = call("landscape", spec, "--out", out, "--points", "21", "--quiet")
+    quiet = call("landscape", spec, "--out", out, "--quiet")
     assert (quiet.exit_code, quiet.stdout, quiet.stderr) == (0, "", "")
 
 

@@ -129,6 +129,7 @@ def alone(on_threads, walks) -> Callable[[str, int, str], RunResult]:
     return functools.cache(lambda run, i, how: simulated(on_threads(1), walks, RUNS[run], np.array([i]), how))
 
 
+@pytest.mark.release
 @settings(max_examples=40, deadline=None)
 @given(
     st.lists(st.integers(0, WORLDS - 1), min_size=1, max_size=20, unique=True),

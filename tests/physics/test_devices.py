@@ -101,6 +101,7 @@ def four_devices(tmp_path_factory) -> dict[str, Any]:
     return json.loads(done.stdout)
 
 
+@pytest.mark.release
 @pytest.mark.slow
 def test_four_devices_give_what_one_gives(four_devices):
     """Five worlds on four devices: the loop's state and the recording have five, with the numbers of one device."""

@@ -122,6 +122,7 @@ def test_mjx_and_c_measure_the_same_gait(walks):
             np.testing.assert_allclose(ours, reference, rtol=0.03, atol=np.radians(0.1), err_msg=name)
 
 
+@pytest.mark.release
 @pytest.mark.slow
 def test_mjx_varies_the_body_within_a_batch_as_c_does(simulator, compilations):
     """Masses with the constants MuJoCo derives from them, lengths, friction, springs, dampers and servos, by world.

@@ -134,7 +134,8 @@ def test_what_has_no_figures_says_why(sweep: Path, tmp_path: Path) -> None:
     assert result.exit_code == 2
     assert (
         "is not a results directory: it contains neither a sweep, a search, a tuning, a training, a landscape, "
-        "published experiments, an identification, a comparison nor a sensitivity analysis." in result.stderr
+        "published experiments, an identification, an identification from a log, a comparison nor a sensitivity "
+        "analysis." in result.stderr
     )
     shutil.rmtree(sweep / "results")
     result = plot(sweep)
@@ -171,6 +172,7 @@ def test_a_tunings_figures_are_remade_with_the_landscape_it_keeps(walker: FakeWa
     assert content(tmp_path / "again") == made
 
 
+@pytest.mark.release
 def test_a_directory_of_experiments_is_drawn_again(tmp_path: Path) -> None:
     """From the stored tables and recordings: the pictures that the run itself would draw."""
     outcome, out = walked(), tmp_path / "experiments"
@@ -216,7 +218,7 @@ def test_an_identifications_figures_are_remade(tmp_path: Path) -> None:
 
 def test_a_landscapes_figures_are_remade(tmp_path: Path) -> None:
     tuning = Tuning.from_dict(TUNE_SPEC)
-    run_landscape(tuning, tmp_path / "there", problem=FakeProblem(tuning), points=9)
+    run_landscape(tuning, tmp_path / "there", problem=FakeProblem(tuning))
     made = content(tmp_path / "there" / "plots")
     result = plot(tmp_path / "there", "--out", tmp_path / "again")
     assert result.exit_code == 0, result.stderr

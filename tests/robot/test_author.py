@@ -244,6 +244,7 @@ def grid():
     return rows, pd.DataFrame(ours)
 
 
+@pytest.mark.release
 @pytest.mark.parametrize(
     ("measure", "spines", "correlation", "deviation", "within"),
     [

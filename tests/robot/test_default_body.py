@@ -132,7 +132,11 @@ def test_energy_is_conserved_and_the_metrics_say_where_it_goes():
     assert found["limited_rear_knees"] == pytest.approx((torque[:, 6:8] > 0.1569).mean(), abs=1e-6)
 
 
-@pytest.mark.parametrize("build", [{}, {"hinges": 2, "tail": "articulated"}], ids=["default", "chains and tail"])
+@pytest.mark.parametrize(
+    "build",
+    [{}, pytest.param({"hinges": 2, "tail": "articulated"}, marks=pytest.mark.release)],
+    ids=["default", "chains and tail"],
+)
 def test_the_metrics_of_a_walk_are_the_work_that_plain_mujoco_finds(build: dict[str, Any]):
     """Of each force times the mean speed of its step, in steps that follow the recording of engine c exactly."""
     budget = runpy.run_path(str(Path(__file__).parents[2] / "docs" / "work_budget.py"))["budget"]

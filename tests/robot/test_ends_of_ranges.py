@@ -115,6 +115,7 @@ def check(setup: Setup, worlds: list[dict[str, float]], seconds: float) -> None:
         assert energy < metrics["servo_work"][i] / 0.8 + fallen * weight, world
 
 
+@pytest.mark.release
 def test_each_parameter_alone():
     """Of a row of numbers that differ in their place alone the first one; combinations have all of them."""
     setup = Setup(**ALL)
@@ -126,7 +127,7 @@ def test_each_parameter_alone():
     check(setup, chosen, 0.5)
 
 
-@pytest.mark.parametrize("scene", ["planks", "rough", *LONG_TERRAINS])
+@pytest.mark.parametrize("scene", [pytest.param("planks", marks=pytest.mark.release), "rough", *LONG_TERRAINS])
 def test_each_parameter_of_a_terrain(scene):
     setup = Setup(scene=scene, physics="fast")
     worlds = [{name: value} for name, both in ends(setup).items() if name.startswith("terrain") for value in both]
@@ -150,7 +151,11 @@ def combined(choices: dict[str, str], count: int, seed: int) -> None:
     check(setup, worlds, 1.0)
 
 
-@pytest.mark.parametrize("choices", COMBINED[::5], ids=str)
+@pytest.mark.parametrize(
+    "choices",
+    [COMBINED[0], *(pytest.param(each, marks=pytest.mark.release) for each in COMBINED[5::5])],
+    ids=str,
+)
 def test_combinations(choices):
     combined(choices, 24, seed=0)
 

@@ -143,6 +143,7 @@ def test_stiffness_and_damping_are_those_of_the_whole_joint():
         assert damping is None or model.joint(joint).damping[0] == pytest.approx(damping, rel=1e-6)
 
 
+@pytest.mark.release
 def test_a_walk_with_chains_is_that_with_hinges(simulator):
     """Leaves of 3 mm hardly differ from hinges: speed within 1 %, roll within 2 % (0.2 and 0.1 % in fact)."""
     run = Run(cycles=4, warmup_cycles=2)

@@ -181,6 +181,7 @@ def test_constants_and_their_derivatives_are_those_of_assembled_models():
             np.testing.assert_allclose(slope, difference, atol=bound, err_msg=f"{name} by {names[i]}")
 
 
+@pytest.mark.release
 def test_worlds_stand_on_their_own_legs(simulator):
     """Put down, each world's lowest sole touches, and its feet are where its stance asks, in its own legs' frames."""
     sim = simulator(spine="stride_extension")
@@ -230,6 +231,7 @@ def test_a_world_with_the_published_numbers_is_the_published_robot(simulator):
     assert Setup().world({}).control.geometry is None
 
 
+@pytest.mark.release
 @pytest.mark.compiles
 def test_the_balance_knows_where_other_robots_have_their_mass():
     """The controller's two masses are those of the robot assembled with the geometry, to a micrometre."""

@@ -192,6 +192,7 @@ def test_a_bound_walks_forward_with_and_without_the_vertical_spine(simulator, mo
     assert least < bent.max() < most
 
 
+@pytest.mark.release
 def test_pitch_balance_calms_the_torso_without_costing_speed(simulator):
     """In the lateral walk the pitch's standard deviation is less than half of that with the gain 0."""
     sim = simulator(robot="nermo_41", gait="lateral_walk", spine="pitch_balance")

@@ -244,6 +244,7 @@ def test_a_foot_on_a_step_lifts_the_whole_robot():
     assert min(feet["front_left"], feet["rear_left"]) == pytest.approx(0.52, abs=0.01)
 
 
+@pytest.mark.release
 def test_a_walk_half_a_metre_up_is_the_walk_on_the_flat(simulator):
     """Height above the ground counts, for falls, too."""
     values, run = {"frequency": np.array([0.5, 0.8])}, Run(cycles=2, warmup_cycles=1)

@@ -82,7 +82,7 @@ def test_nothing_named_gives_no_fields():
     assert variation.batch(ModelParameters(), 4, ("frequency", "spine.phase", "start.yaw", "stance.front_z")) == {}
 
 
-@pytest.mark.parametrize("tail", ["rigid", "articulated"])
+@pytest.mark.parametrize("tail", ["rigid", pytest.param("articulated", marks=pytest.mark.release)])
 def test_defaults_are_the_values_of_the_compiled_model(tail):
     """Named with their defaults, the parameters give the numbers that assembly has written."""
     robot = load_robot(tail=tail)

@@ -83,6 +83,7 @@ def twelve_points() -> list[dict[str, float]]:
     return [{"frequency": 0.8} | dict(zip(NAMES, map(float, point), strict=True)) for point in at]
 
 
+@pytest.mark.release
 @pytest.mark.slow
 def test_three_widths_give_the_same_derivative_at_twelve_points(long_walk: Rollout) -> None:
     """The widest of them, ten times that of `Rollout`, at eleven: beside a jump it is no derivative."""
@@ -109,6 +110,7 @@ def test_a_jump_within_the_width_is_told(long_walk: Rollout) -> None:
         jax.grad(lambda phase: long_walk(beside | {"spine.phase": phase})["speed"])(beside["spine.phase"])
 
 
+@pytest.mark.release
 @pytest.mark.slow
 def test_three_widths_give_the_same_derivative_by_ten_numbers_of_the_body_at_four_points(long_walk: Rollout) -> None:
     random = np.random.default_rng(1)
@@ -292,7 +294,7 @@ print(float(slope(0.2)) == float(found[0]))
 
 
 @pytest.mark.process
-@pytest.mark.parametrize("threads", ["1", "2"])
+@pytest.mark.parametrize("threads", ["1", pytest.param("2", marks=pytest.mark.release)])
 def test_it_works_where_the_user_started_jax_first(threads: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """With asynchronous dispatch, as in a notebook, and as few threads as there can be: no deadlock."""
     monkeypatch.setenv("PJRT_NPROC", threads)

@@ -97,6 +97,7 @@ def test_model_parameters_vary_within_a_batch(simulator):
     np.testing.assert_allclose(standing.mean(axis=1), 9.81 * (front + 0.1005), rtol=0.01)
 
 
+@pytest.mark.release
 def test_the_articulated_tail_walks_like_the_rigid_one(simulator):
     """The tail's joints change the speed by less than 10 %."""
     run = Run(cycles=6, warmup_cycles=2)

@@ -97,7 +97,7 @@ def jobs() -> dict[str, Callable[[Path], pa.Table]]:
 
     def landscape(out: Path) -> pa.Table:
         wanted = Tuning.from_dict(TUNE)
-        return run_landscape(wanted, out, problem=FakeProblem(wanted), points=9).table
+        return run_landscape(wanted, out, problem=FakeProblem(wanted)).table
 
     def experiments(out: Path) -> pa.Table:
         outcome = run_experiments([name], out, engine="c", video=False).results[0].outcome

@@ -77,7 +77,7 @@ def yaw_shake(sensors):
 stiff = Controller(spine=lambda params, phase, turn_rate, feet, stance: 0.0 * phase)
 """
 ROOT = Path(__file__).parents[2]
-POLICY = ROOT / "docs" / "howto" / "terrain" / "stiff.npz"
+POLICY = ROOT / "tests" / "data" / "former_policy.npz"
 RECORDED = ROOT / "docs" / "howto" / "terrain" / "walks" / "ramp" / "stiff.npz"
 #: The file that says what a directory is for, by kind.
 SPECS: dict[str, tuple[str, dict[str, Any]]] = {
@@ -466,7 +466,7 @@ def _text(path: Path, text: str) -> Path:
     return path
 
 
-@pytest.mark.parametrize("share", [0, *(pytest.param(share, marks=pytest.mark.slow) for share in range(1, 4))])
+@pytest.mark.parametrize("share", [0, *(pytest.param(share, marks=pytest.mark.release) for share in range(1, 4))])
 def test_mutants_of_all_kinds_of_files_end_in_a_sentence(kinds_of_files: Any, share: int) -> None:
     """2,000 in all."""
     assert hunted(kinds_of_files, 500, seed=share) == []

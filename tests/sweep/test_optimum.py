@@ -70,7 +70,7 @@ def shares(landscape: str, noise: str, budget: int) -> dict[str, float]:
     return {name: float(np.mean([line[name] for line in found])) for name in found[0]}
 
 
-@pytest.mark.parametrize("budget", [0, 200])
+@pytest.mark.parametrize("budget", [0, pytest.param(200, marks=pytest.mark.release)])
 @pytest.mark.parametrize(
     ("landscape", "noise"),
     [("plateau", "normal"), ("plateau", "skewed"), ("ridge", "normal"), ("ridge", "skewed")],

@@ -148,7 +148,7 @@ class Measuring(FakeSimulator):
         return result
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_finished_chunks_are_not_kept_in_memory(tmp_path):
     """Over a hundred chunks, memory grows by less than five of their tables would take."""
     spec = {"vary": {"frequency": {"linspace": [0.5, 1.0, 1200]}, "duty": {"linspace": [0.4, 0.6, 10]}}, "plots": False}
