@@ -255,10 +255,7 @@ def test_the_readme_is_short_and_its_links_lead_somewhere() -> None:
     assert len(text.split()) <= 1300
     headings = re.findall(r"^## (.*)$", text, re.MULTILINE)
     anchors = {"#" + re.sub(r"[^\w -]", "", heading).lower().replace(" ", "-") for heading in headings}
-    for target in (
-        *re.findall(r"\]\((?!https?:)([^)]+)\)", text),
-        *re.findall(r'(?:blob/main/|src=")([^)"\s]+)', text),
-    ):
+    for target in re.findall(r'(?:\]\((?!https?:)|blob/main/|src=")([^)"\s]+)', text):
         assert target in anchors or (ROOT / target).exists(), target
     assert [anchor for anchor in anchors if f"]({anchor})" not in text] == []
 

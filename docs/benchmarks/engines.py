@@ -259,13 +259,9 @@ _COLUMNS: Final[dict[str, tuple[str, str, float]]] = {
     "gradient_s": ("gradient [s]", "{:.2f}", 1.0),
     "forward_s": ("walk [s]", "{:.2f}", 1.0),
     "ratio": ("ratio", "{:.2f}", 1.0),
-    "loop_cost": ("loop's cost", "{:.1%}", 1.0),
-    "seconds_simulated_per_second": ("simulated s/s", "{:,.0f}", 1.0),
     "trace_s": ("trace [s]", "{:.1f}", 1.0),
     "compile_s": ("compile [s]", "{:.1f}", 1.0),
-    "plain_compile_s": ("plain [s]", "{:.1f}", 1.0),
     "temporary_bytes_per_world": ("kB/world", "{:,.0f}", 1e-3),
-    "carry_bytes_per_world": ("carry [B/world]", "{:,}", 1.0),
     "peak_bytes": ("peak [MB]", "{:,.0f}", 1e-6),
     "total_s": ("to the first tick [s]", "{:.1f}", 1.0),
     **{
@@ -278,8 +274,8 @@ _COMPILING: Final = ("trace_s", "compile_s")
 #: Case -> figures of its table.
 COLUMNS: Final[dict[str, tuple[str, ...]]] = {
     "throughput": (
-        *("engine", "worlds", "steps_per_second", "plain_steps_per_second", "ratio", "loop_cost"),
-        *("seconds_simulated_per_second", *_COMPILING, "plain_compile_s", "carry_bytes_per_world", "peak_bytes"),
+        *("engine", "worlds", "steps_per_second", "plain_steps_per_second", "ratio", *_COMPILING),
+        "peak_bytes",
     ),
     "gradient": (
         *("mode", "worlds", "cycles", "gradient_s", "forward_s", "ratio", *_COMPILING),
@@ -342,7 +338,7 @@ def draw_page(path: Path, folder: Path) -> None:
         text += [f"## {machine}", ""]
         for case in dict.fromkeys(line["case"] for line in lines):
             own = [line for line in lines if line["case"] == case]
-            text += [f"### {case.capitalize()}: {CASES[case][0]}", "", "", table_of(case, own)]
+            text += [f"### {case.capitalize()}: {CASES[case][0]}", "", table_of(case, own)]
             text += [f"Measured {'; '.join(dict.fromkeys(line['made'] for line in own))}.", ""]
         for drawn in write_figures(_figures(machine, lines, number), folder / "plots"):
             if drawn.suffix == ".png":

@@ -65,9 +65,10 @@ def _names(models: list[str]) -> list[str]:
 
 
 def _row(name: str, each: dict[str, Any]) -> str:
+    """With a path that a browser may break."""
     rows = f"{each['contacts']}, {each['rows']}"
     errors = (_error(each[key]) for key in ("error", "spread", "end_off_c"))
-    return f"| {' | '.join([name, str(each['nv']), rows, *errors])} |"
+    return f"| {' | '.join([name.replace('/', '/<wbr>'), str(each['nv']), rows, *errors])} |"
 
 
 def _cost(name: str, each: dict[str, Any]) -> str:

@@ -42,7 +42,6 @@ if TYPE_CHECKING:
 #: Arguments and options that several jobs have.
 _spec = click.argument("spec", metavar="SPEC.yaml", type=options.SPEC)
 _seed = number("--seed", "Seed, overriding the file.", click.IntRange(0, 2**32 - 1))
-_plots = click.option("--plots/--no-plots", default=None, help="Draw figures regardless of the file.")
 _dry_run = flag("--dry-run", "Estimate the cost on this machine; write nothing.")
 _on_workers = options.grouped(options.workers, options.accept_new_code)
 _on_engine = options.grouped(options.engine, _on_workers)
@@ -306,10 +305,8 @@ def merge_command(sources: tuple[Path, ...], out: Path, **how: Any) -> Output:
 @options.out
 @_spec
 @number("--budget", "Number of evaluations, overriding the file.", click.IntRange(1, 10_000_000))
-@number("--batch", "Points evaluated together, overriding the file.", click.IntRange(4, 100_000))
 @options.best_body
 @_seed
-@_plots
 @_dry_run
 @_on_engine
 def search_command(
@@ -331,7 +328,7 @@ def search_command(
     from nermo_mjx.optimize import Search, run_search
     from nermo_mjx.optimize.run import search_forecast
 
-    search = dataclasses.replace(Search.from_file(spec, body), **_fields(how, "batch", "plots"))
+    search = Search.from_file(spec, body)
     if budget is not None:
         search = dataclasses.replace(search, evaluations=budget, simulated_seconds=None)
     if seed is not None:
@@ -389,7 +386,6 @@ def _print_search(result: SearchResult) -> None:
 @number("--starts", "Number of points tuned in parallel, overriding the file.", click.IntRange(1, 100_000))
 @options.best_body
 @_seed
-@_plots
 @click.option("--video/--no-video", default=None, help="Render start and best regardless of the file.")
 @flag("--dry-run", "Estimate the cost of each method on this machine; write nothing.")
 @_on_workers
@@ -419,7 +415,7 @@ def tune_command(spec: Path, out: Path, body: str | None, dry_run: bool, **how: 
     tuning = Tuning.from_file(spec, body)
     if how["starts"] is not None and tuning.method.name == "cma":
         raise WrongUse("--starts is not used by the method cma: give method: {cma: {population: N}} in the file.")
-    tuning = dataclasses.replace(tuning, **_fields(how, "iterations", "starts", "seed", "plots", "video"))
+    tuning = dataclasses.replace(tuning, **_fields(how, "iterations", "starts", "seed", "video"))
     # A resumed tuning keeps the method with which it started.
     begins = not (is_given("as_json") or is_given("quiet") or (out / "history.parquet").exists())
     costs = tuning_forecasts(tuning) if dry_run or begins else []
@@ -545,7 +541,6 @@ def _print_landscape(result: LandscapeResult) -> None:
 @number("--worlds", "Number of parallel worlds, overriding the file.", click.IntRange(1, 1_000_000))
 @options.best_body
 @_seed
-@_plots
 @flag("--onnx", "Also write policy.onnx; needs the extra onnx.")
 @flag("--tensorboard", _tensorboard.format("iteration"))
 @flag("--video", "Render a walk of the policy at each checkpoint, in DIR/videos.")
@@ -567,7 +562,7 @@ def train_command(spec: Path, out: Path, body: str | None, onnx: bool, dry_run: 
     """
     from nermo_mjx.learn.spec import Training, changed
 
-    training = changed(Training.from_file(spec, body), **_fields(how, "steps", "worlds", "seed", "plots"))
+    training = changed(Training.from_file(spec, body), **_fields(how, "steps", "worlds", "seed"))
     if onnx:
         from nermo_mjx.learn.policy import check_onnx
 

@@ -129,13 +129,12 @@ def render_with_progress(
 #: Options of `play` that need another kind of file, and which.
 _TASK, _RECORDED = "a training", "a recording"
 PLAY_NEEDS = dict.fromkeys(("policy", "scene", "assignments", "seconds", "video", "camera"), _TASK)
-PLAY_NEEDS |= dict.fromkeys(("speed", "once", "xml", "rate"), _RECORDED)
+PLAY_NEEDS |= dict.fromkeys(("speed", "xml", "rate"), _RECORDED)
 
 
 @command("play")
 @click.argument("path", metavar="FILE.npz|TRAINING.yaml|DIR", type=FileKind(".npz", ".yaml", ".yml", exists=True))
 @number("--speed", "1 is real time, 0.25 a quarter of it.", options.POSITIVE, default=1.0)
-@flag("--once", "Stop at the end instead of looping.")
 @options.file("--xml", ".xml", "Write MJCF with the recording as keyframes instead.")
 @number("--rate", "Keyframes per second.", options.POSITIVE, default=25.0)
 @options.text("--policy", "zero|random|FILE.npz", "Of a training: what acts; by default the policy in DIR, or zero.")
@@ -144,9 +143,7 @@ PLAY_NEEDS |= dict.fromkeys(("speed", "once", "xml", "rate"), _RECORDED)
 @number("--seconds", "Of a training: how long; by default as in its evaluation.", options.POSITIVE)
 @options.file("--video", ".mp4", "Of a training: an MP4, GIF or WebP instead of a page.")
 @options.camera
-def play_command(
-    path: Path, speed: float, once: bool, xml: Path | None, rate: float, policy: str | None, **task: Any
-) -> Output:
+def play_command(path: Path, speed: float, xml: Path | None, rate: float, policy: str | None, **task: Any) -> Output:
     """Play a recording in MuJoCo's viewer, or a policy in a training's task.
 
     A recording needs a display. With --xml, no window is opened: the file
@@ -178,7 +175,7 @@ def play_command(
         loaded = load_recording(path)
     keys = None
     if xml is None:
-        play(loaded, speed=speed, loop=not once)
+        play(loaded, speed=speed)
     else:
         keys = write_keyframes(loaded, xml, rate=rate)
     content = {"recording": path, "seconds": loaded.duration, "xml": xml, "keyframes": keys}

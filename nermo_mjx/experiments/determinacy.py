@@ -62,6 +62,11 @@ class Parameter:
     neutral: float
 
     @property
+    def absent(self) -> float:
+        """Its value where its kind is left out, in the range."""
+        return min(max(self.neutral, self.low), self.high) if math.isfinite(self.neutral) else self.value
+
+    @property
     def logarithmic(self) -> bool:
         """Whether its coordinate is a logarithm."""
         return self.low > 0
@@ -154,6 +159,13 @@ class Fit:
     def values(self) -> np.ndarray:
         """Of the parameters (p,)."""
         return self.space.values(self.x)
+
+    @property
+    def bodies(self) -> np.ndarray:
+        """Values of the draws inside the ranges (n, p): cut at an end, one would lose what is determined together."""
+        free = [not each for each in self.at_bound]
+        inside = ((self.draws >= self.space.low) & (self.draws <= self.space.high))[:, free].all(axis=1)
+        return self.space.values(self.draws[inside] if inside.any() else self.draws)
 
     @property
     def intervals(self) -> np.ndarray:
@@ -459,10 +471,7 @@ def dispensable(fit: Fit) -> list[str]:
     kinds = list(dict.fromkeys(each.kind for each in space.parameters))
     optional = [k for k in kinds if all(math.isfinite(p.neutral) for p in space.parameters if p.kind == k)]
     covariance = (fit.directions * fit.share**2) @ fit.directions.T
-    neutral = np.array(
-        [np.clip(p.neutral, p.low, p.high) if math.isfinite(p.neutral) else p.value for p in space.parameters]
-    )
-    away = fit.x - space.coordinates(neutral)
+    away = fit.x - space.coordinates(np.array([each.absent for each in space.parameters]))
     while optional:
 
         def rise(kind: str) -> float:

@@ -16,17 +16,7 @@ from typing import Any, Final
 import numpy as np
 
 from nermo_mjx.experiments import determinacy
-from nermo_mjx.experiments.determinacy import (
-    Estimation,
-    Fit,
-    Judgement,
-    Kept,
-    Parameter,
-    ParameterSpace,
-    judge,
-    percent,
-    rms,
-)
+from nermo_mjx.experiments.determinacy import Estimation, Fit, Judgement, Parameter, ParameterSpace, judge, percent, rms
 from nermo_mjx.experiments.log_twin import KINDS, Body, LoggedTwin, until
 from nermo_mjx.hardware.log import Log
 from nermo_mjx.hardware.signals import channel_differences
@@ -124,20 +114,28 @@ class Identification:
         return self.fitted.judgement.right or (not self.missing and self.after.judgement.right)
 
     @property
-    def draws(self) -> np.ndarray:
-        """Values drawn from the posterior of both classes (draws, p)."""
+    def _own(self) -> list[int]:
+        """Places of the simplest class's parameters among all."""
         names = [each.name for each in self.fit.space.parameters]
-        drawn = self.fit.space.values(self.fit.draws)
-        if self.simplest is not self.fit:
-            own = [names.index(each.name) for each in self.simplest.space.parameters]
-            half = len(drawn) // 2
-            drawn[half:, own] = self.simplest.space.values(self.simplest.draws)[half:]
-        return drawn
+        return [names.index(each.name) for each in self.simplest.space.parameters]
+
+    @property
+    def bodies(self) -> np.ndarray:
+        """Values of bodies drawn from the posterior, as many of each of both classes (n, p)."""
+        whole, own = self.fit.bodies, self.simplest.bodies
+        simple = np.tile([each.absent for each in self.fit.space.parameters], (len(own), 1))
+        simple[:, self._own] = own
+        each = min(len(whole), len(simple))
+        return whole if self.simplest is self.fit else np.concatenate([whole[:each], simple[:each]])
 
     @property
     def intervals(self) -> np.ndarray:
-        """Ends of the 90 % intervals over both classes (p, 2)."""
-        return np.quantile(self.draws, determinacy.ENDS, axis=0).T
+        """Ends of the 90 % intervals over both classes (p, 2); of what one leaves out, those of the other."""
+        drawn = self.fit.space.values(self.fit.draws)
+        if self.simplest is not self.fit:
+            half = len(drawn) // 2
+            drawn[half:, self._own] = self.simplest.space.values(self.simplest.draws)[half:]
+        return np.quantile(drawn, determinacy.ENDS, axis=0).T
 
     def sentences(self) -> list[str]:
         """The verdict in words."""
@@ -176,7 +174,7 @@ def identify_log(
     wanted: Wanted,
     judges: Sequence[Log] = (),
     report: Callable[[float], None] = lambda share: None,
-    kept: Kept = lambda compute: compute(),
+    kept: determinacy.Kept = lambda compute: compute(),
 ) -> Identification:
     """Fit a body to logs.
 
@@ -249,7 +247,7 @@ def identify_log(
     asked = [each for each in space.parameters if each.kind not in left]
     if left and asked:
         fixed = [each for each in space.parameters if each.kind in left]
-        lean = body.at({each.name: float(np.clip(each.neutral, each.low, each.high)) for each in fixed})
+        lean = body.at({each.name: each.absent for each in fixed})
         smaller = ParameterSpace(asked)
         start = smaller.coordinates(np.array([fit.values[names.index(each.name)] for each in asked]))
         own = [each.name for each in asked]

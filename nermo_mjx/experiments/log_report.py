@@ -256,7 +256,7 @@ def _written_body(found: Identification, out: Path) -> list[str]:
     known = [name for name in dict(quantities(ModelParameters)) if name in names]
     columns = [names.index(name) for name in known]
     fixed = {name: value for name, value in found.body.standing.items() if name not in known}
-    bodies = np.vstack([found.fit.values, found.draws[:: max(len(found.draws) // (BODIES - 1), 1)][: BODIES - 1]])
+    bodies = np.vstack([found.fit.values, found.bodies[:: max(len(found.bodies) // (BODIES - 1), 1)][: BODIES - 1]])
     lines = [
         "# Bodies drawn from the posterior of an identification from a log; the first is the best.",
         ",".join([*known, *fixed, "objective", "weight"]),
@@ -279,7 +279,7 @@ def figures_of(found: Identification) -> Iterator[tuple[str, Figure]]:
 def _predicted(found: Identification, most: int = 6) -> Figure:
     """Measured and predicted curves where nothing was fitted, with a band of the posterior."""
     twin = found.after.twin
-    drawn = twin.predict(found.draws[:: len(found.draws) // SHOWN][:SHOWN])
+    drawn = twin.predict(found.bodies[:: max(len(found.bodies) // SHOWN, 1)][:SHOWN])
     low, high = np.quantile(drawn, determinacy.ENDS, axis=0)
     best = twin.measured.values + found.after.residual
     before = twin.measured.values + found.before.residual

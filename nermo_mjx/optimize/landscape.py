@@ -363,7 +363,7 @@ def run_landscape(
             "evaluations": total,
             "wall_seconds": round(sum(part.seconds for part in runs.parts), 3),
             "plots": [path.relative_to(held.out).as_posix() for path in plots],
-            **read_record(held.out)["sessions"][-1],
+            **(read_record(held.out).get("sessions") or [{}])[-1],
         }
         held.write(MEASURES, to_json(content))  # last: it marks completion
         return LandscapeResult(held.out, tuning, points, content, tuple(plots), total - there)

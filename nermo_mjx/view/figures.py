@@ -379,7 +379,8 @@ def beside_robot(walk: RecordedGait) -> Figure | None:
         ax.plot(time, simulated, color=SERIES[0], lw=1.8, zorder=3)
         ax.plot(time, measured, color=INK, lw=0.7, zorder=4)
         ax.plot(time, measured - simulated, color=SERIES[1], lw=0.7, zorder=2)
-        ax.annotate(each.title, (0, 1.0), xycoords="axes fraction", va="bottom", color=INK, fontsize=8.5)
+        title = f"{each.title} [{each.unit}]"
+        ax.annotate(title, (0, 1.0), xycoords="axes fraction", va="bottom", color=INK, fontsize=8.5)
         ax.margins(y=0.1)
         horizontal_grid(ax)
     for ax in page.axes.T.ravel()[len(channels) :]:

@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 
 from nermo_mjx.recording import Recording, RecordingError
-from nermo_mjx.robot import ParameterError, Robot
+from nermo_mjx.robot import ParameterError
 from nermo_mjx.view.camera import body_radius, following_camera, move_sun_above, put_sun_overhead, root_body
 from nermo_mjx.view.recorded import robot_of, shown_spec
 
@@ -30,18 +30,14 @@ def set_sample(data: mujoco.MjData, recording: Recording, sample: int) -> None:
     data.qpos[:], data.qvel[:], data.ctrl[:] = recording.qpos[sample], recording.qvel[sample], recording.ctrl[sample]
 
 
-def play(
-    recording: Recording, robot: Robot | None = None, *, speed: float = 1.0, loop: bool = True, viewer: Any = None
-) -> None:
-    """Play a recording in MuJoCo's viewer, until its window is closed; Tab and Shift-Tab show its panels.
+def play(recording: Recording, *, speed: float = 1.0, viewer: Any = None) -> None:
+    """Play a recording in MuJoCo's viewer, over and over until its window is closed; Tab and Shift-Tab show panels.
 
     On macOS, run Python as `mjpython`.
 
     Args:
         recording: to play.
-        robot: that was recorded; by default assembled from the recording's setup.
         speed: 1 is real time, 0.25 a quarter of it.
-        loop: restart at the end.
         viewer: replaces `mujoco.viewer`.
 
     Raises:
@@ -50,7 +46,7 @@ def play(
     """
     if not speed > 0.0:
         raise ParameterError(f"speed is {speed:g}: allowed is (0, inf).")
-    model = (robot or robot_of(recording)).model
+    model = robot_of(recording).model
     recording.check_model(model)
     model = copy.copy(model)
     put_sun_overhead(model)
@@ -83,8 +79,6 @@ def play(
         while window.is_running():
             passed = speed * (time.perf_counter() - began)
             if passed > recording.duration:
-                if not loop:
-                    return
                 began, passed = time.perf_counter(), 0.0
             sample = int(np.searchsorted(recording.time, first + passed + 1e-9, side="right")) - 1
             with window.lock():

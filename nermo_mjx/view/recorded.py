@@ -353,7 +353,7 @@ def beside_log(recording: Recording) -> list[Plot]:
             unit = str(about.get("unit", ""))
             both, rms = (in_shown_unit("", unit, each) for each in (np.asarray(values, float), about["rms"]))
             curves = zip(("measured", "simulated"), ("second", "first"), both.values.T, strict=True)
-            title = f"{name}: RMS {float(rms.values):.3g} {rms.unit}, lag {1e3 * about['lag']:.0f} ms"
+            title = f"{name}: lag {1e3 * about['lag']:.0f} ms, RMS {float(rms.values):.3g}"  # in the plot's unit
             plots.append(Plot(f"log_{name}", title, both.unit, tuple(Curve(*curve) for curve in curves)))
     return plots
 

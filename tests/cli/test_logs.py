@@ -81,13 +81,13 @@ def test_view_and_plot_lay_measured_over_simulated(folder, tmp_path) -> None:
     shown = {each.key: each for each in beside_log(Recording.load(folder / "twin.npz"))}
     spine = shown["log_pos_spine"]
     measured, simulated = (line.values for line in spine.lines)
-    assert re.fullmatch(r"pos_spine: RMS 0\.\d+ deg, lag 1[3-7] ms", spine.title)
+    assert re.fullmatch(r"pos_spine: lag 1[3-7] ms, RMS 0\.\d+", spine.title)
     assert np.isnan(measured).any(), "gaps are no samples"
     assert np.nanstd(measured - simulated) < 0.3 * np.nanstd(simulated)
     files = json_of("plot", folder / "twin.npz", "--out", tmp_path, "--format", "png")["files"]
     assert any(file.endswith("beside-robot.png") for file in files)
     page = json_of("view", folder / "twin.npz", "--out", tmp_path / "twin.html", "--no-open")["page"]
-    assert "pos_spine: RMS 0." in Path(page).read_text()
+    assert "pos_spine: lag 1" in Path(page).read_text()
 
 
 def test_compare_says_how_far_logs_and_recordings_are_apart(folder) -> None:

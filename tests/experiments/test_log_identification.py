@@ -136,6 +136,16 @@ def test_the_simplest_class_leaves_out_what_is_not_there(path: Path) -> None:
     assert found.errors["simplest class"] < 1.1
 
 
+def test_every_body_of_the_posterior_explains_the_log(path: Path) -> None:
+    """Those of the simplest class have what it leaves out at its neutral value, not as another class draws it."""
+    found, both = identified_arm(path, SCALES, logged()), list[float]()
+    twin, left = found.fitted.twin, [each.kind in found.left_out for each in found.fit.space.parameters]
+    assert any(left)
+    for away in twin.predict(found.bodies[:: len(found.bodies) // 20]) - twin.measured.values:
+        both.append(float(np.sqrt(np.mean(away[twin.measured.time > 1.0] ** 2))) / NOISE)
+    assert max(both) < 2.0
+
+
 @pytest.mark.release
 def test_the_result_is_the_same_twice(path: Path) -> None:
     one, other = (identified_arm(path, ("damping", "kp"), logged(2.0)) for _ in range(2))

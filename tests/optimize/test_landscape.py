@@ -143,7 +143,7 @@ def test_points_once_found_are_kept(tmp_path, monkeypatch):
 
 
 def test_a_directory_belongs_to_one_landscape(tmp_path):
-    """Another walk needs another directory, also of an unfinished one; a damaged table is made again."""
+    """Another walk needs another directory, also of an unfinished one; a damaged table, or a lost record, does not."""
     with pytest.raises(KeyboardInterrupt):
         measure(tmp_path, stop_at=3)
     other = {"set": {"frequency": 0.7}}
@@ -154,6 +154,7 @@ def test_a_directory_belongs_to_one_landscape(tmp_path):
     with pytest.raises(WrongDirectory, match=another):
         measure(tmp_path, change=other)
     (tmp_path / "landscape.parquet").write_text("damaged")
+    (tmp_path / "run.json").unlink()
     again = measure(tmp_path)[0]
     assert again.evaluated == 0
     assert again.table.equals(table)

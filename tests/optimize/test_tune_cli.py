@@ -64,7 +64,8 @@ def test_tune_json_is_one_object_in_si_units(fakes: dict[str, Any], spec: Path, 
 @pytest.mark.draws
 def test_options_stand_for_fields_of_the_file(fakes: dict[str, Any], spec: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    options = ("--iterations", "2", "--starts", "3", "--seed", "8", "--plots", "--no-video")
+    spec.write_text(spec.read_text().replace("plots: false", "plots: true"))
+    options = ("--iterations", "2", "--starts", "3", "--seed", "8", "--no-video")
     result = json_of("tune", spec, "--out", out, *options)
     tuning = Tuning.from_file(out / "tuning.yaml")
     assert (tuning.iterations, tuning.starts, tuning.seed, tuning.plots, tuning.video) == (2, 3, 8, True, False)
