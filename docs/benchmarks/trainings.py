@@ -1,4 +1,4 @@
-"""The table of trained policies, trainings.md: each file's seeds, command, commit and figures on unseen bodies.
+"""The table of trained policies, trainings.txt: each file's seeds, commit and figures on unseen bodies.
 
     python docs/benchmarks/trainings.py sweeps/train_residual.yaml --seeds 0 1 2 --out runs
 
@@ -45,7 +45,7 @@ def trained(spec: str, seed: int, out: Path) -> list[dict[str, Any]]:
 def table(runs: list[dict[str, Any]]) -> str:
     """Markdown: one row for each file and scene."""
     titles = [f"{title}, {who}" for title, *_ in FIGURES.values() for who in ("policy", "alone")]
-    heads = ["command", "scene", "seeds", "success [%]", *titles, "processor time [min]", "commit"]
+    heads = ["file", "scene", "seeds", "success [%]", *titles, "processor [min]", "commit"]
     lines = ["| " + " | ".join(heads) + " |", "|" + "---|" * len(heads)]
     rows = {(case["file"], case["scene"]): (run, []) for run in runs for case in run["cases"]}
     for run in runs:
@@ -53,11 +53,11 @@ def table(runs: list[dict[str, Any]]) -> str:
             kept, cases = rows[case["file"], case["scene"]]
             cases.extend([case] if kept is run else [])
     for (file, scene), (run, cases) in rows.items():
-        cells = [f"`nermo-mjx train {file}`", scene, ", ".join(str(case["seed"]) for case in cases)]
+        cells = [f"`{Path(file).name}`", scene, ", ".join(str(case["seed"]) for case in cases)]
         cells.append(spread([100 * case["policy"]["success"] for case in cases], 0))
         for name, (_, factor, digits) in FIGURES.items():
             cells += [spread([factor * case[who][name] for case in cases], digits) for who in ("policy", "alone")]
-        cells += [spread([case["cpu"] / 60 for case in cases], 1), f"`{run['commit']}`"]
+        cells += [spread([case["cpu"] / 60 for case in cases], 1), f"`{run['commit'][:7]}`"]
         lines.append("| " + " | ".join(cells) + " |")
     return "\n".join(lines) + "\n"
 
@@ -78,7 +78,7 @@ def main() -> None:
     if cases:
         append(KEPT, run_of(cases))
     runs = [json.loads(line) for line in KEPT.read_text().splitlines()]
-    replace_file(HERE / "trainings.md", table(runs).encode())
+    replace_file(HERE / "trainings.txt", table(runs).encode())
 
 
 if __name__ == "__main__":
