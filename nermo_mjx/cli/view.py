@@ -133,7 +133,7 @@ PLAY_NEEDS |= dict.fromkeys(("speed", "xml", "rate"), _RECORDED)
 
 
 @command("play")
-@click.argument("path", metavar="FILE.npz|TRAINING.yaml|DIR", type=FileKind(".npz", ".yaml", ".yml", exists=True))
+@click.argument("path", metavar="FILE.npz|TRAINING.yaml|DIR", type=FileKind(".npz", ".yaml", ".yml"))
 @number("--speed", "1 is real time, 0.25 a quarter of it.", options.POSITIVE, default=1.0)
 @options.file("--xml", ".xml", "Write MJCF with the recording as keyframes instead.")
 @number("--rate", "Keyframes per second.", options.POSITIVE, default=25.0)
@@ -163,6 +163,10 @@ def play_command(path: Path, speed: float, xml: Path | None, rate: float, policy
     """
     from nermo_mjx.view import play, show, write_keyframes
 
+    if not path.exists():
+        raise WrongUse(
+            f"{path} does not exist: allowed is a recording FILE.npz, or the file or directory of a training."
+        )
     is_task = path.is_dir() or path.suffix in (".yaml", ".yml")
     options.refuse_without(PLAY_NEEDS, {_TASK: is_task, _RECORDED: not is_task})
     if is_task:
@@ -192,7 +196,7 @@ def _play_task(
 ) -> Recording:
     """A walk in the task of a training's file or directory."""
     from nermo_mjx.learn.directory import POLICY_FILE, SPEC
-    from nermo_mjx.learn.evaluation import ZERO, played
+    from nermo_mjx.learn.evaluation import ZERO, played_task
     from nermo_mjx.learn.spec import Training
     from nermo_mjx.learn.task import task_parameters
 
@@ -201,7 +205,7 @@ def _play_task(
     values = options.assigned(assignments, task_parameters(training.setup))
     policy = policy or (str(path / POLICY_FILE) if path.is_dir() else ZERO)
     with ProgressBar("play", compiles=True):
-        return played(training, policy, values=values, **how)
+        return played_task(training, policy, values=values, **how)
 
 
 @command("view", reads=True)

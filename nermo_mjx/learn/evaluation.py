@@ -153,7 +153,7 @@ def recorded(training: Training, policy: Policy, engine: str = "c") -> Iterator[
         yield scene_name(str(setup.scene)), simulator.run(values, training.run, record=True).recording()
 
 
-def played(
+def played_task(
     training: Training,
     policy: str,
     *,

@@ -48,7 +48,7 @@ def folder(tmp_path: Path) -> Path:
         ("nermo-mjx render --camera th", ["plain,three_quarter"]),
         ("nermo-mjx plot runs --x roll_s", ["plain,roll_std"]),
         ("nermo-mjx sweep ", ["plain,deep/", "plain,runs/", "plain,trot.yaml"]),
-        ("nermo-mjx play ", ["plain,deep/", "plain,runs/", "plain,walk.npz"]),
+        ("nermo-mjx play ", ["plain,deep/", "plain,runs/", "plain,trot.yaml", "plain,walk.npz"]),
         ("nermo-mjx tune runs/", ["plain,runs/a.yaml"]),
         ("nermo-mjx tune d", ["plain,deep/er/c.yaml"]),
         ("nermo-mjx tune nothing", ["file,nothing"]),
