@@ -22,6 +22,7 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
+from scipy.stats import binomtest
 
 from nermo_mjx import Run, Setup, Simulator
 from nermo_mjx.experiments.log_identification import Identification, Wanted, identify_log
@@ -140,6 +141,7 @@ def summary(rows: list[dict]) -> dict[str, object]:
         "robots": len(rows),
         "determined": known / max(known + loose, 1),
         "coverage of determined": inside / max(known, 1),
+        "its 95 % interval (Wilson)": [*binomtest(inside, max(known, 1)).proportion_ci(method="wilson")],
         "coverage of the others": held / max(loose, 1),
         "median error [noise]": float(np.median([row["error"] for row in rows])),
         "called right": float(np.mean([row["right"] for row in rows])),

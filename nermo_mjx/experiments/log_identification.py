@@ -24,6 +24,8 @@ from nermo_mjx.robot import ParameterError
 
 #: Share of a log that is fitted where no other log judges.
 FITTED: Final = 0.75
+#: Numbers of a channel that are needed in each of the parts.
+FEWEST: Final = 5
 #: Piece on which starts are compared: share of a log, but no less than this [s].
 PIECE: Final = (0.2, 2.5)
 #: Gauss-Newton begins at the default, then at the best points of a Sobol sequence (a delay has local minima), then at
@@ -203,6 +205,16 @@ def identify_log(
     def twin(of: Sequence[Log], names: Sequence[str], own: Body = body, only: Any = None) -> LoggedTwin:
         return LoggedTwin(own, of, names, only)
 
+    rest = (judges, None) if judges else (logs, lambda times, duration: times >= FITTED * duration)
+    for part, of in (("fitted", (heads, None)), ("not fitted", rest)):
+        seen = twin(of[0], names, body, of[1])
+        counts = np.bincount(seen.measured.channel, minlength=len(seen.labels)).tolist()
+        if (least := min(counts)) < FEWEST:
+            which = f"channel {seen.labels[counts.index(least)]!r} has {least} numbers in what is {part}"
+            raise ParameterError(f"{which}: expected {FEWEST} at least; leave it out, or give a longer log.")
+    for log in (*logs, *judges):
+        if body.model.nu and not log.of_quantity("command"):
+            raise ParameterError(f"{log.file}: no channel is a command, by which the model could be driven.")
     # Starts are compared on a piece, where wrong ones are told from right ones as well.
     pieces = [until(log, min(log.duration, max(PIECE[0] * log.duration, PIECE[1]))) for log in heads]
     rough, tried = Estimation(space, twin(pieces, names), kept), list[tuple[np.ndarray, np.ndarray]]()
@@ -235,7 +247,6 @@ def identify_log(
         residual = white * fit.sigma[seen.measured.channel]
         return BodyResidual(seen, residual, judge(seen.measured, residual))
 
-    rest = (judges, None) if judges else (logs, lambda times, duration: times >= FITTED * duration)
     fitted = BodyResidual(whole.problem, fit.residual, judge(whole.measured, fit.residual))
     after = verdict(body, names, fit.values, *rest)
     default = [each.neutral if math.isfinite(each.neutral) else each.low for each in space.parameters]

@@ -16,7 +16,7 @@ import pytest
 from nermo_mjx.cli import main as command
 from nermo_mjx.experiments.log_identification import Identification, Wanted, identify_log
 from nermo_mjx.experiments.log_report import kept_in
-from nermo_mjx.experiments.log_twin import LoggedTwin, MjcfBody, NermoBody
+from nermo_mjx.experiments.log_twin import LoggedTwin, MjcfBody, NermoBody, until
 from nermo_mjx.files import FileError
 from nermo_mjx.hardware.log import Channel, Log
 from nermo_mjx.learn.spec import Training
@@ -204,6 +204,25 @@ def test_wrong_wishes_are_refused(path: Path, wanted: Wanted, sentence: str) -> 
     log = logged(0.5)
     with pytest.raises(ParameterError, match=sentence):
         identify_log(lambda kinds: MjcfBody(path, [log], kinds), [log], wanted)
+
+
+@pytest.mark.parametrize(
+    ("channels", "sentence"),
+    [
+        (lambda commands, angle: (angle,), r"^log: no channel is a command, by which the model could be driven\.$"),
+        (lambda *both: until(Log(both, "log"), 0.03).channels, r"^channel 'angle' has 1 numbers in what is fitted: "),
+        (
+            lambda commands, angle: (commands, *until(Log((angle,), "log"), 1.0).channels),
+            "has 0 numbers in what is not",
+        ),
+    ],
+)
+def test_logs_that_cannot_be_judged_are_refused(
+    path: Path, channels: Callable[..., tuple[Channel, ...]], sentence: str
+) -> None:
+    log = Log(channels(*logged(2.0).channels), "log")
+    with pytest.raises(ParameterError, match=sentence):
+        identify_log(lambda kinds: MjcfBody(path, [log], kinds), [log], Wanted(("mass",)))
 
 
 def test_a_file_that_is_no_mjcf_is_refused(tmp_path: Path) -> None:
