@@ -48,6 +48,8 @@ def test_what_is_stale_is_told():
     changed = {name: results.stale(name, result) for name, result in LISTED.items()}
     stale = [f"{name} ({', '.join(each)})" for name, each in changed.items() if each]
     unknown = [name for name, each in changed.items() if each is None]
+    for name, each in changed.items():
+        assert ("stale" in results.told(name, LISTED[name])) == bool(each), name
     if stale or unknown:
         warnings.warn(f"results of the docs that are stale: {stale}; without a stamp: {unknown}", stacklevel=1)
 
