@@ -174,7 +174,9 @@ def make(name: str, result: Result) -> None:
         start = {"nermo-mjx": [sys.executable, "-m", "nermo_mjx"], "python": [sys.executable]}.get(words[0], words[:1])
         kept = result.prints is not None and number == len(result.run)
         pipe = subprocess.PIPE if kept else None
-        done = subprocess.run([*start, *words[1:]], cwd=ROOT, check=True, text=True, stdout=pipe)
+        done = subprocess.run([*start, *words[1:]], cwd=ROOT, text=True, stdout=pipe)
+        if done.returncode:
+            raise click.ClickException(f"{name}: exit code {done.returncode} of {command}")
         if kept:
             replace_file(ROOT / result.prints, done.stdout.encode())
     for source, target in result.copies.items():
@@ -208,8 +210,8 @@ def footer(page: str) -> str:
     if not shown:
         return ""
     old = sum(bool(each) or each is None for each in (stale(name, result) for name, result in shown.items()))
-    title = (
-        f"How the results of this page were made{f': {old} of {len(shown)} are not of the present code' if old else ''}"
+    title = "How the results of this page were made" + (
+        f": {old} of {len(shown)} are stale or have no stamp" if old else ""
     )
     lines = []
     for name, result in shown.items():
