@@ -104,7 +104,7 @@ def digest(*parts: Any) -> str:
 
 def code(path: Path) -> str:
     """A source without its comments and docstrings, which change no result; other files as they are."""
-    text = path.read_text(encoding="utf-8")
+    text = path.read_text(encoding="utf-8", errors="replace")
     if path.suffix == ".ipynb":
         return json.dumps([cell["source"] for cell in json.loads(text)["cells"] if cell["cell_type"] == "code"])
     if path.suffix != ".py":
@@ -137,7 +137,8 @@ def body(robot: str) -> str:
 
 def digests(result: Result) -> dict[str, str]:
     """What a result stands on."""
-    files = [ROOT / word for command in result.run for word in shlex.split(command) if (ROOT / word).is_file()]
+    words = [word for command in result.run for word in shlex.split(command) if word not in result.outputs]
+    files = [ROOT / word for word in words if (ROOT / word).is_file()]
     found = {"commands and files": digest(result.run, *map(code, files))}
     if result.robot != "any":
         found |= {"body": body(result.robot)} | {name: digest_of_sources(*each) for name, each in SOURCES.items()}

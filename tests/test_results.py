@@ -93,6 +93,7 @@ def test_a_digest_follows_what_changes_a_result(tmp_path: Path, monkeypatch: pyt
         assert after('# why\ndef f(x):\n    """Two times."""\n\n    return 2 * x\n') == first
         assert after('def f(x):\n    """Twice."""\n    return 3 * x\n') != first
     results.digest_of_sources.cache_clear()
+    assert all(results.digests(each) for each in LISTED.values())  # files of pictures are no text
     name = next(name for name, each in LISTED.items() if name in results.stamps() and each.robot == "nermo_lite")
     before = results.digests(LISTED[name])
     defaults = Setup.defaults
