@@ -17,6 +17,7 @@ from nermo_mjx.rollout.own_metrics import HEADINGS
 
 sys.path.insert(0, str(pathlib.Path(__file__).parent))
 import address
+import results
 
 ROOT = pathlib.Path(__file__).parents[1]
 REPOSITORY = address.repository()
@@ -83,13 +84,16 @@ def metric_table() -> str:
 
 
 def fill(app: Sphinx, docname: str, source: list[str]) -> None:
-    """Put tables where a page asks for them, and lead links to files that are no pages to the repository, if any."""
+    """Put tables where a page asks for them, and lead links to files that are no pages to the repository, if any.
+
+    A page ends with how its results were made, and whether they are of the present body and code.
+    """
     for mark, table in (("{{parameters}}", parameter_table), ("{{metrics}}", metric_table)):
         if mark in source[0]:
             source[0] = source[0].replace(mark, table())
     up = "../" * (len(pathlib.Path(app.srcdir, docname).relative_to(ROOT).parts) - 1)
     link = rf"\[([^\]]*)\]\({re.escape(up)}((?:sweeps|notebooks|nermo_mjx)\b[^)]*)\)"
-    source[0] = re.sub(link, _file, source[0])
+    source[0] = re.sub(link, _file, source[0]) + results.footer(f"{docname}.md")
 
 
 def _file(link: re.Match[str]) -> str:

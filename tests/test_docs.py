@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import csv
 import doctest
 import importlib
 import inspect
-import math
 import os
 import re
 import shlex
@@ -263,26 +261,3 @@ def test_the_readme_is_short_and_its_links_lead_somewhere() -> None:
 def test_one_version_everywhere() -> None:
     assert f"\nversion: {__version__}\n" in (ROOT / "CITATION.cff").read_text()
     assert f"## {__version__}" in (ROOT / "CHANGELOG.md").read_text()
-
-
-# --- the answer of the README
-
-
-def test_the_answers_of_the_readme_are_those_of_the_sweep():
-    """Its table has the numbers of `sweeps/three_gaits.yaml`, run with two profiles, as the command wrote them."""
-    lines = []
-    for profile in ("exact", "as_published"):
-        with (ROOT / "docs" / "answers" / f"{profile}.csv").open() as file:
-            told = {(row["gait"], row["metric"]): row for row in csv.DictReader(file)}
-        for gait in dict.fromkeys(gait for gait, _ in told):
-            speed = told[gait, "speed"]
-            assert int(speed["pairs"]) == 24
-            cells = [f"`{profile}`", gait.replace("_", " ")]
-            cells.append(f"{float(speed['spine.amplitude']):g} rad, {math.degrees(float(speed['spine.phase'])):.0f}°")
-            for metric in ("speed", "cost_of_transport", "electrical_cost_of_transport"):
-                mean, low, high = (100 * float(told[gait, metric][f"relative{end}"]) for end in ("", "_low", "_high"))
-                cells.append(f"{mean:+.1f} % [{low:.1f}, {high:.1f}]")
-            lines.append(f"| {' | '.join(cells)} |")
-    text = README.read_text(encoding="utf-8")
-    table = text.split("<!-- answers -->")[1].split("<!-- /answers -->")[0]
-    assert table.strip().splitlines()[2:] == lines

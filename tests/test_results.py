@@ -1,0 +1,109 @@
+"""The list of what the docs show has everything, pages have its numbers, and what is stale is told."""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+import sys
+import warnings
+from pathlib import Path
+
+import pytest
+
+from nermo_mjx import Setup
+from nermo_mjx.runs.files import replace_file
+
+ROOT = Path(__file__).parents[1]
+_found = importlib.util.spec_from_file_location("docs_results", ROOT / "docs" / "results.py")
+results = sys.modules["docs_results"] = importlib.util.module_from_spec(_found)
+_found.loader.exec_module(results)
+
+LISTED = results.results()
+#: Files of the docs that runs make, by where they stand.
+MADE = (
+    "docs/images/**/*.*",
+    "docs/answers/*.csv",
+    "docs/answers/*.json",
+    "docs/benchmarks/*.jsonl",
+    "notebooks/*.ipynb",
+)
+
+
+def test_each_result_of_the_docs_is_listed_once():
+    made = {path.relative_to(ROOT).as_posix() for each in MADE for path in ROOT.glob(each)}
+    outputs = [
+        path.relative_to(ROOT).as_posix() for each in LISTED.values() for one in each.outputs for path in ROOT.glob(one)
+    ]
+    assert made - set(outputs) == {"docs/answers/stamps.json"}
+    assert len(outputs) == len(set(outputs))
+    stamped = results.stamps()
+    assert stamped.keys() <= LISTED.keys()
+    for name, result in LISTED.items():
+        assert all((ROOT / "docs" / page).exists() for page in result.pages), name
+        assert name in stamped or result.made, f"{name}: neither a stamp, nor when it was made"
+
+
+def test_what_is_stale_is_told():
+    """Not an error: who changes the body makes its results later. A warning stands at the end of a run of the tests."""
+    changed = {name: results.stale(name, result) for name, result in LISTED.items()}
+    stale = [f"{name} ({', '.join(each)})" for name, each in changed.items() if each]
+    unknown = [name for name, each in changed.items() if each is None]
+    for name, each in changed.items():
+        assert ("stale" in results.told(name, LISTED[name])) == bool(each), name
+    if stale or unknown:
+        warnings.warn(f"results of the docs that are stale: {stale}; without a stamp: {unknown}", stacklevel=1)
+
+
+def test_pages_have_the_numbers_that_were_made():
+    known = results.numbers()
+    used = set()
+    for page in results.pages():
+        text = page.read_text(encoding="utf-8")
+        assert results.filled(text, known) == text, f"{page}: run docs/results.py"
+        used |= {found[2] for found in results.MARKED.finditer(text)}
+        # At the beginning of a line a comment makes it HTML, and its Markdown text.
+        assert not re.search(r"^<!-- [\w./]+ -->.", text, re.MULTILINE), page
+    assert len(used & known.keys()) > 20
+    assert used - known.keys() == {"code", "colab"}  # docs/address.py fills these
+    page, numbers = "a <!-- one -->0<!-- / --> b\n<!-- two --><!-- /two -->", {"one": "2", "two": "| a |\n|---|"}
+    assert results.filled(page, numbers) == "a <!-- one -->2<!-- / --> b\n<!-- two -->\n| a |\n|---|\n<!-- /two -->"
+
+
+def test_the_table_of_the_readme_is_that_of_the_sweeps():
+    """The table is of the files that the sweeps wrote, which stand beside it."""
+    spec = importlib.util.spec_from_file_location("three_gaits", ROOT / "docs" / "answers" / "three_gaits.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    files = {profile: ROOT / "docs" / "answers" / f"{profile}.csv" for profile in ("exact", "as_published")}
+    assert results.numbers()["answers"] == module.table(files)
+
+
+def test_a_digest_follows_what_changes_a_result(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    source = tmp_path / "nermo_mjx" / "control" / "a.py"
+    source.parent.mkdir(parents=True)
+
+    def after(text: str) -> str:
+        replace_file(source, text.encode())
+        results.digest_of_sources.cache_clear()
+        return results.digest_of_sources("control/*.py")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(results, "ROOT", tmp_path)
+        first = after('def f(x):\n    """Twice."""\n    return 2 * x\n')
+        assert after('# why\ndef f(x):\n    """Two times."""\n\n    return 2 * x\n') == first
+        assert after('def f(x):\n    """Twice."""\n    return 3 * x\n') != first
+    results.digest_of_sources.cache_clear()
+    assert all(results.digests(each) for each in LISTED.values())  # files of pictures are no text
+    name = next(name for name, each in LISTED.items() if name in results.stamps() and each.robot == "nermo_lite")
+    before = results.digests(LISTED[name])
+    defaults = Setup.defaults
+    monkeypatch.setattr(Setup, "defaults", lambda setup: defaults(setup) | {"damping.knee": 0.0253})
+    results.body.cache_clear()
+    now = results.digests(LISTED[name])
+    results.body.cache_clear()
+    assert {what for what in now if now[what] != before[what]} == {"body"}
+    monkeypatch.undo()
+    stamp = {"date": "2026-01-01", "version": "0", "digests": before | {"metrics": "of another day"}}
+    monkeypatch.setattr(results, "stamps", lambda: {name: stamp})
+    assert results.stale(name, LISTED[name]) == ["metrics"]
+    assert results.told(name, LISTED[name]).endswith("stale, since these changed: metrics")
