@@ -298,7 +298,7 @@ def _predicted(found: Identification, most: int = 6) -> Figure:
         ax.fill_between(time, low[rows], high[rows], color=BAND, lw=0, alpha=0.7)
         ax.plot(time, before[rows], color=MUTED, lw=0.9, ls="--", label="default body")
         ax.plot(time, best[rows], color=LINE, lw=1.2, label="identified")
-        ax.set_ylabel(f"{twin.labels[i]} [{units[twin.labels[i]]}]")
+        ax.set_title(f"{twin.labels[i]}{' x' * (twin.components[i] > 1)} [{units[twin.labels[i]]}]", loc="left")
     ax.set_xlabel("time [s]")
     figure.axes[0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3)
     return figure
