@@ -60,7 +60,7 @@ def test_no_other_address_is_named_anywhere(address: ModuleType) -> None:
 def test_an_address_brings_badges_links_and_what_notebooks_install(address: ModuleType, copy: Path) -> None:
     texts = {path.relative_to(copy).as_posix(): text for path, text in address.texts(ADDRESS, copy).items()}
     notebooks = {name: json.loads(text)["cells"] for name, text in texts.items() if name.startswith("notebooks/")}
-    assert len(notebooks) == 7
+    assert len(notebooks) == 8
     for name, (about, install, *_) in notebooks.items():
         opened = f"https://colab.research.google.com/github/someone/nermo_mjx/blob/main/{name})"
         assert opened in "".join(about["source"])
