@@ -216,19 +216,20 @@ class MjxEngine:
         program, result = jax.make_jaxpr(self.loop.step, return_shape=True)(*jax.tree.map(of_one, given))
         read = np.full(carry.sensordata.shape[-1], True) if shown else self.read_entries(program)
         found = each(jaxpr_as_fun(program))(*jax.tree.leaves(given))
-        loop, found = jax.tree.unflatten(jax.tree.structure(result), found)
-        ctrl, force = jnp.split(found, [self.model.nu], axis=-1)
-        torso = self.robot.physical.body("torso").id
+        loop, ctrl = jax.tree.unflatten(jax.tree.structure(result), found)
+        nu = self.model.nu
+        ctrl, force = ctrl[..., :nu], ctrl[..., nu:] if ctrl.shape[-1] > nu else None
 
         def advanced(
-            fields: dict[str, Array], ctrl: Array, force: Array, state: MjxState
+            fields: dict[str, Array], ctrl: Array, force: Array | None, state: MjxState
         ) -> tuple[MjxState, tuple[Array, Array]]:
             model = with_sensors(self.model, read).tree_replace(without_play(fields))
             motor = state.motor
             if motor is not None:
                 ctrl, motor = self._played(Play.unpacked(fields[SERVO_PLAY]), ctrl, state)
             data = blank.replace(ctrl=ctrl)
-            if force.size:
+            if force is not None:
+                torso = self.robot.physical.body("torso").id
                 data = data.replace(xfrc_applied=data.xfrc_applied.at[torso, :2].set(force))
             after = self.physics_step(model, state.into(data))
             found = after.sensordata, self.is_unsolved(after)
