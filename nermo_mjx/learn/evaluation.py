@@ -15,7 +15,8 @@ from nermo_mjx.learn.environment import Environment
 from nermo_mjx.learn.own import code_place, own_terminations
 from nermo_mjx.learn.policy import Policy, RandomPolicy, load_policy
 from nermo_mjx.learn.spec import Training
-from nermo_mjx.learn.task import GIVEN, Task, task_parameters
+from nermo_mjx.learn.task import ADDED, GIVEN, PUSHES, Task, pushes_of, task_parameters
+from nermo_mjx.progress import shown_share
 from nermo_mjx.recording import Recording
 from nermo_mjx.robot import ParameterError, identified
 from nermo_mjx.robot.quantity import quantities
@@ -23,6 +24,7 @@ from nermo_mjx.robot.scene import scene_name
 from nermo_mjx.robot.terrains import terrain_values
 from nermo_mjx.rollout import Run, RunResult, Setup, Simulator
 from nermo_mjx.rollout.own_metrics import OwnMetric
+from nermo_mjx.rollout.simulator import default_precision
 from nermo_mjx.runs.rows import Columns
 
 #: Added to a training's seed, so that no training episode was drawn from such a key.
@@ -108,10 +110,19 @@ class PolicyEvaluator:
                 self._simulators[key] = Simulator(there, engine=self.engine)
             simulator = self._simulators[key]
             drawn = unseen_bodies(training, task, draws)
-            values = _known(simulator.setup, {**task.set, **drawn})
+            # As many walks where nothing that the simulator knows is drawn.
+            values = {"start.x": 0.0} | _known(simulator.setup, {**task.set, **drawn})
+            values = {name: np.broadcast_to(value, draws.number) for name, value in values.items()}
             share = None if progress is None else lambda done, i=i: progress((i + done) / len(cases))
             own = there.make_controller().parameters if who == POLICY else None
-            result = simulator.run(values, training.run, progress=share, policy=own)
+            batch = simulator.prepare(values, training.run, own)
+            if task.pushed:
+                seeds = np.random.default_rng([training.seed, draws.key]).integers(1 << 24, size=draws.number)
+                push = pushes_of({**task.set, **drawn}, seeds.astype(np.int32))
+                push = default_precision(jax.tree.map(lambda leaf: np.broadcast_to(leaf, draws.number), push))
+                batch = dataclasses.replace(batch, params=dataclasses.replace(batch.params, push=push))
+            with shown_share("walk", share) as tell:
+                result = simulator.run_batch(batch, progress=tell)
             metrics = {name: np.asarray(column) for name, column in result.metrics.items()}
             well = (np.asarray(result.status) == "ok") & (metrics["distance"] >= training.evaluation.distance)
             if task.corridor is not None:
@@ -192,6 +203,8 @@ def played_task(
     commands, late, noisy = acting.observer.commands, bool(acting.observer.delayed), acting.observer.noisy
     told = {f"command.{name}" for name in commands} | ({"sensing.delay"} if late else set())
     for name in values:
+        if name in PUSHES:
+            raise ParameterError(f"{name} is given, and a walk that is played is not pushed: push it in drive.")
         if name in GIVEN and name not in told and not (noisy and name.endswith("_noise")):
             raise ParameterError(f"{name} is given, and the policy was not trained with it: leave it out.")
     return next(recorded(training, acting))[1]
@@ -227,7 +240,7 @@ def _setup(setup: Setup, policy: Policy | None) -> Setup:
 def _known(setup: Setup, values: Mapping[str, Any]) -> dict[str, Any]:
     """The values that a setup has a name for: a controller alone is not commanded, and has no late sensors."""
     known = dict(quantities(setup.world({})))
-    return {name: value for name, value in values.items() if name in known or name not in GIVEN}
+    return {name: value for name, value in values.items() if name in known or name not in ADDED}
 
 
 def _table(training: Training, n: int, parts: list[_Part]) -> pa.Table:

@@ -18,7 +18,7 @@ from nermo_mjx.learn.environment import Environment, Mixture, check_alike, check
 from nermo_mjx.learn.loop import EpisodeLoop
 from nermo_mjx.learn.observing import FORMER
 from nermo_mjx.learn.own import code_place, is_own, own_name
-from nermo_mjx.learn.task import GIVEN, RANDOMIZED, Task, task_parameters
+from nermo_mjx.learn.task import ADDED, RANDOMIZED, Task, task_parameters
 from nermo_mjx.robot.parameters import PRESETS
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.robot.terrains import terrain_values
@@ -359,7 +359,7 @@ def changed(training: Training, **values: Any) -> Training:
 
 def _read(doc: Document) -> Training:
     with known_names(doc):
-        doc = in_numbers(doc, GIVEN | {old: GIVEN[new] for old, new in FORMER.items() if new in GIVEN})
+        doc = in_numbers(doc, ADDED | {old: ADDED[new] for old, new in FORMER.items() if new in ADDED})
         file = read(doc, TrainingFile)
     if wrong := too_many(file.worlds):
         doc.fail(("worlds",), f"is {file.worlds:,}: {wrong}")

@@ -40,7 +40,7 @@ from nermo_mjx.robot.quantity import (
     replace_quantities,
 )
 from nermo_mjx.robot.terrains import terrain_values
-from nermo_mjx.rollout.loop import LoopParameters, loop_parameters
+from nermo_mjx.rollout.loop import PUSH_SECONDS, LoopParameters, Pushes, loop_parameters
 from nermo_mjx.rollout.metrics import Ending, MetricState
 from nermo_mjx.rollout.own_metrics import described
 from nermo_mjx.rollout.run import StartPose
@@ -387,6 +387,11 @@ class Task(Spec):
         return tuple(name for name in ("speed", "yaw_rate") if f"command.{name}" in named)
 
     @property
+    def pushed(self) -> bool:
+        """Whether the robot is pushed."""
+        return "push.force" in {*self.set, *self.randomize, *self.sampled}
+
+    @property
     def sampled(self) -> tuple[str, ...]:
         """Names of what `commands` draws."""
         return () if self.commands is None else tuple(drawn_by(self.commands)[1])
@@ -451,7 +456,9 @@ class Task(Spec):
         for name, value in self.set.items():
             known[name].check(f"set.{name}", value)
         self.check_commands(setup)
-        setup.check(setup.world({name: value for name, value in self.set.items() if name not in GIVEN}))
+        if RUNS_CODE.get() and "push.interval" in {*self.set, *self.randomize, *self.sampled} and not self.pushed:
+            raise ParameterError("push.interval stands without push.force [N], which is 0 then: add one.")
+        setup.check(setup.world({name: value for name, value in self.set.items() if name not in ADDED}))
 
     def check_commands(self, setup: Setup) -> None:
         """Refuse `commands` that fail, or draw what is no parameter or out of range; not where no code is run.
@@ -470,13 +477,20 @@ class Task(Spec):
             known[name].check(f"{subject}, where {name}", values)
 
 
-#: Parameters of episodes that runs do not have.
+#: Parameters of a policy's episodes that runs do not have; its file has them, too.
 GIVEN: Final[dict[str, Quantity]] = dict(quantities(Given))
+#: Of what pushes the robot there.
+PUSHES: Final[dict[str, Quantity]] = {
+    "push.force": Quantity(0.0, "N", 0.0, 10.0, f"on the torso for {PUSH_SECONDS:g} s, in any horizontal direction"),
+    "push.interval": Quantity(2.0, "s", 0.2, 100.0, "in each of which there is one push, at a random moment"),
+}
+#: All parameters of episodes that runs do not have.
+ADDED: Final[dict[str, Quantity]] = GIVEN | PUSHES
 
 
 def task_parameters(setup: Setup) -> dict[str, Quantity]:
     """Every parameter that a task may name under `set` and `randomize`."""
-    return all_parameters(setup) | GIVEN
+    return all_parameters(setup) | ADDED
 
 
 @jax.tree_util.register_dataclass
@@ -540,12 +554,15 @@ class Episodes:
             spread = [(column[one] - column.mean()) / (3.0 * column.std() + 1e-12) for column in members.values()]
             shares = jnp.concatenate([shares, jnp.clip(jnp.stack(spread), -1.0, 1.0)])
         given = replace_quantities(Given(), {name: value for name, value in values.items() if name in GIVEN})
-        world = self.setup.world({name: value for name, value in values.items() if name not in GIVEN})
+        world = self.setup.world({name: value for name, value in values.items() if name not in ADDED})
         told = commanded(self.controller.base, self.task.commanded, world.control, given.command)
         control = jax.tree.map(_real, Acted(told, self.controller.parameters.action))
         window = Window(begin=0.0, end=1e6, distance=1e6)
         world = dataclasses.replace(world, control=control)
         loop = loop_parameters(self.robot, world, window, values)
+        if self.task.pushed:
+            pusher = jax.random.randint(jax.random.fold_in(seed, 2), (), 0, 1 << 24)
+            loop = dataclasses.replace(loop, push=pushes_of(values, pusher))
         shape = world.model if is_shaped(values) else None
         first = StartPose(self.robot, self.controller).qpos(control, world.start, loop.terrain, shape)
         number = jax.random.randint(seed, (), 0, 1 << 24)
@@ -554,6 +571,12 @@ class Episodes:
         length = jnp.where(cut_short, short, ticks)
         parameters = jax.tree.map(_real, EpisodeParameters(loop, given, shares, number, length))
         return parameters, jax.tree.map(_real, world.model), first
+
+
+def pushes_of(values: Mapping[str, Any], seed: Any) -> Pushes:
+    """The pushes of a world with these values of `PUSHES`, by name."""
+    force, interval = (values.get(name, about.default) for name, about in PUSHES.items())
+    return Pushes(force, interval, seed)
 
 
 def commanded(base: ControllerLike, commands: Collection[str], control: Any, command: Command) -> Any:

@@ -273,7 +273,9 @@ class _Block(CBodies):
         if not len(self.moving):
             return
         self._state, ctrl = self.loop.step(*self.arguments)
-        self.ctrl[...] = np.asarray(ctrl)[: self.worlds]
+        self.ctrl[...], force = np.split(np.asarray(ctrl)[: self.worlds], self.ctrl.shape[1:], axis=1)
+        if force.size:
+            self.batch.bind("xfrc_applied")[:, self.engine.model.body("torso").id, :2] = force
         self.move(self._sensordata[: self.worlds])
 
 

@@ -39,7 +39,10 @@ class Loop(Protocol):
         """Initial state of the loop, from the parameters and the sensors (n_sensordata,) at rest."""
 
     def step(self, params: Any, state: Any, sensordata: Any) -> tuple[Any, Any]:
-        """New state and `ctrl` (n_servos,) from the last tick's sensors, (steps_per_tick, n_sensordata)."""
+        """New state and `ctrl` (n_servos,) from the last tick's sensors, (steps_per_tick, n_sensordata).
+
+        A force on the torso along x and y [N] may follow in `ctrl`, (n_servos + 2,).
+        """
 
 
 @runtime_checkable

@@ -35,6 +35,34 @@ from nermo_mjx.shapes import Array, Count, Scalar
 
 #: An angle that is this much beyond a servo's range is within it [rad].
 ROUNDING: Final = 1e-6
+#: How long a push lasts [s].
+PUSH_SECONDS: Final = 0.1
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Pushes:
+    """Horizontal pushes of the torso in one world: one in each interval, at a random moment in a random direction.
+
+    Attributes:
+        force: of each [N].
+        interval: [s], at least as long as a push.
+        seed: of moments and directions, a whole number below 2^24.
+    """
+
+    force: Any
+    interval: Any
+    seed: Any
+
+    def at(self, tick: Count, dt: float) -> Float[Array, " xy"]:
+        """The force in a control tick, along the world's x and y [N]."""
+        lasts = max(1, round(PUSH_SECONDS / dt))
+        period = jnp.maximum(jnp.round(self.interval / dt).astype(jnp.int32), lasts)
+        key = jax.random.fold_in(jax.random.key(self.seed), tick // period)
+        moment, turn = jax.random.uniform(key, (2,))
+        since = tick % period - jnp.floor(moment * (period - lasts + 1)).astype(jnp.int32)
+        force = jnp.where((since >= 0) & (since < lasts), self.force, 0.0)
+        return force * jnp.stack([jnp.cos(2.0 * jnp.pi * turn), jnp.sin(2.0 * jnp.pi * turn)])
 
 
 @jax.tree_util.register_dataclass
@@ -49,6 +77,7 @@ class LoopParameters:
         terrain: shape of the ground, in a scene that has one; None for the compiled ground.
         servo_brake: of the servos by their back-EMF [N m s/rad]; None unless it is named.
         schedule: what changes of `control` while the robot walks; None for nothing.
+        push: who pushes the robot; None for nobody.
     """
 
     control: Any
@@ -58,6 +87,7 @@ class LoopParameters:
     terrain: TerrainShape | None = None
     servo_brake: Any = None
     schedule: Schedule | None = None
+    push: Pushes | None = None
 
 
 def loop_parameters(robot: Robot, world: WorldParameters, window: Window, named: Container[str]) -> LoopParameters:
@@ -126,7 +156,7 @@ class ClosedLoop:
 
     def step(
         self, params: LoopParameters, state: LoopState, sensordata: Float[Array, "steps n"]
-    ) -> tuple[LoopState, Float[Array, " n_servos"]]:
+    ) -> tuple[LoopState, Float[Array, " ctrl"]]:
         """See `Loop.step`. Metrics get the tick that has just ended, the controller its last reading."""
         measured = self.measure(params, state, sensordata)
         controller, own = self._seeing(params), self.control_at(params, state.time)
@@ -138,6 +168,8 @@ class ClosedLoop:
         tick = state.tick + 1
         clamped = jnp.any(jnp.abs(asked - target) > ROUNDING).astype(ctrl.dtype)
         after = LoopState(tick, tick * controller.dt, with_dtypes_of(state.control, control), measured, ctrl, clamped)
+        if params.push is not None:
+            ctrl = jnp.concatenate([ctrl, params.push.at(state.tick, controller.dt).astype(ctrl.dtype)])
         return with_dtypes_of(state, after), ctrl
 
     def control_at(self, params: LoopParameters, time: Scalar | float) -> Any:
