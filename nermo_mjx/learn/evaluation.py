@@ -116,11 +116,10 @@ class PolicyEvaluator:
             share = None if progress is None else lambda done, i=i: progress((i + done) / len(cases))
             own = there.make_controller().parameters if who == POLICY else None
             batch = simulator.prepare(values, training.run, own)
-            if task.pushed:
-                seeds = np.random.default_rng([training.seed, draws.key]).integers(1 << 24, size=draws.number)
-                push = pushes_of({**task.set, **drawn}, seeds.astype(np.int32))
-                push = default_precision(jax.tree.map(lambda leaf: np.broadcast_to(leaf, draws.number), push))
-                batch = dataclasses.replace(batch, params=dataclasses.replace(batch.params, push=push))
+            seeds = np.random.default_rng([training.seed, draws.key]).integers(1 << 24, size=draws.number)
+            push = pushes_of({**task.set, **drawn}, seeds.astype(np.int32))
+            push = default_precision(jax.tree.map(lambda leaf: np.broadcast_to(leaf, draws.number), push))
+            batch = dataclasses.replace(batch, params=dataclasses.replace(batch.params, push=push))
             with shown_share("walk", share) as tell:
                 result = simulator.run_batch(batch, progress=tell)
             metrics = {name: np.asarray(column) for name, column in result.metrics.items()}

@@ -387,11 +387,6 @@ class Task(Spec):
         return tuple(name for name in ("speed", "yaw_rate") if f"command.{name}" in named)
 
     @property
-    def pushed(self) -> bool:
-        """Whether the robot is pushed."""
-        return "push.force" in {*self.set, *self.randomize, *self.sampled}
-
-    @property
     def sampled(self) -> tuple[str, ...]:
         """Names of what `commands` draws."""
         return () if self.commands is None else tuple(drawn_by(self.commands)[1])
@@ -456,8 +451,6 @@ class Task(Spec):
         for name, value in self.set.items():
             known[name].check(f"set.{name}", value)
         self.check_commands(setup)
-        if RUNS_CODE.get() and "push.interval" in {*self.set, *self.randomize, *self.sampled} and not self.pushed:
-            raise ParameterError("push.interval stands without push.force [N], which is 0 then: add one.")
         setup.check(setup.world({name: value for name, value in self.set.items() if name not in ADDED}))
 
     def check_commands(self, setup: Setup) -> None:
@@ -481,7 +474,7 @@ class Task(Spec):
 GIVEN: Final[dict[str, Quantity]] = dict(quantities(Given))
 #: Of what pushes the robot there.
 PUSHES: Final[dict[str, Quantity]] = {
-    "push.force": Quantity(0.0, "N", 0.0, 10.0, f"on the torso for {PUSH_SECONDS:g} s, in any horizontal direction"),
+    "push.force": Quantity(1.0, "N", 0.0, 10.0, f"on the torso for {PUSH_SECONDS:g} s, in any horizontal direction"),
     "push.interval": Quantity(2.0, "s", 0.2, 100.0, "in each of which there is one push, at a random moment"),
 }
 #: All parameters of episodes that runs do not have.
@@ -560,9 +553,8 @@ class Episodes:
         window = Window(begin=0.0, end=1e6, distance=1e6)
         world = dataclasses.replace(world, control=control)
         loop = loop_parameters(self.robot, world, window, values)
-        if self.task.pushed:
-            pusher = jax.random.randint(jax.random.fold_in(seed, 2), (), 0, 1 << 24)
-            loop = dataclasses.replace(loop, push=pushes_of(values, pusher))
+        pusher = jax.random.randint(jax.random.fold_in(seed, 2), (), 0, 1 << 24)
+        loop = dataclasses.replace(loop, push=pushes_of(values, pusher))
         shape = world.model if is_shaped(values) else None
         first = StartPose(self.robot, self.controller).qpos(control, world.start, loop.terrain, shape)
         number = jax.random.randint(seed, (), 0, 1 << 24)
@@ -573,10 +565,10 @@ class Episodes:
         return parameters, jax.tree.map(_real, world.model), first
 
 
-def pushes_of(values: Mapping[str, Any], seed: Any) -> Pushes:
-    """The pushes of a world with these values of `PUSHES`, by name."""
+def pushes_of(values: Mapping[str, Any], seed: Any) -> Pushes | None:
+    """The pushes of a world with these values, by name; None if none of `PUSHES` is among them."""
     force, interval = (values.get(name, about.default) for name, about in PUSHES.items())
-    return Pushes(force, interval, seed)
+    return Pushes(force, interval, seed) if PUSHES.keys() & values.keys() else None
 
 
 def commanded(base: ControllerLike, commands: Collection[str], control: Any, command: Command) -> Any:

@@ -39,10 +39,8 @@ class Loop(Protocol):
         """Initial state of the loop, from the parameters and the sensors (n_sensordata,) at rest."""
 
     def step(self, params: Any, state: Any, sensordata: Any) -> tuple[Any, Any]:
-        """New state and `ctrl` (n_servos,) from the last tick's sensors, (steps_per_tick, n_sensordata).
-
-        A force on the torso along x and y [N] may follow in `ctrl`, (n_servos + 2,).
-        """
+        """New state and `ctrl` (n_servos,) from the last tick's sensors, (steps_per_tick, n_sensordata); a force on the
+        torso along x and y [N] may follow in `ctrl`."""
 
 
 @runtime_checkable

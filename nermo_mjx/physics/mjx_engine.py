@@ -217,32 +217,28 @@ class MjxEngine:
         read = np.full(carry.sensordata.shape[-1], True) if shown else self.read_entries(program)
         found = each(jaxpr_as_fun(program))(*jax.tree.leaves(given))
         loop, ctrl = jax.tree.unflatten(jax.tree.structure(result), found)
-        nu = self.model.nu
-        ctrl, force = ctrl[..., :nu], ctrl[..., nu:] if ctrl.shape[-1] > nu else None
 
-        def advanced(
-            fields: dict[str, Array], ctrl: Array, force: Array | None, state: MjxState
-        ) -> tuple[MjxState, tuple[Array, Array]]:
+        def advanced(fields: dict[str, Array], ctrl: Array, state: MjxState) -> tuple[MjxState, tuple[Array, Array]]:
             model = with_sensors(self.model, read).tree_replace(without_play(fields))
-            motor = state.motor
+            servo, motor = ctrl[: self.model.nu], state.motor
             if motor is not None:
-                ctrl, motor = self._played(Play.unpacked(fields[SERVO_PLAY]), ctrl, state)
-            data = blank.replace(ctrl=ctrl)
-            if force is not None:
+                servo, motor = self._played(Play.unpacked(fields[SERVO_PLAY]), servo, state)
+            data = blank.replace(ctrl=servo)
+            if ctrl.size > servo.size:
                 torso = self.robot.physical.body("torso").id
-                data = data.replace(xfrc_applied=data.xfrc_applied.at[torso, :2].set(force))
+                data = data.replace(xfrc_applied=data.xfrc_applied.at[torso, :2].set(ctrl[servo.size :]))
             after = self.physics_step(model, state.into(data))
             found = after.sensordata, self.is_unsolved(after)
             return MjxState(after.qpos, after.qvel, after.act, after.qacc_warmstart, motor), found
 
         def step(state: MjxState, _: None) -> tuple[MjxState, tuple[Array, Array]]:
-            after: tuple[MjxState, tuple[Array, Array]] = each(keeping_little(advanced))(fields, ctrl, force, state)
+            after: tuple[MjxState, tuple[Array, Array]] = each(keeping_little(advanced))(fields, ctrl, state)
             return after
 
         steps = self.loop.steps_per_tick
         physics, (sensordata, unsolved) = jax.lax.scan(step, carry.physics, None, length=steps)
         counted = carry.unsolved + jnp.sum(unsolved, axis=0, dtype=jnp.int32)
-        return Carry(physics, loop, jnp.moveaxis(sensordata, 0, -2), counted), ctrl
+        return Carry(physics, loop, jnp.moveaxis(sensordata, 0, -2), counted), ctrl[..., : self.model.nu]
 
     def _played(self, play: Play, ctrl: Array, state: MjxState) -> tuple[Array, Array]:
         """Controls of a step, and where the motors are after it, for servos with play."""

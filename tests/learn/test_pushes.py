@@ -130,9 +130,8 @@ def test_an_evaluation_pushes_policy_and_controller_alike_unless_it_says_otherwi
     assert pushed["push.interval"].between(0.3, 0.6).all()
 
 
-def test_pushes_that_nothing_would_make_are_refused():
+def test_pushes_out_of_range_and_of_walks_that_are_not_pushed_are_refused():
     for task, said in (
-        ({"push.interval": 1.0}, "push.interval stands without push.force"),
         ({"push.force": 11.0}, "push.force is 11"),
         ({"push.force": 1.0, "push.interval": 0.1}, "push.interval is 0.1"),
         ({"push.speed": 1.0}, "push.speed"),
