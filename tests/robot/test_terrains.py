@@ -121,7 +121,7 @@ def test_an_environment_draws_a_ground_for_each_episode():
     task = Task(randomize={"terrain.height": (0.0, 0.02), "terrain.shift": (-0.3, -0.2)}, episode_length=0.05)
     environment = Environment(Setup(scene="planks", physics="fast"), worlds=2, task=task)
     state = environment.reset(0)
-    scan = [i for i, name in enumerate(environment.privileged_names) if name.startswith("ground.")]
+    scan = [i for i, name in enumerate(environment.privileged_names) if name.startswith("height_scan_")]
     first = state.privileged[:, scan]
     for _ in range(5):
         state = environment.step(state, np.zeros((2, 9)))
