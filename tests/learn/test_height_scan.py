@@ -109,6 +109,7 @@ def test_a_walk_observes_bit_for_bit_what_a_training_does(trained, monkeypatch):
     assert np.abs(np.stack(flat)[:, : len(SCANNED)]).max() < 0.6, "no more than noise"
 
 
+@pytest.mark.release
 @pytest.mark.compiles
 def test_a_policy_that_sees_the_stairs_walks_in_a_simulator_as_in_its_environment(trained, tmp_path):
     """From its file, without noise; a flat floor is another walk, so heights count."""

@@ -96,6 +96,7 @@ def test_a_pushed_world_does_not_depend_on_the_others_nor_on_the_number_of_threa
     assert (few != walked(3, 1, seed=4)).any()
 
 
+@pytest.mark.release
 @pytest.mark.compiles
 def test_a_push_is_the_same_on_mjx():
     ways = {}

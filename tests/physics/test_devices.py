@@ -113,6 +113,7 @@ def test_four_devices_give_what_one_gives(four_devices):
     assert four_devices["difference"] < 1e-5
 
 
+@pytest.mark.release
 @pytest.mark.slow
 def test_no_device_waits_for_another(four_devices):
     """The program holds no communication; left to JAX's automatic partition it would."""

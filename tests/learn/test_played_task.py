@@ -105,6 +105,7 @@ def at_work(tmp_path_factory, training):
     return out
 
 
+@pytest.mark.release
 @pytest.mark.usefixtures("drawing")
 @pytest.mark.compiles
 def test_a_video_shows_the_policy_of_each_checkpoint(at_work):
