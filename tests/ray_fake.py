@@ -28,7 +28,7 @@ from nermo_mjx.runs.workers import TaskFailed, WorkersLost
 #: A tuning from as many starts as three workers do not share evenly.
 STARTS = TUNING | {"starts": 5}
 #: An identification that takes seconds.
-IDENTIFY = {"engine": "c", "samples": 7, "generations": 1, "population": 4, "bodies": 8, "sweeps": 1, "tolerance": 9.0}
+IDENTIFY = {"engine": "c", "samples": 8, "generations": 1, "tolerance": 9.0}
 
 
 class LoggingSimulator(FakeSimulator):
@@ -109,9 +109,9 @@ def real(out):
         watch = Watch(lambda now: done.append(now.what))
         how = {"engine": "c", "quick": True, "bodies": 3, "workers": workers, "watch": watch}
         result = run.run_experiments(names, f"{out}/experiments", **how)
-        identified = run_identification(f"{out}/identification", workers=workers, **IDENTIFY)
+        identified, _ = run_identification(f"{out}/identification", workers=workers, **IDENTIFY)
     named = [each.name for each in result.results]
-    print(json.dumps({"names": named, "done": sorted(set(done)), "identified": identified}))
+    print(json.dumps({"names": named, "done": sorted(set(done)), "identified": identified.costs.tolist()}))
 
 
 def driver(out, log):

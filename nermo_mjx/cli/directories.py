@@ -56,8 +56,7 @@ class Kind:
 
 
 _COLUMNS: Final = ("x", "y", "color")
-_IDENTIFIED: Final = "experiments.identification"
-_LOGGED: Final = "experiments.log_report"
+_IDENTIFIED: Final = "experiments.log_report"
 _KINDS: Final = (
     Kind("sweep", "a sweep", "sweep.plots:sweep_figures", "sweep.table:sweep_status", False, (*_COLUMNS, "notify")),
     Kind("search", "a search", "optimize.figures:search_figures", "optimize.directory:search_status", False, _COLUMNS),
@@ -65,9 +64,9 @@ _KINDS: Final = (
     Kind("training", "a training", "learn.plots:training_figures", "learn.directory:training_status"),
     Kind("landscape", "a landscape", "optimize.landscape:landscape_figures", "optimize.landscape:landscape_status"),
     Kind("experiments", "published experiments", "experiments.run:images", "experiments.run:experiments_status", True),
-    Kind("identification", "an identification", f"{_IDENTIFIED}:drawn", f"{_IDENTIFIED}:identification_status", True),
-    Kind(
-        "identification from a log", "an identification from a log", f"{_LOGGED}:kept_figures", f"{_LOGGED}:log_status"
+    *(
+        Kind(name, f"an {name}", f"{_IDENTIFIED}:kept_figures", f"{_IDENTIFIED}:identification_status")
+        for name in ("identification", "identification from a log")
     ),
     Kind("comparison", "a comparison", "sweep.comparing:comparison_figures", "sweep.table:report_status", True),
     Kind(

@@ -712,16 +712,14 @@ def _counted(summary: dict[str, Any]) -> str:
 @options.text("--model", "FILE.xml", "The MJCF of another robot.", type=FileKind(".xml"))
 @options.text("--free", "KINDS", "With --log: kinds of parameters, separated by commas; by default all but play.")
 @options.text("--range", "NAME=LOW:HIGH", "With --log: range of a parameter or kind; repeatable.", multiple=True)
-@number("--samples", "Candidates of the first, space-filling search.", click.IntRange(1), default=64)
-@number("--generations", "Generations of the second search, from its best.", click.IntRange(1), default=25)
-@number("--population", "Candidates per generation.", click.IntRange(4), default=12)
-@number("--bodies", "Bodies of the ensemble, 8 or more; 0 for none.", click.IntRange(0), default=256)
-@number("--sweeps", "Sampling rounds of the ensemble, at most.", click.IntRange(1), default=5)
+@number("--generations", "Generations of 24 bodies of CMA-ES, for the best.", click.IntRange(1), default=10)
+@number("--samples", "Bodies that are tried for the ensemble.", click.IntRange(8), default=256)
 @number("--tolerance", "Largest objective of a body of the ensemble.", options.POSITIVE, default=0.5)
 @number("--seed", "Seed of all searches.", click.IntRange(0), default=0)
 @options.choice_option("--profile", ("exact", "as_published"), "Set-up of the walks.")
 @options.robot
-@_on_engine
+@options.engine
+@options.workers
 def identify_command(out: Path, **how: Any) -> Output:
     """Identify a robot's body from its logs, or from the published speeds.
 
@@ -732,17 +730,18 @@ def identify_command(out: Path, **how: Any) -> Output:
 
     Without, fits servo gain and damping, and damping of the joints, within
     physical bounds to the published speeds on the straight line, and nothing
-    else. The result is printed as options of `experiment` and `walk`, and as
-    the `set` line of a sweep. Then samples an ensemble of bodies that also
-    fit, with the friction of soles and tail free as well: ensemble.csv. The
-    same command resumes it. --workers ray distributes its batches over a
-    cluster's machines, which need no access to DIR.
+    else. Then samples an ensemble of bodies that also fit, with the friction
+    of soles and tail free as well. --workers ray distributes its batches over
+    a cluster's machines, which need no access to DIR.
+
+    The same command resumes either. Bodies are in ensemble.csv: `--body DIR`
+    of other jobs is the best, `randomize: {from: DIR}` draws one.
 
     Examples:
       nermo-mjx identify --log robot.csv --channels robot.yaml --out runs/mine
       nermo-mjx identify --log a.csv --channels a.yaml --model arm.xml --out arm
       nermo-mjx identify --out runs/identified
-      nermo-mjx identify --samples 8 --generations 2 --bodies 0 --out runs/look
+      nermo-mjx identify --samples 8 --generations 2 --out runs/look
     """
     own = {name: how.pop(name) for name in ("log", "channels", "check", "model", "free", "range", "robot")}
     context = click.get_current_context()
@@ -757,11 +756,21 @@ def identify_command(out: Path, **how: Any) -> Output:
     given = [f"--{name}" for name in own if name in typed]
     if given:
         raise WrongUse(f"{given[0]} is for logs: give --log FILE.")
-    from nermo_mjx.experiments.identification import run_identification
+    from nermo_mjx.experiments.identification import TARGET_HEADINGS, run_identification, target_rows
+    from nermo_mjx.experiments.log_report import HEADINGS, estimate_rows
 
     with _working("", how) as given_how:
-        content = run_identification(out, **given_how)
-    return Output({"out": out, **content}, lambda: _print_identification(content, out))
+        found, content = run_identification(out, **given_how)
+
+    def show() -> None:
+        print_table("Published speeds", TARGET_HEADINGS, target_rows(found))
+        print_table("Parameters", HEADINGS, estimate_rows(found.fit, found.fit.intervals))
+        for sentence in content["sentences"]:
+            click.echo(sentence)
+        print_places(out, report="report.html", body="ensemble.csv")
+        click.echo(f"Options of experiment and walk:\n  {content['options']}")
+
+    return Output({"out": out, **content}, show)
 
 
 def _identify_log(
@@ -818,25 +827,9 @@ def _identify_log(
         content = log_report.write_identification(found, out, shlex.join(["nermo-mjx", *sys.argv[1:]]))
 
     def show() -> None:
-        print_table("Parameters", log_report.HEADINGS, log_report.estimate_rows(found))
+        print_table("Parameters", log_report.HEADINGS, log_report.estimate_rows(found.fit, found.intervals))
         for sentence in content["sentences"]:
             click.echo(sentence)
         print_places(out, report="report.html", body=content["files"][0], next=content["next"]["file"] or None)
 
     return Output({"out": out, **content}, show)
-
-
-def _print_identification(content: dict[str, Any], out: Path) -> None:
-    from nermo_mjx.experiments.identification import PARAMETER_HEADINGS, TARGET_HEADINGS, parameter_rows, target_rows
-
-    print_table("Published speeds", TARGET_HEADINGS, target_rows(content))
-    print_table("Parameters", PARAMETER_HEADINGS, parameter_rows(content))
-    objective = content["objective"]
-    took = f"{content['candidates']} candidates in {duration(content['wall_seconds'])}, engine {content['engine']}"
-    lines = [("objective", f"{objective['start']:.3f} before, {objective['end']:.3f} after ({took})")]
-    if ensemble := content["ensemble"]:
-        share = f"{ensemble['share_of_prior']:.1%} of the prior"
-        lines.append(("ensemble", f"{ensemble['size']} bodies within {ensemble['tolerance']:g}, {share}"))
-    print_pairs([*lines, ("report", out / "identification.md")])
-    click.echo(f"\nOptions of experiment and walk:\n  {content['options']}\n")
-    click.echo(f"In a sweep file:\n{content['yaml']}", nl=False)

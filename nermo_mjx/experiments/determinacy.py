@@ -29,6 +29,8 @@ BETTER: Final = 3.0
 DRAWS: Final = 1000
 #: Ends of a 90 % interval.
 ENDS: Final = (0.05, 0.95)
+#: Points of a generation of CMA-ES.
+POPULATION: Final = 24
 #: Fewest blocks of a bootstrap.
 BLOCKS: Final = 10
 #: Width of the differences in Gauss-Newton steps, and half-width of those at the result [standard deviations of the
@@ -255,9 +257,8 @@ class Estimation:
             seed: of the draws.
         """
         low, wide = self.space.low, self.space.high - self.space.low
-        found = strategy(
-            np.full(len(wide), 0.5), 0.3, 24, np.random.default_rng(seed), bounds=[0.0, 1.0], maxiter=generations
-        )
+        middle, random = np.full(len(wide), 0.5), np.random.default_rng(seed)
+        found = strategy(middle, 0.3, POPULATION, random, bounds=[0.0, 1.0], maxiter=generations)
         while not found.stop():
             shares = found.ask()
             found.tell(shares, self.costs(low + np.array(shares) * wide).tolist())

@@ -1,95 +1,58 @@
-"""Identification of parameters that the publication does not give: servo gain and damping, and joint damping.
+"""Identification of what the publication does not give, from its speeds: `nermo-mjx identify` without a log.
 
-The objective uses only the published speeds on the straight line, in one profile. A figure's term is its
-deviation from the published value, in tolerances stated beforehand: 10 % of a ratio, 2 % of an order. The objective is
-the root of their mean square. The search is a Sobol sample, then CMA-ES (Hansen 2016) from its best point, both in the
-logarithms of the parameters and inside physical bounds; a generation is one batch. It is followed by an ensemble of all
-bodies within the tolerance. A directory of it holds identification.json, a report, plots, and the walks of all
-candidates (`nermo_mjx.runs.rows`).
+The published speeds on the straight line, in one profile, are what was measured: ratios of speeds, whose noise is a
+tolerance stated beforehand, 10 % of a ratio and 2 % of an order. The objective is the root of the mean squared
+deviation in tolerances. CMA-ES searches servo and damping within physical bounds, at the default frictions. Then bodies
+are taken evenly within the bounds, those of the frictions included, in logarithms: the ones whose objective is within
+the tolerance are equally likely, and are the posterior (rejection sampling). It is done by `Estimation`, and
+reported, like the identification from a log.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import functools
+import html
+import itertools
 import math
 import os
-import shlex
-import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import Any, Final
 
 import numpy as np
 from matplotlib.figure import Figure
-from pydantic import BaseModel, Field, FiniteFloat
-from scipy.stats import qmc
 
-from nermo_mjx.control.parameters import AS_PUBLISHED_BODY, body_values, robot_choices
-from nermo_mjx.experiments import ensemble
-from nermo_mjx.experiments.cases import AMPLITUDE, Case, CaseRuns, Column, Settings, columns_about, texts, worlds
-from nermo_mjx.experiments.report import REPEAT, published_text, rounded, table_of
-from nermo_mjx.files import FileError, json_of
-from nermo_mjx.optimize.methods import strategy
+from nermo_mjx.control.parameters import body_values, robot_choices
+from nermo_mjx.experiments import determinacy, log_report
+from nermo_mjx.experiments.cases import AMPLITUDE, Case, Settings, texts, worlds
+from nermo_mjx.experiments.determinacy import Estimation, Fit, Kept, LoggedSamples, Parameter, ParameterSpace, percent
+from nermo_mjx.experiments.report import published_text, rounded
 from nermo_mjx.physics.making import resolve_engine
-from nermo_mjx.plotting.charts import page as blank_page
-from nermo_mjx.plotting.files import Figures, write_figures
-from nermo_mjx.plotting.style import BAND, BEST, LINE, MUTED, SHADE
-from nermo_mjx.plotting.style import MISSING as GREY
+from nermo_mjx.plotting.charts import pair_scatters
+from nermo_mjx.plotting.files import write_figures
+from nermo_mjx.plotting.shown import shown
 from nermo_mjx.progress import shows_progress
 from nermo_mjx.robot import ModelParameters, ParameterError
+from nermo_mjx.robot.identified import ensemble_text
 from nermo_mjx.robot.quantity import choice, quantities
 from nermo_mjx.rollout import Run, Setup
-from nermo_mjx.runs import RunDirectory, Written, codes_of, engine_of, session
-from nermo_mjx.runs.code import CodeStamp
-from nermo_mjx.runs.directory import SessionRecord
-from nermo_mjx.runs.files import (
-    MISSING,
-    DirectoryError,
-    content_of,
-    listed,
-    stored_json,
-    table,
-    to_json,
-)
+from nermo_mjx.runs import RunDirectory, Written, engine_of, session
+from nermo_mjx.runs.files import MISSING, stored_json, to_json
 from nermo_mjx.runs.job import SILENT, Progress, Watch, resumable
-from nermo_mjx.runs.rows import Runs, keys_of, opened_part, part_files
-from nermo_mjx.runs.status import Status, last_command, metadata_of
+from nermo_mjx.runs.status import last_command
 from nermo_mjx.runs.workers import LocalWorkers, TaskFailed, Workers
 from nermo_mjx.specs.described import digest_of
-from nermo_mjx.specs.reading import changes
 from nermo_mjx.specs.walk import WalkSpec
 from nermo_mjx.sweep.simulating import Simulated, SweepSimulator
 
-#: Where the search starts, by profile: the values of an earlier prototype of this robot, or the author's.
-START: Final[dict[str, float]] = texts("identification")["start"]
-STARTS: Final = {"exact": START, "as_published": {name: AS_PUBLISHED_BODY[name] for name in START}}
-
 # --- targets
 
-
-@dataclasses.dataclass(frozen=True)
-class Target:
-    """A published ratio of speeds: an interval, whose ends are equal for a value, and infinite for an order; and the
-    deviation of the logarithm that counts as one."""
-
-    low: float
-    high: float
-    tolerance: float = 0.1
-
-    def residual(self, value: np.ndarray) -> np.ndarray:
-        """Deviation from the interval in tolerances, signed; NaN if undefined."""
-        with np.errstate(divide="ignore", invalid="ignore"):
-            logarithm = np.log(value)
-        over = np.maximum(logarithm - math.log(self.high), 0.0) if math.isfinite(self.high) else 0.0
-        return (over + np.minimum(logarithm - math.log(self.low), 0.0)) / self.tolerance
-
-
-#: A target is the speed of one walk (gait, frequency, with the spine) over that of another, or over the theory's.
-_RATIOS: Final[dict[str, tuple[Target, Any, Any]]] = {
-    name: (Target(low, high, tolerance), tuple(one), other and tuple(other))
-    for name, (low, high, tolerance, one, other) in texts("identification")["targets"].items()
-}
-TARGETS: Final = {name: target for name, (target, _, _) in _RATIOS.items()}
+#: Target -> its interval, whose ends are equal for a value and of which the high one is infinite for an order; its
+#: tolerance; and the walk (gait, frequency, whether with the spine) whose speed is compared with another's, or with the
+#: theory's.
+TARGETS: Final[dict[str, tuple[float, float, float, list, list | None]]] = texts("identification")["targets"]
+_LOW, _HIGH, _TOLERANCE = np.array([target[:3] for target in TARGETS.values()], float).T
 #: Without the author's PD pilot, as on the straight line.
 _NO_PILOT: Final = {"pilot.error_gain": 0.0, "pilot.change_gain": 0.0}
 CASES: Final = tuple(
@@ -109,157 +72,140 @@ CASES: Final = tuple(
 )
 #: No-slip speed of the trot at 0.8 Hz (5.22) [m/s].
 _THEORY: Final = 0.096
-#: Objective of a candidate that falls, diverges, or walks backwards: worse than any completed walk.
-FAILED: Final = 10.0
 
 
-def speed_figures(speed: np.ndarray) -> dict[str, np.ndarray]:
-    """The figures of `TARGETS` from speeds of shape (candidates, cases)."""
+def speed_figures(speed: np.ndarray) -> np.ndarray:
+    """The figures of `TARGETS` from speeds of shape (n, cases): (n, targets)."""
     at = {tuple(case.labels.values()): speed[:, i] for i, case in enumerate(CASES)}
-    return {name: at[one] / (_THEORY if other is None else at[other]) for name, (_, one, other) in _RATIOS.items()}
+    pairs = [(one, other) for *_, one, other in TARGETS.values()]
+    return np.stack([at[tuple(one)] / (_THEORY if other is None else at[tuple(other)]) for one, other in pairs], axis=1)
 
 
-def objective(found: Mapping[str, np.ndarray], failed: np.ndarray) -> np.ndarray:
-    """Root of the mean squared residual of each candidate; `failed` ones, and what is not a number, count as 10."""
-    squares = np.mean([TARGETS[name].residual(found[name]) ** 2 for name in TARGETS], axis=0)
-    return np.where(failed | ~np.isfinite(squares), FAILED, np.sqrt(squares))
+def deviations(figures: np.ndarray) -> np.ndarray:
+    """Deviations of figures (n, targets) from the intervals of `TARGETS` in tolerances; NaN if one is not positive."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        logarithm = np.log(np.where(figures > 0, figures, np.nan))
+    over, under = np.maximum(logarithm - np.log(_HIGH), 0.0), np.minimum(logarithm - np.log(_LOW), 0.0)
+    return (over + under) / _TOLERANCE
 
 
-# --- candidates: walked in batches of one size and scored; each batch is a part of the directory's runs
+def objective(figures: np.ndarray) -> np.ndarray:
+    """Root of the mean squared deviation of each body (n,); infinite if it falls, diverges or walks backwards."""
+    return np.nan_to_num(np.sqrt(np.mean(deviations(figures) ** 2, axis=1)), nan=math.inf)
+
+
+# --- what is free, and what bodies deviate by
 
 #: The walk of the candidates.
 WALKS: Final = Setup(pilot="straight", spine="stride_extension")
 _CYCLES: Final = 8.0
-#: Result of a finished search; and where an earlier version kept candidates.
-RESULT, FORMER_CANDIDATES = "identification.json", "candidates.jsonl"
+#: Parameters with the value of another one.
+SHARED: Final = {"damping.ankle": "damping.knee"}
+#: Bodies that are simulated together.
+BATCH: Final = 12
+#: Fewest bodies that tell anything of a distribution.
+FEWEST: Final = 8
+#: To four significant digits, as their decimal text reads, so that printed and shipped values are the simulated ones.
+_to_four_digits: Final = np.vectorize(lambda value: float(f"{value:.4g}"), otypes=[float])
 
 
-def walking(engine: str, profile: str) -> SweepSimulator:
-    """What simulates batches of candidates, with the robot of the profile."""
-    own: Any = {name: str(chosen) for name, chosen in robot_choices(profile).items()}
-    return SweepSimulator([WalkSpec(dataclasses.replace(WALKS, **own), Run(cycles=_CYCLES), {}, {})], engine)
+def free_parameters(profile: str) -> list[Parameter]:
+    """What is estimated in a profile: first what is searched, then what is only uncertain, its `kind`."""
+    about, known = texts("identification"), dict(quantities(ModelParameters))
+    defaults = WALKS.defaults() | body_values(profile)
+    ranges = {kind: dict(about[kind]) for kind in ("searched", "uncertain")}
+    ranges["searched"] |= about["stiff"] if profile == "as_published" else {}
+    return [
+        Parameter(name, kind, known[name].unit, float(defaults[name]), neutral=math.nan, **of)
+        for kind, each in ranges.items()
+        for name, of in each.items()
+    ]
 
 
-class Candidates:
-    """Walks candidates in batches of one size. Each batch is stored, a row for each walk, and not walked again.
+class PublishedSpeeds:
+    """Walks bodies and compares them with the published speeds: a problem of `Estimation`.
 
     Args:
-        workers: simulate; they begin `walking`.
-        cases: parameters of `CASES`, (cases,) each; those outside the space that is searched keep these values.
-        batch: number of candidates simulated together; one shape compiles once.
-        report: called after each batch.
-        runs: where walks are stored, and were; None stores nothing.
-        code: what walks.
+        parameters: of the bodies.
+        wanted: profile and seed.
+        engine: its name.
+        watch: is told the share done.
+        workers: simulate.
+        kept: see `kept_in`.
 
-    Raises:
-        DirectoryError: what is stored cannot be read.
+    Attributes:
+        measured: no deviation from any target; one channel.
+        bodies: all that were walked, values of the parameters (n, p).
+        figures: theirs (n, targets); NaN of those that did not walk to the end.
     """
 
     def __init__(
         self,
+        parameters: list[Parameter],
+        wanted: IdentificationSearch,
+        engine: str,
+        watch: Watch,
         workers: Workers,
-        cases: Mapping[str, np.ndarray],
-        batch: int,
-        report: Callable[[], None],
-        runs: Runs | None,
-        code: CodeStamp,
+        kept: Kept,
     ) -> None:
-        self._workers, self._cases, self._batch, self._report = workers, cases, batch, report
-        self._runs, self._code = runs, code
-        #: Key of a walk -> its speed [m/s], and whether it was completed.
-        self._known: dict[bytes, tuple[float, bool]] = {}
-        for part in runs.parts if runs else ():
-            with opened_part(part.path) as file:
-                table = file.read(["key", "speed", "status"])
-            keys = table["key"].to_numpy(zero_copy_only=False).astype("S32")
-            self._note(keys, table["speed"].to_numpy(), np.array(table["status"].to_pylist()))
+        count, defaults = len(TARGETS), WALKS.defaults() | body_values(wanted.profile)
+        self.measured = LoggedSamples(np.zeros(count), np.zeros(count, int), np.arange(count, dtype=float), np.zeros(1))
+        self.bodies, self.figures = np.empty((0, len(parameters))), np.empty((0, count))
+        self._names, self._values = [each.name for each in parameters], [each.value for each in parameters]
+        self._cases = worlds(CASES, defaults, Settings((wanted.profile,), repeats=1, seed=wanted.seed)).values
+        self._wanted, self._engine, self._watch, self._workers, self._kept = wanted, engine, watch, workers, kept
+        workers.begin(walking(engine, wanted.profile))
 
-    def walk(self, points: np.ndarray, space: Mapping[str, ensemble.Free]) -> tuple[dict[str, np.ndarray], np.ndarray]:
-        """The figures and the objective of points (n, d) of the unit cube, whose axes are a space; (n,) each.
+    def predict(self, values: np.ndarray) -> np.ndarray:
+        """Deviations from the targets (k, targets) of bodies (k, q); parameters after the first q have their defaults.
 
         Raises:
-            WorkersLost: no worker is left; finished walks are kept.
+            WorkersLost: no worker is left; what is finished is kept.
         """
-        blocks = np.array_split(points, -(-len(points) // self._batch))
-        named = [_of_each_case(block, space) for block in blocks]
-        keys = [keys_of("", each, len(block) * len(CASES)) for each, block in zip(named, blocks, strict=True)]
-        missing = [k for k, own in enumerate(keys) if not self._known.keys() >= set(own.tolist())]
-        for _ in range(len(blocks) - len(missing)):
-            self._report()
+        bodies = np.tile(self._values, (len(values), 1))
+        bodies[:, : values.shape[1]] = _to_four_digits(values)
+        batches = np.array_split(bodies, -(-len(bodies) // BATCH))
+        results, found = None, dict[int, np.ndarray]()
 
-        def tasks() -> Iterator[tuple[int, tuple[int, dict[str, np.ndarray]]]]:
-            for k in missing:  # a batch that is not full is padded with its own points
-                own = _of_each_case(np.resize(blocks[k], (self._batch, len(space))), space)
-                del own["case"]
-                yield k, (0, {name: np.tile(column, self._batch) for name, column in self._cases.items()} | own)
+        def walked(k: int) -> np.ndarray:
+            nonlocal results
+            if results is None:  # the first that is not kept: its successors are not, either
+                tasks = ((i, (0, self._worlds(batches[i]))) for i in range(k, len(batches)))
+                results = self._workers.results(tasks, lambda key, share: None)
+            while k not in found:
+                i, result = next(results)
+                found[i] = self._figures(result)[: len(batches[i])]
+            return found.pop(k)
 
-        try:
-            for k, result in self._workers.results(tasks(), lambda key, share: None):
-                self._store(keys[k], named[k], result)
-                self._report()
-        except TaskFailed as failed:
-            raise failed.error from None
-        walks = np.array([self._known[key] for own in keys for key in own.tolist()])
-        speed, walked = (column.reshape(len(points), -1) for column in walks.T)
-        found = speed_figures(speed * self._cases.get("tracking.clock_ratio", 1.0))
-        return found, objective(found, np.logical_not(walked.all(axis=1)))
+        for k, batch in enumerate(batches):
+            try:
+                figures = self._kept(functools.partial(walked, k))
+            except TaskFailed as failed:
+                raise failed.error from None
+            self.bodies, self.figures = np.vstack([self.bodies, batch]), np.vstack([self.figures, figures])
+            self._watch.progress(Progress(min(len(self.bodies) / self._wanted.candidates, 1.0)))
+        return deviations(self.figures[-len(bodies) :])
 
-    def _store(self, keys: np.ndarray, named: Mapping[str, np.ndarray], found: Simulated) -> None:
-        count = len(keys)
-        metrics = {name: column[:count] for name, column in found.metrics.items()}
-        self._note(keys, metrics["speed"], found.status[:count])
-        if self._runs is None:
-            return
-        labels = {name: np.array([case.labels[name] for case in CASES])[named["case"]] for name in CASES[0].labels}
-        columns = {"row": len(self._runs.numbers) + np.arange(count), **named, **labels, REPEAT: np.zeros(count, int)}
-        units = {name: Column(about.unit, about.doc) for name, about in quantities(ModelParameters)}
-        units |= {"row": Column("1", "position among the walks"), "case": Column("1", "which of a candidate's walks")}
-        outcome = CaseRuns(
-            "identification",
-            columns | metrics | {"status": found.status[:count]},
-            columns_about("straight-line") | units,
-            {},
-        )
-        about = {
-            "engine": self._code.engine,
-            "code": self._code.id,
-            "steps": found.steps,
-            "wall_seconds": found.seconds,
-        }
-        self._runs.add(keys, table_of(outcome, about, self._code.id))
+    def _worlds(self, batch: np.ndarray) -> dict[str, np.ndarray]:
+        """The walks of a batch of bodies (n, p); for engines that compile, of always as many."""
+        batch = batch if self._engine == "c" else np.resize(batch, (BATCH, batch.shape[1]))
+        values = {name: np.tile(column, len(batch)) for name, column in self._cases.items()}
+        own = dict(zip(self._names, np.repeat(batch, len(CASES), axis=0).T, strict=True))
+        return values | own | {name: own[other] for name, other in SHARED.items()}
 
-    def _note(self, keys: np.ndarray, speed: np.ndarray, status: np.ndarray) -> None:
-        self._known |= zip(keys.tolist(), zip(speed.tolist(), (status == "ok").tolist(), strict=True), strict=True)
+    def _figures(self, result: Simulated) -> np.ndarray:
+        speed, ok = (each.reshape(-1, len(CASES)) for each in (result.metrics["speed"], result.status == "ok"))
+        found = speed_figures(speed * self._cases.get("tracking.clock_ratio", np.ones(1))[0])
+        return np.where(ok.all(axis=1, keepdims=True), found, np.nan)
 
 
-def _of_each_case(points: np.ndarray, space: Mapping[str, ensemble.Free]) -> dict[str, np.ndarray]:
-    """What tells the walks of points (n, d) apart: parameter or `case` -> (n x cases,)."""
-    own = {name: np.repeat(column, len(CASES)) for name, column in ensemble.parameters_of(points, space).items()}
-    return own | {"case": np.tile(np.arange(len(CASES)), len(points))}
+def walking(engine: str, profile: str) -> SweepSimulator:
+    """What simulates batches of bodies, with the robot of the profile."""
+    own: Any = {name: str(chosen) for name, chosen in robot_choices(profile).items()}
+    return SweepSimulator([WalkSpec(dataclasses.replace(WALKS, **own), Run(cycles=_CYCLES), {}, {})], engine)
 
 
 # --- search
-
-
-@dataclasses.dataclass(frozen=True)
-class Identified:
-    """Result of an identification.
-
-    Attributes:
-        parameters: model parameter -> value.
-        objective: at those; start: at `START`.
-        figures, start_figures: target -> (value, residual in tolerances), at those and at `START`.
-        costs: objective of every candidate of the search in the order they were tried.
-        bodies: the ensemble; None if it was not requested.
-    """
-
-    parameters: dict[str, float]
-    objective: float
-    start: float
-    figures: dict[str, tuple[float, float]]
-    start_figures: dict[str, tuple[float, float]]
-    costs: tuple[float, ...]
-    bodies: ensemble.Bodies | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -267,146 +213,119 @@ class IdentificationSearch:
     """Extent of the search.
 
     Attributes:
-        samples: of the Sobol sequence.
-        generations, population: of CMA-ES; as many candidates as a population are simulated together throughout.
-        bodies: size of the ensemble, including the best one; 0 to omit it.
-        sweeps: maximum number for the ensemble; each tries as many candidates as bodies are requested.
-        tolerance: maximum objective of a body in the ensemble.
-        seed: of all three; the start of the walks is the same for all candidates.
+        generations: of CMA-ES, for the best body.
+        samples: bodies that are tried for the ensemble, evenly within the bounds.
+        tolerance: maximum objective of a body in the ensemble; by default half of the deviation declared acceptable,
+            at which all targets are off by one tolerance each.
+        seed: of all; the start of the walks is the same for all bodies.
         profile: the set-up, exact or as_published, which made the targets.
 
     Raises:
         ParameterError: a number is too small, or another profile.
     """
 
-    samples: int = 64
-    generations: int = 25
-    population: int = 12
-    bodies: int = 256
-    sweeps: int = 5
-    tolerance: float = ensemble.TOLERANCE
+    generations: int = 10
+    samples: int = 256
+    tolerance: float = 0.5
     seed: int = 0
     profile: str = "exact"
 
     def __post_init__(self) -> None:
-        choice("profile", self.profile, ensemble.FREE_IN)
-        least = {"samples": 1, "generations": 1, "population": 4, "sweeps": 1, "bodies": 8 if self.bodies else 0}
-        for name, lowest in least.items():
-            if getattr(self, name) < lowest:
-                raise ParameterError(f"{name} is {getattr(self, name)}: allowed is {lowest} or more.")
+        choice("profile", self.profile, ("exact", "as_published"))
+        for name, least in (("generations", 1), ("samples", FEWEST)):
+            if getattr(self, name) < least:
+                raise ParameterError(f"{name} is {getattr(self, name)}: allowed is {least} or more.")
         if not self.tolerance > 0:
             raise ParameterError(f"tolerance is {self.tolerance:g}: allowed is more than 0.")
 
-    def digest(self) -> str:
-        """A hash of what determines the candidates; the ensemble's settings decide only their number."""
-        begun = {name: getattr(self, name) for name in ("samples", "generations", "population", "seed", "profile")}
-        return digest_of(begun, WALKS.defaults())
+    @property
+    def candidates(self) -> int:
+        """How many bodies are walked: the default one, those of the search, and the samples."""
+        return 1 + self.generations * determinacy.POPULATION + self.samples
+
+
+@dataclasses.dataclass(frozen=True)
+class Identified:
+    """Result of an identification.
+
+    Attributes:
+        wanted: of what search.
+        fit: the best body of the search, with the ensemble as draws; with the whole sample, if that is too small.
+        figures: of the profile's body, and of the best (2, targets).
+        costs: objective of all candidates, the profile's body, those of the search, and the samples (n,).
+        bodies: values of the best, and of those within the tolerance (m, p).
+        objective: theirs (m,).
+    """
+
+    wanted: IdentificationSearch
+    fit: Fit
+    figures: np.ndarray
+    costs: np.ndarray
+    bodies: np.ndarray
+    objective: np.ndarray
+
+    def sentences(self) -> list[str]:
+        """The verdict in words."""
+        size, of = len(self.bodies) - 1, self.wanted
+        better = int(np.sum(self.objective[1:] < self.objective[0]))
+        said = [
+            f"Objective {self.costs[0]:.3f} with the body of the profile, {self.objective[0]:.3f} with the best of "
+            f"{len(self.costs) - of.samples} of CMA-ES, at the default frictions.",
+            f"{size} of {of.samples} bodies within the bounds, {percent(size / of.samples)}, have an objective of at "
+            f"most {of.tolerance:g}; {better} of them are nearer to the published speeds than the best.",
+        ]
+        few = f"These are fewer than {FEWEST}, too few for intervals: those shown are of all within the bounds."
+        return said + ([few] if size < FEWEST else determinacy.determinacy_sentences(self.fit))
 
 
 def identify(
     wanted: IdentificationSearch,
     engine: str = "auto",
-    runs: Runs | None = None,
     watch: Watch = SILENT,
     workers: Workers | None = None,
+    kept: Kept = lambda compute: compute(),
 ) -> Identified:
-    """Find the parameters whose straight-line speeds match the published ones best, then all within the tolerance.
+    """Find the body whose straight-line speeds match the published ones best, and all within the tolerance.
 
     Args:
+        wanted: extent.
         engine: of the simulations.
-        runs: what is stored in it is not simulated again; see `Candidates`.
         watch: is told the share done.
-        workers: what simulates; by default this process. The numbers are the same: a task is a batch, and results are
-            processed in the order of the batches.
+        workers: what simulates; by default this process. The numbers are the same.
+        kept: of what computes an array, that array: computed, or kept from before; the order is always the same.
 
     Raises:
-        DirectoryError: as for `Candidates`.
         WorkersLost: no worker is left.
     """
-    population, bodies, seed, free = wanted.population, wanted.bodies, wanted.seed, ensemble.FREE_IN[wanted.profile]
-    computer, workers = walking(resolve_engine(engine), wanted.profile), workers or LocalWorkers()
-    defaults = WALKS.defaults() | body_values(wanted.profile)
-    cases = worlds(CASES, defaults, Settings((wanted.profile,), repeats=1, seed=seed)).values
-    batches = -(-(wanted.samples + 1) // population) + wanted.generations
-    batches, done = batches + (wanted.sweeps + 1) * -(-bodies // population), 0
-
-    def report() -> None:
-        nonlocal done
-        done += 1
-        watch.progress(Progress(done / batches))
-
-    candidates = Candidates(workers, cases, population, report, runs, computer.stamp())
-    workers.begin(computer)
-    tried: list[tuple[np.ndarray, dict[str, np.ndarray], np.ndarray]] = []
-
-    def evaluate(points: np.ndarray) -> np.ndarray:
-        tried.append((points, *candidates.walk(points, free)))
-        return tried[-1][-1]
-
-    def so_far() -> tuple[np.ndarray, np.ndarray, int]:
-        costs = np.concatenate([objectives for _, _, objectives in tried])
-        return np.concatenate([points for points, _, _ in tried]), costs, int(np.argmin(costs))
-
-    design = qmc.Sobol(len(free), rng=seed).random_base2((wanted.samples - 1).bit_length())[: wanted.samples]
-    evaluate(np.vstack([ensemble.point_of(STARTS[wanted.profile], free), design]))
-    points, costs, least = so_far()
-    evolution = strategy(points[least], 0.15, population, np.random.default_rng(seed + 1), bounds=[0.0, 1.0])
-    for _ in range(wanted.generations):
-        asked = np.array(evolution.ask())
-        evolution.tell(list(asked), evaluate(asked).tolist())
-    points, costs, least = so_far()
-    best = {name: float(value) for name, value in ensemble.parameters_of(points[least], free).items()}
-    several = None
-    if bodies:
-        space, tolerance = free | ensemble.UNCERTAIN, wanted.tolerance
-        # The first sweep also starts around the search's points within the tolerance, at the default frictions.
-        near = points[costs <= tolerance]
-        friction = np.tile(ensemble.point_of(defaults, ensemble.UNCERTAIN), (len(near), 1))
-        found = ensemble.sample_bodies(
-            lambda points: candidates.walk(points, space)[1],
-            len(space),
-            tolerance=tolerance,
-            size=bodies,
-            sweeps=wanted.sweeps,
-            seed=seed,
-            seeds=np.hstack([near, friction]),
-        )
-        with_best = bool(costs[least] <= tolerance)
-        kept = ensemble.thin(found, bodies - with_best, seed)
-        drawn, objectives, weights = ensemble.parameters_of(kept.points, space), kept.costs, kept.weights
-        values = {name: drawn[name] for name in ensemble.free_names(space)}
-        if with_best:  # it is the first, with the average weight of the others
-            values = {name: np.append(best.get(name, defaults[name]), column) for name, column in values.items()}
-            objectives = np.append(costs[least], objectives)
-            weights = np.append(1.0, weights * len(weights)) / (1 + len(weights))
-        several = ensemble.Bodies(values, objectives, weights, tolerance, found)
-    watch.progress(Progress(1.0))
-
-    def with_residuals(which: int) -> dict[str, tuple[float, float]]:
-        columns = {name: np.concatenate([found[name] for _, found, _ in tried]) for name in TARGETS}
-        return {name: (float(of[which]), float(TARGETS[name].residual(of[which]))) for name, of in columns.items()}
-
-    every = tuple(costs.tolist())
-    return Identified(best, every[least], every[0], with_residuals(least), with_residuals(0), every, several)
+    parameters = free_parameters(wanted.profile)
+    space = ParameterSpace(parameters)
+    problem = PublishedSpeeds(parameters, wanted, resolve_engine(engine), watch, workers or LocalWorkers(), kept)
+    problem.predict(np.array([[each.value for each in parameters]]))
+    search = Estimation(ParameterSpace([each for each in parameters if each.kind == "searched"]), problem)
+    for _ in search.sought(wanted.generations, wanted.generations, wanted.seed):
+        pass  # the problem keeps all bodies that it is asked for
+    Estimation(space, problem).scanned(wanted.samples, wanted.seed)
+    costs = objective(problem.figures)
+    sampled = len(costs) - wanted.samples
+    least, within = int(np.argmin(costs[:sampled])), sampled + np.flatnonzero(costs[sampled:] <= wanted.tolerance)
+    draws = space.coordinates(problem.bodies[within if len(within) >= FEWEST else slice(sampled, None)])
+    variances, directions = np.linalg.eigh(np.cov(draws.T))
+    residual = deviations(problem.figures[[least]])[0]
+    x, no_jacobian = space.coordinates(problem.bodies[least]), np.empty((0, len(space)))
+    fit = Fit(space, x, residual, np.ones(1), no_jacobian, np.sqrt(np.maximum(variances, 0.0)), directions, draws)
+    chosen = [least, *within]
+    return Identified(wanted, fit, problem.figures[[0, least]], costs, problem.bodies[chosen], costs[chosen])
 
 
 # --- a directory
 
 FORMULA: Final = (
     "root of the mean over all targets of r^2, where r = ln(value / published) / tolerance, of an interval its nearer "
-    "end; r = 0 inside it, and where an order (published: at least 1) is met; 10 for a candidate that falls, diverges "
-    "or goes backwards"
+    "end; r = 0 inside it, and where an order (published: at least 1) is met"
 )
 TARGET_HEADINGS: Final = (
-    ("ratio of speeds", "left"),
-    *((name, "right") for name in ("published", "tolerance", "before", "identified", "residual [tolerances]")),
-)
-PARAMETER_HEADINGS: Final = tuple(
-    (name, "right" if name in ("start", "identified") else "left")
-    for name in ("parameter", "start", "identified", "bounds", "why these")
-)
-#: A parameter is at a bound if it is closer to it than this share of the range of its logarithm.
-_AT_BOUND: Final = 0.01
+    "ratio of speeds", "published", "tolerance", "before", "identified", "residual [tolerances]",
+)  # fmt: skip
 
 
 @shows_progress("identification")
@@ -414,290 +333,116 @@ def run_identification(
     out: str | os.PathLike[str],
     *,
     engine: str = "auto",
-    accept_new_code: bool = False,
     watch: Watch = SILENT,
     progress: bool = True,
     workers: Workers | None = None,
     **wanted: Any,
-) -> dict[str, Any]:
+) -> tuple[Identified, dict[str, Any]]:
     """Identify, and write the result into a directory; an interrupted search there is resumed.
 
     Args:
         out: the directory.
         engine: of the simulations; `auto` is the one that the directory was started with, if any.
-        accept_new_code: reuse candidates of other code; the file's `code` tells them apart.
         watch: is told the share done, and of conflicting files.
         progress: whether it is shown where somebody looks, if there is no watch.
         workers: what simulates; by default this process. The result is the same.
-        wanted: of `Search`.
+        wanted: of `IdentificationSearch`.
 
     Returns:
-        Content of identification.json.
+        The result, and the content of identification.json.
 
     Raises:
-        ParameterError: wrong arguments, or a directory that holds an identification or a search with other settings.
-        OtherCode: other code made the candidates that the directory holds.
+        ParameterError: wrong arguments, or a directory with an identification with other settings or by other code.
         DirectoryError: the directory holds something else, is in use, or cannot be written.
         JobFailed: no worker is left; the same command resumes.
     """
     resolve_engine(engine)
-    folder = Path(out)
-    search = IdentificationSearch(**wanted)
-    settings = dataclasses.asdict(search)
+    folder, search = Path(out), IdentificationSearch(**wanted)
     with RunDirectory(folder, "identification") as held, Written(held) as written, resumable(folder):
-        if content := _result(folder):
-            if apart := changes(content["settings"], settings):
-                raise ParameterError(
-                    f"{folder} holds an identification with another {', '.join(apart)}; choose another directory."
-                )
-            return _publish(written, content, watch)
-        if engine == "auto":
-            engine = engine_of(folder) or engine
-        if (folder / FORMER_CANDIDATES).exists():
-            raise DirectoryError(f"{folder} holds candidates of an earlier version: choose another directory.")
-        code, defaults = walking(resolve_engine(engine), search.profile).stamp(), WALKS.defaults()
-        runs = Runs(folder, search.digest(), warn=watch.warn, held=held)
-        if runs.others:
-            raise ParameterError(f"{folder} belongs to a search with other settings: choose another directory.")
-        runs.take_codes([code], accept=accept_new_code)
-        about = session(settings=settings, engine=code.engine)
+        begun = engine_of(folder) if engine == "auto" else None
+        code = walking(begun or resolve_engine(engine), search.profile).stamp()
+        decides = digest_of(dataclasses.asdict(search), code.fields(), WALKS.defaults())
+        steps = stored_json(folder / log_report.STEPS, log_report.KeptSteps)
+        if (folder / log_report.RESULT).exists() if steps is None else steps["decides"] != decides:
+            raise ParameterError(
+                f"{folder} holds an identification with other settings or by other code: choose another directory."
+            )
+        held.take_code(code, holds_rows=False)
+        about = session(settings=dataclasses.asdict(search), engine=code.engine)
         held.note_session(about)
-        started = time.monotonic()
-        identified = identify(search, code.engine, runs, watch, workers)
-        made = {"model": code.model, "defaults": defaults, "codes": list(codes_of(folder))}
-        content = {**_content(identified, search.profile), **made, **about, "wall_seconds": time.monotonic() - started}
-        # The result first: whatever happens to the plots, the search is not lost.
-        held.write(RESULT, to_json(content))
-        return _publish(written, content, watch)
+        found = identify(search, code.engine, watch, workers, log_report.kept_in(folder, decides))
+        content = {**_content(found), "defaults": WALKS.defaults(), "code": code.fields(), **about}
+        written.write(folder / "ensemble.csv", _ensemble(found, about))
+        plots = write_figures(figures_of_identification(found), folder / "plots", written.write)
+        content["plots"] = [written.name(path) for path in plots]
+        targets = log_report.html_table(TARGET_HEADINGS, target_rows(found))
+        parts = [f"<h2>Published speeds</h2>{targets}<p>Objective: {html.escape(FORMULA)}.</p>"]
+        title = f"Bodies that walk as published, {found.wanted.profile}"
+        told = (content["sentences"], parts, found.fit, found.fit.intervals, last_command(folder))
+        page = log_report.report_page(title, *told, figures_of_identification(found))
+        written.write(folder / "report.html", page)
+        held.write(log_report.RESULT, to_json(content))
+        if written.aside:
+            watch.warn(written.sentence())
+        return found, content
 
 
-def _publish(written: Written, content: dict[str, Any], watch: Watch) -> dict[str, Any]:
-    """Create the rest of the directory from its result, which has `plots` when everything exists."""
-    folder = written.held.out
-    if content["ensemble"] and content["ensemble"]["size"]:
-        written.write(folder / "ensemble.csv", ensemble.csv_text(content).encode())
-    plots = write_figures(figures_of_identification(content), folder / "plots", written.write)
-    content = content | {"plots": [written.name(path) for path in plots]}
-    page = texts("report")["identification"].format(
-        **content,
-        target_table=table([name for name, _ in TARGET_HEADINGS], target_rows(content), "lrrrrr"),
-        parameter_table=table([name for name, _ in PARAMETER_HEADINGS], parameter_rows(content), "lrrll"),
-        ensemble_section=ensemble.ensemble_section(content),
-        pictures="".join(f"![{Path(p).stem}]({p})\n\n" for p in content["plots"] if p.endswith(".png")),
-        code_names=", ".join(content["codes"]),
-        version_names=listed(content["versions"]),
-        machine_names=listed(content["machine"]),
-    )
-    written.write(folder / "identification.md", page.encode())
-    written.held.write(RESULT, to_json(content))
-    if written.aside:
-        watch.warn(written.sentence())
-    return content
-
-
-def _content(found: Identified, profile: str) -> dict[str, Any]:
+def _content(found: Identified) -> dict[str, Any]:
     """The search and its result."""
-    known = dict(quantities(ModelParameters))
     targets = {}
-    for name, target in TARGETS.items():
-        ends = [target.low, target.high if math.isfinite(target.high) else None]
-        (value, residual), (start, start_residual) = found.figures[name], found.start_figures[name]
-        targets[name] = {"published": target.low if target.low == target.high else ends, "tolerance": target.tolerance}
-        targets[name] |= {"value": value, "residual": residual, "start": start, "start_residual": start_residual}
-    free = {}
-    for name, about in ensemble.FREE_IN[profile].items():
-        value = found.parameters[about.names[0]]
-        place = math.log(value / about.low) / math.log(about.high / about.low)
-        free[name] = {
-            "parameters": list(about.names),
-            "unit": known[about.names[0]].unit,
-            "low": about.low,
-            "high": about.high,
-            "why": about.why,
-            "default": [STARTS[profile][each] for each in about.names],
-            "value": value,
-            "at_bound": "lower" if place < _AT_BOUND else "upper" if place > 1 - _AT_BOUND else None,
-        }
-    rounded = {name: f"{value:.4g}" for name, value in found.parameters.items()}
+    for i, (name, (low, high, tolerance, *_)) in enumerate(TARGETS.items()):
+        (start, value), (before, after) = found.figures[:, i], deviations(found.figures)[:, i]
+        published = low if low == high else [low, high]
+        targets[name] = {"published": published, "tolerance": tolerance, "value": value, "residual": after}
+        targets[name] |= {"start": start, "start_residual": before}
     return {
-        "parameters": found.parameters,
-        "options": " ".join(f"--set {name}={value}" for name, value in rounded.items()),
-        "yaml": "set:\n" + "".join(f"  {name}: {value}\n" for name, value in rounded.items()),
-        "objective": {"formula": FORMULA, "start": found.start, "end": found.objective},
+        "sentences": found.sentences(),
+        "parameters": log_report.estimates(found.fit, found.fit.intervals),
+        "options": " ".join(f"--set {name}={value[0]:.4g}" for name, value in _columns(found).items()),
+        "objective": {"formula": FORMULA, "start": found.costs[0], "end": found.objective[0]},
         "targets": targets,
-        "free": free,
-        "candidates": len(found.costs),
-        "costs": list(found.costs),
-        "ensemble": None
-        if found.bodies is None
-        else ensemble.ensemble_content(found.bodies, ensemble.FREE_IN[profile] | ensemble.UNCERTAIN),
+        "costs": found.costs,
+        "ensemble": {"size": len(found.bodies) - 1, "samples": found.wanted.samples},
     }
 
 
-def target_rows(content: Mapping[str, Any]) -> list[list[str]]:
+def _columns(found: Identified) -> dict[str, np.ndarray]:
+    """Parameter -> values of the bodies (m,), with those that have the value of another."""
+    columns = dict(zip([each.name for each in found.fit.space.parameters], found.bodies.T, strict=True))
+    return columns | {name: columns[other] for name, other in SHARED.items()}
+
+
+def _ensemble(found: Identified, about: dict[str, Any]) -> bytes:
+    """ensemble.csv, as `nermo_mjx.robot.identified` reads it."""
+    options = " ".join(f"--{name} {value}" for name, value in about["settings"].items())
+    size, wanted = len(found.bodies) - 1, found.wanted
+    return ensemble_text(
+        f"Bodies whose objective on the straight line, in the profile {wanted.profile}, is at most "
+        f"{wanted.tolerance:g}: {size} of {wanted.samples}; the best of the search goes before them.\n"
+        f"Made by: nermo-mjx identify {options}\n"
+        f"Engine {about['engine']}, MuJoCo {about['versions']['mujoco']}. SI units.",
+        _columns(found),
+        found.objective,
+    )
+
+
+def target_rows(found: Identified) -> list[list[str]]:
     """Rows of texts under `TARGET_HEADINGS`."""
     rows = []
-    for name, target in content["targets"].items():
-        published, residual = target["published"], target["residual"]
-        order = isinstance(published, list) and published[1] is None
-        values = [MISSING if target[key] is None else rounded(target[key]) for key in ("start", "value")]
-        away = MISSING if residual is None else f"{residual + 0.0:+.2f}"
-        text = f"at least {published[0]:g}" if order else published_text(published)
-        rows.append([name, text, f"{target['tolerance']:.0%}", *values, away])
+    for i, (name, (low, high, tolerance, *_)) in enumerate(TARGETS.items()):
+        published = f"at least {low:g}" if math.isinf(high) else published_text(low if low == high else [low, high])
+        numbers = [MISSING if np.isnan(value) else rounded(value) for value in found.figures[:, i]]
+        away = MISSING if np.isnan(found.fit.residual[i]) else f"{found.fit.residual[i] + 0.0:+.2f}"
+        rows.append([name, published, f"{tolerance:.0%}", *numbers, away])
     return rows
 
 
-def parameter_rows(content: Mapping[str, Any]) -> list[list[str]]:
-    """Rows of texts under `PARAMETER_HEADINGS`."""
-    rows = []
-    for free in content["free"].values():
-        names = ", ".join(free["parameters"]) + (f" [{free['unit']}]" if free["unit"] != "1" else "")
-        value = rounded(free["value"]) + (f" (at its {free['at_bound']} bound)" if free["at_bound"] else "")
-        default = ", ".join(dict.fromkeys(f"{value:g}" for value in free["default"]))
-        rows.append([names, default, value, f"{free['low']:g} to {free['high']:g}", free["why"]])
-    return rows
-
-
-def identification_status(out: Path) -> Status:
-    """Number of candidates that an identification has simulated."""
-    notes, content = list[str](), stored_json(out / RESULT, _Content) or {}
-    complete = "plots" in content  # comes last
-    if complete:
-        drawn = content["ensemble"] or {}
-        done = len(content["costs"]) + sum(each["candidates"] for each in drawn.get("sweeps", ()))
-    else:
-        parts = [metadata_of(path, notes, "its candidates will be walked again.") for path in part_files(out)]
-        done = sum(about.num_rows for about in parts if about is not None) // len(CASES)
-        notes += ["Its candidates are of an earlier version."] if (out / FORMER_CANDIDATES).exists() else []
-    command = f"nermo-mjx plot {shlex.quote(str(out))}" if complete else last_command(out)
-    sessions = [content] if content else []
-    total = done if complete else None
-    return Status("candidates", done, total, complete, command, engine_of(out), sessions=sessions, notes=tuple(notes))
-
-
-# --- figures
-
-#: Costs above this multiple of the start's are cut off: for candidates that fell, only that fact matters.
-_SHOWN: Final = 2.0
-
-
-def figures_of_identification(content: Mapping[str, Any]) -> Iterator[tuple[str, Figure]]:
-    """The figures of identification.json's content."""
-    profile = f"profile {content['settings'].get('profile', 'exact')}"
-    yield "identification-search", _search(content, profile)
-    yield "identification-residuals", _residuals(content, profile)
-    if (several := content.get("ensemble")) and several["size"]:
-        yield "identification-ensemble", ensemble.ensemble_figure(several, profile)
-
-
-def drawn(out: Path) -> Figures:
-    """The figures of an identification's directory.
-
-    Raises:
-        DirectoryError: its result cannot be read.
-    """
-    content = _result(out)
-    if content is None:
-        raise DirectoryError(f"{out / RESULT} is missing: run the identification again.")
-    return figures_of_identification(content)
-
-
-class _Target(BaseModel, extra="allow"):
-    residual: float | None
-    start_residual: float | None
-
-
-class _Ends(BaseModel, extra="allow"):
-    start: FiniteFloat
-    end: FiniteFloat
-
-
-class _Settings(BaseModel, extra="allow"):
-    generations: int
-    population: int
-
-
-class _Drawn(BaseModel, extra="allow"):
-    low: Annotated[FiniteFloat, Field(gt=0)]
-    high: Annotated[FiniteFloat, Field(gt=0)]
-    quantiles: Annotated[list[FiniteFloat], Field(min_length=1)] | None = None
-
-
-class _Round(BaseModel, extra="allow"):
-    candidates: int
-
-
-class _Ensemble(BaseModel, extra="allow"):
-    size: int
-    tolerance: FiniteFloat
-    parameters: dict[str, _Drawn]
-    sweeps: list[_Round] = Field(default_factory=list)
-    bodies: dict[str, list[FiniteFloat]] = Field(default_factory=dict)
-
-
-class _Content(SessionRecord):
-    """What identification.json says, as far as it is read."""
-
-    settings: _Settings
-    costs: list[float | None]
-    objective: _Ends
-    targets: dict[str, _Target]
-    ensemble: _Ensemble | None
-    plots: list[str] | None = None
-
-
-def _result(out: Path) -> dict[str, Any] | None:
-    """The content of identification.json; None if there is none.
-
-    Raises:
-        DirectoryError: it is damaged, or cannot be read now.
-    """
-    content = content_of(out / RESULT)
-    try:
-        found: dict[str, Any] | None = None if content is None else json_of(content, _Content, out / RESULT)
-        if found and (drawn := found["ensemble"]) and drawn["size"]:
-            lengths = [
-                len(drawn.get("bodies", {}).get(name, ())) for name in (*drawn["parameters"], "objective", "weight")
-            ]
-            if {*lengths} != {drawn["size"]} or not all(each.get("quantiles") for each in drawn["parameters"].values()):
-                raise FileError(f"{out / RESULT}: its ensemble has not {drawn['size']} bodies")
-        return found
-    except FileError as error:
-        raise DirectoryError(f"{str(error).rstrip('.')}: move it away, and run the identification again.") from None
-
-
-def _search(content: Mapping[str, Any], note: str) -> Figure:
-    costs, end = np.asarray(content["costs"], float), content["objective"]
-    figure = blank_page("Objective of every candidate, in the order tried", 7.0, 3.6, note)
-    ax = figure.subplots()
-    top = _SHOWN * max(end["start"], end["end"])
-    ax.scatter(np.arange(len(costs)), np.minimum(costs, top), s=9, color=BAND, lw=0, label="candidate")
-    ax.step(np.arange(len(costs)), np.minimum.accumulate(costs), where="post", color=LINE, lw=1.6, label="best so far")
-    ax.axhline(end["start"], color=MUTED, lw=0.9, ls="--", label="at the start")
-    # The initial Sobol search fills whole batches: its length is the total minus the generations.
-    sampled = len(costs) - content["settings"]["generations"] * content["settings"]["population"]
-    if 0 < sampled < len(costs):
-        ax.axvline(sampled - 0.5, color=GREY, lw=1)
-        ax.annotate("CMA-ES", (sampled, top), xytext=(4, -2), textcoords="offset points", va="top", color=MUTED)
-    ax.set(xlabel="candidate [1]", ylabel="objective [1]", ylim=(0, 1.03 * top), xlim=(-1, len(costs)))
-    ax.legend(loc="upper right", ncols=3, bbox_to_anchor=(1.0, 1.14))
-    return figure
-
-
-def _residuals(content: Mapping[str, Any], note: str) -> Figure:
-    targets = content["targets"]
-    figure = blank_page("Deviation from the published speeds", 7.0, 1.5 + 0.3 * len(targets), note)
-    ax, y = figure.subplots(), np.arange(len(targets))
-    for shift, key, colour, label in (
-        (-0.18, "start_residual", BAND, "at the start"),
-        (0.18, "residual", LINE, "identified"),
-    ):
-        values = [np.nan if target[key] is None else target[key] for target in targets.values()]
-        ax.barh(y + shift, values, 0.36, color=colour, label=label)
-    ax.axvspan(-1, 1, color=SHADE, lw=0, zorder=-5, label="within the tolerance")
-    ax.axvline(0, color=BEST, lw=0.9)
-    ax.set_yticks(y, list(targets))
-    ax.set(xlabel="residual [tolerances]", ylim=(len(targets) - 0.4, -0.6))
-    ax.tick_params(axis="y", length=0)
-    figure.legend(*ax.get_legend_handles_labels(), loc="outside lower right", ncols=3)
-    return figure
+def figures_of_identification(found: Identified) -> Iterator[tuple[str, Figure]]:
+    """The figures of a result: intervals, and the bodies over each pair of parameters."""
+    note = f"{len(found.bodies) - 1} bodies within {found.wanted.tolerance:g}, profile {found.wanted.profile}"
+    yield "intervals", log_report.intervals_figure(found.fit, found.fit.intervals, note)
+    if len(found.bodies) > FEWEST:
+        about = zip(found.fit.space.parameters, found.bodies.T, strict=True)
+        pairs = list(itertools.combinations([shown(each.name, each.unit, of, log=True) for each, of in about], 2))
+        cost = shown("objective", "1", found.objective, side="min")
+        yield "ensemble", pair_scatters(pairs, cost, "Bodies that walk as published within the tolerance", f"{note}; ")

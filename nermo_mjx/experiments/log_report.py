@@ -14,20 +14,23 @@ from typing import Any, Final, NoReturn
 
 import numpy as np
 from matplotlib.figure import Figure
+from pydantic import BaseModel
 
 from nermo_mjx.experiments import determinacy
-from nermo_mjx.experiments.determinacy import Estimation, Kept, percent
+from nermo_mjx.experiments.determinacy import Estimation, Fit, Kept, percent
 from nermo_mjx.experiments.log_identification import Identification
 from nermo_mjx.experiments.log_twin import LoggedTwin, MjcfBody, NermoBody
 from nermo_mjx.hardware.log import Channel, Log
 from nermo_mjx.hardware.table import servo_table
 from nermo_mjx.plotting.charts import page as blank_page
-from nermo_mjx.plotting.files import write_figures
+from nermo_mjx.plotting.files import Figures, write_figures
 from nermo_mjx.plotting.style import BAND, BEST, INK, LINE, MUTED
 from nermo_mjx.recording import Recording
 from nermo_mjx.robot import ModelParameters
+from nermo_mjx.robot.identified import ensemble_text
 from nermo_mjx.robot.quantity import quantities
 from nermo_mjx.rollout import Setup
+from nermo_mjx.runs.directory import engine_of
 from nermo_mjx.runs.files import DirectoryError, make_writable, replace_file, stored_json, to_json
 from nermo_mjx.runs.status import Status, last_command
 
@@ -117,6 +120,13 @@ def next_experiment(found: Identification) -> tuple[str, float, dict[str, np.nda
 # --- a directory
 
 
+class KeptSteps(BaseModel):
+    """The file of them: what decides the arrays, and these in their order."""
+
+    decides: str
+    arrays: list[list[float | None] | list[list[float | None]]]
+
+
 def kept_in(out: Path, decides: str) -> Kept:
     """Keeps arrays in their order in a directory, so that what was killed goes on after the last; see `Estimation`.
 
@@ -124,8 +134,11 @@ def kept_in(out: Path, decides: str) -> Kept:
         out: the directory.
         decides: what decides the arrays: those of something else are not taken.
     """
-    held = stored_json(out / STEPS) or {}
-    known = [np.array(each, float) for each in (held["arrays"] if held.get("decides") == decides else ())]
+    held = stored_json(out / STEPS, KeptSteps)
+    try:
+        known = [np.array(each, float) for each in (held["arrays"] if held and held["decides"] == decides else ())]
+    except ValueError:  # damaged: rows of unequal length
+        known = []
     left = iter(known.copy())
 
     def kept(compute: Callable[[], np.ndarray]) -> np.ndarray:
@@ -138,10 +151,11 @@ def kept_in(out: Path, decides: str) -> Kept:
     return kept
 
 
-def log_status(out: Path) -> Status:
-    """How far the identification from a log in a directory is."""
-    done, complete = len((stored_json(out / STEPS) or {}).get("arrays", ())), (out / RESULT).exists()
-    return Status("steps", done, done if complete else None, complete, last_command(out), "c")
+def identification_status(out: Path) -> Status:
+    """How far the identification in a directory is."""
+    held, complete = stored_json(out / STEPS, KeptSteps), (out / RESULT).exists()
+    done = len(held["arrays"]) if held else 0
+    return Status("steps", done, done if complete else None, complete, last_command(out), engine_of(out) or "c")
 
 
 def kept_figures(out: Path) -> NoReturn:
@@ -149,15 +163,27 @@ def kept_figures(out: Path) -> NoReturn:
     raise DirectoryError(f"{out / 'plots'} has the figures: only the command that made {out} draws them.")
 
 
-def estimate_rows(found: Identification) -> list[list[str]]:
-    """Rows under `HEADINGS`."""
-    rows, bounds = [], found.fit.at_bound
-    for i, each in enumerate(found.fit.space.parameters):
-        low, high = found.intervals[i]
-        known = "determined" if found.fit.determined[i] else "not determined"
+def estimates(fit: Fit, intervals: np.ndarray) -> dict[str, dict[str, Any]]:
+    """What identification.json says of the parameters of an estimate, with its intervals (p, 2)."""
+    return {
+        each.name: {
+            "unit": each.unit, "kind": each.kind, "start": each.value, "value": fit.values[i],
+            "interval": list(intervals[i]), "determined": bool(fit.determined[i]),
+            "at_bound": fit.at_bound[i], "low": each.low, "high": each.high, "why": each.why,
+        }
+        for i, each in enumerate(fit.space.parameters)
+    }  # fmt: skip
+
+
+def estimate_rows(fit: Fit, intervals: np.ndarray) -> list[list[str]]:
+    """Rows under `HEADINGS` of an estimate and its intervals (p, 2)."""
+    rows, bounds = [], fit.at_bound
+    for i, each in enumerate(fit.space.parameters):
+        low, high = intervals[i]
+        known = "determined" if fit.determined[i] else "not determined"
         known += f", at its {bounds[i]} bound" if bounds[i] else ""
         name = f"{each.name} [{each.unit}]" if each.unit != "1" else each.name
-        numbers = [f"{each.value:.4g}", f"{found.fit.values[i]:.4g}", f"{low:.4g} to {high:.4g}"]
+        numbers = [f"{each.value:.4g}", f"{fit.values[i]:.4g}", f"{low:.4g} to {high:.4g}"]
         rows.append([name, known, *numbers, f"{each.low:.3g} to {each.high:.3g}: {each.why}"])
     return rows
 
@@ -173,8 +199,6 @@ def write_identification(found: Identification, out: Path, command: str) -> dict
         out: the directory.
         command: that makes it again.
     """
-    from nermo_mjx.view.trained import offline_page  # views know of experiments, too
-
     make_writable(out)
     name, left, commands = next_experiment(found)
     proposed = _written_commands(found, commands, out) if commands else ""
@@ -189,14 +213,7 @@ def write_identification(found: Identification, out: Path, command: str) -> dict
         "command": command,
         "sentences": sentences,
         "right": found.right,
-        "parameters": {
-            each.name: {
-                "unit": each.unit, "kind": each.kind, "start": each.value, "value": found.fit.values[i],
-                "interval": list(found.intervals[i]), "determined": bool(found.fit.determined[i]),
-                "at_bound": found.fit.at_bound[i], "low": each.low, "high": each.high, "why": each.why,
-            }
-            for i, each in enumerate(found.fit.space.parameters)
-        },
+        "parameters": estimates(found.fit, found.intervals),
         "combinations": {formula: deviation for formula, deviation, _ in determinacy.combinations(found.fit)},
         "singular_values": np.sqrt(np.maximum(1.0 / np.maximum(found.fit.share, 1e-12) ** 2 - 1.0, 0.0)).tolist(),
         "left_out": list(found.left_out),
@@ -214,22 +231,44 @@ def write_identification(found: Identification, out: Path, command: str) -> dict
     replace_file(out / RESULT, to_json(content))
     figures = list(figures_of(found))
     write_figures(figures, out / "plots")
+    logs = ", ".join(dict.fromkeys(Path(each.file).name for each in found.after.twin.logs))
+    title = f"What {logs} says of the robot"
+    page = report_page(title, sentences, (), found.fit, found.intervals, command, figures)
+    replace_file(out / "report.html", page)
+    return content
+
+
+def report_page(
+    title: str,
+    sentences: Sequence[str],
+    parts: Sequence[str],
+    fit: Fit,
+    intervals: np.ndarray,
+    command: str,
+    figures: Figures,
+) -> bytes:
+    """The page of an identification: its verdict, further parts in HTML, estimates, the command, and figures."""
+    from nermo_mjx.view.trained import offline_page  # views know of experiments, too
+
     said = "".join(f"<p>{html.escape(each)}</p>" for each in sentences)
-    wrapped = ' style="text-align: left; white-space: normal"'
-    cells = ""
-    for row in estimate_rows(found):
-        *shown, reason = map(html.escape, row)
-        cells += f"<tr>{''.join(f'<td>{each}</td>' for each in shown)}<td{wrapped}>{reason}</td></tr>"
-    head = "".join(f"<th>{each}</th>" for each in HEADINGS[:-1]) + f"<th{wrapped}>{HEADINGS[-1]}</th>"
-    parts = [
+    made = [
         f"<h2>Verdict</h2>{said}",
-        f'<h2>Parameters</h2><div class="wide"><table><tr>{head}</tr>{cells}</table></div>',
+        *parts,
+        f"<h2>Parameters</h2>{html_table(HEADINGS, estimate_rows(fit, intervals))}",
         f"<h2>To make it again</h2><pre>{html.escape(command)}</pre>",
     ]
-    logs = ", ".join(dict.fromkeys(Path(each.file).name for each in found.after.twin.logs))
-    page = offline_page(html.escape(f"What {logs} says of the robot"), "an identification", parts, figures)
-    replace_file(out / "report.html", page.encode())
-    return content
+    return offline_page(html.escape(title), "an identification", made, figures).encode()
+
+
+def html_table(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """A table whose last column is text that is wrapped."""
+    wrapped = ' style="text-align: left; white-space: normal"'
+    cells = ""
+    for row in rows:
+        *shown, reason = map(html.escape, row)
+        cells += f"<tr>{''.join(f'<td>{each}</td>' for each in shown)}<td{wrapped}>{reason}</td></tr>"
+    head = "".join(f"<th>{each}</th>" for each in headings[:-1]) + f"<th{wrapped}>{headings[-1]}</th>"
+    return f'<div class="wide"><table><tr>{head}</tr>{cells}</table></div>'
 
 
 def _written_commands(found: Identification, commands: Mapping[str, np.ndarray], out: Path) -> str:
@@ -257,15 +296,10 @@ def _written_body(found: Identification, out: Path) -> list[str]:
     columns = [names.index(name) for name in known]
     fixed = {name: value for name, value in found.body.standing.items() if name not in known}
     bodies = np.vstack([found.fit.values, found.bodies[:: max(len(found.bodies) // (BODIES - 1), 1)][: BODIES - 1]])
-    lines = [
-        "# Bodies drawn from the posterior of an identification from a log; the first is the best.",
-        ",".join([*known, *fixed, "objective", "weight"]),
-        *(
-            ",".join([*(f"{b[c]:.6g}" for c in columns), *map(str, fixed.values()), "1", f"{1 / len(bodies):.6g}"])
-            for b in bodies
-        ),
-    ]
-    replace_file(out / "ensemble.csv", ("\n".join(lines) + "\n").encode())
+    values = dict(zip(known, bodies[:, columns].T, strict=True))
+    values |= {name: np.full(len(bodies), value) for name, value in fixed.items()}
+    about = "Bodies drawn from the posterior of an identification from a log; the first is the best."
+    replace_file(out / "ensemble.csv", ensemble_text(about, values, np.ones(len(bodies))))
     return ["ensemble.csv"]
 
 
@@ -273,7 +307,7 @@ def figures_of(found: Identification) -> Iterator[tuple[str, Figure]]:
     """The figures of a result."""
     yield "predicted", _predicted(found)
     yield "residuals", _residuals(found)
-    yield "intervals", _intervals(found)
+    yield "intervals", intervals_figure(found.fit, found.intervals)
 
 
 def _predicted(found: Identification, most: int = 6) -> Figure:
@@ -322,13 +356,13 @@ def _residuals(found: Identification) -> Figure:
     return figure
 
 
-def _intervals(found: Identification) -> Figure:
-    """Intervals in the ranges of the parameters."""
-    space, fit = found.fit.space, found.fit
+def intervals_figure(fit: Fit, intervals: np.ndarray, note: str = "") -> Figure:
+    """Intervals (p, 2) in the ranges of the parameters."""
+    space = fit.space
     span = space.high - space.low
     low, high = ([getattr(each, end) for each in space.parameters] for end in ("low", "high"))
-    ends = (space.coordinates(np.clip(found.intervals.T, low, high)) - space.low) / span
-    figure = blank_page("90 % intervals in the ranges that were searched", 7.0, 1.2 + 0.2 * len(space))
+    ends = (space.coordinates(np.clip(intervals.T, low, high)) - space.low) / span
+    figure = blank_page("90 % intervals in the ranges that were searched", 7.0, 1.2 + 0.2 * len(space), note)
     ax, y = figure.subplots(), np.arange(len(space))
     colours = [LINE if known else BAND for known in fit.determined]
     ax.hlines(y, *ends, color=colours, lw=4)

@@ -186,7 +186,7 @@ def test_an_experiment_that_was_killed_while_it_drew_is_not_complete(
     assert len(fakes["turning"].asked) == 1
 
 
-def test_an_identification_counts_its_candidates(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_identification_counts_its_steps(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     calls = 0
 
     class Walker:
@@ -202,11 +202,11 @@ def test_an_identification_counts_its_candidates(tmp_path: Path, monkeypatch: py
             return types.SimpleNamespace(metrics={"speed": speed}, status=np.full(len(speed), "ok"), steps=1)
 
     monkeypatch.setattr(simulating, "Simulator", Walker)
-    settings = {"samples": 8, "generations": 2, "population": 6, "bodies": 0, "engine": "c"}
+    settings = {"samples": 9, "generations": 1, "engine": "c"}
     with pytest.raises(KeyboardInterrupt):
         identification.run_identification(tmp_path, **settings)
     content = said(tmp_path)
-    assert known(content) == ("identification", None, 9, False)
+    assert known(content) == ("identification", None, 2, False)
     assert (content["engine"], content["code"]) == ("c", list(codes_of(tmp_path)))
 
     def killed(*_: Any) -> None:
@@ -216,10 +216,10 @@ def test_an_identification_counts_its_candidates(tmp_path: Path, monkeypatch: py
         drawing.setattr(identification, "figures_of_identification", killed)
         with pytest.raises(KeyboardInterrupt):
             identification.run_identification(tmp_path, **settings)
-    assert known(said(tmp_path)) == ("identification", None, 21, False)
+    assert known(said(tmp_path)) == ("identification", None, 4, False)
     walked = calls
     identification.run_identification(tmp_path, **settings)
-    assert known(said(tmp_path)) == ("identification", 21, 21, True)
+    assert known(said(tmp_path)) == ("identification", 4, 4, True)
     assert calls == walked, "what was found is only drawn"
 
 

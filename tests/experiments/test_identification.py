@@ -1,88 +1,82 @@
-"""Identification: the objective, the space, a search that finds what it is made to find, and a resumable ensemble."""
+"""Identification from published speeds: the objective, what is free, a search that finds what it is made to find, a
+resumable directory."""
 
 import json
+import math
 import types
 
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
 
-from nermo_mjx.experiments import ensemble, identification
-from nermo_mjx.experiments.ensemble import ALL, FREE, TOLERANCE, UNCERTAIN, free_names, parameters_of, point_of
+from nermo_mjx.experiments import identification
 from nermo_mjx.experiments.identification import (
     CASES,
-    START,
     TARGETS,
     IdentificationSearch,
+    PublishedSpeeds,
+    deviations,
+    figures_of_identification,
+    free_parameters,
     identify,
     objective,
+    run_identification,
     speed_figures,
 )
-from nermo_mjx.robot.identified import read_ensemble
+from nermo_mjx.robot import identified
 from nermo_mjx.robot.model_parameters import ModelParameters
 from nermo_mjx.robot.quantity import ParameterError, quantities
 from nermo_mjx.rollout import Setup
-from nermo_mjx.runs import DirectoryError, JobFailed, OtherCode, Watch, codes_of
-from nermo_mjx.runs.rows import part_files
-from nermo_mjx.runs.workers import WorkersLost
+from nermo_mjx.runs import JobFailed, Watch
+from nermo_mjx.runs.job import SILENT
+from nermo_mjx.runs.workers import LocalWorkers, WorkersLost
 from nermo_mjx.sweep import simulating
 
 pytestmark = pytest.mark.draws
 
+NAMES = list(TARGETS)
 
-def test_a_residual_counts_tolerances_of_the_logarithm():
+
+def meets(**others):
+    """Figures that meet all targets (1, targets), but for these."""
+    met = {name: low if math.isfinite(high) else 1.1 for name, (low, high, *_) in TARGETS.items()}
+    return np.array([list((met | others).values())])
+
+
+def test_a_deviation_counts_tolerances_of_the_logarithm():
     """10 % off is about one; inside an interval it is none; an order is missed by 2 % a unit."""
-    value, order = TARGETS["trot, 0.8 Hz, over lateral walk"], TARGETS["trot, 0.8 Hz, over walking trot"]
-    assert value.residual(np.array(1.27)) == pytest.approx(0.0)
-    assert value.residual(np.array(1.27 * np.exp(0.1))) == pytest.approx(1.0)
-    assert value.residual(np.array(1.27 * np.exp(-0.2))) == pytest.approx(-2.0)
-    np.testing.assert_allclose(order.residual(np.array([3.0, 1.0, np.exp(-0.02)])), [0.0, 0.0, -1.0], atol=1e-12)
+    for name, figures, expected in (
+        ("trot, 0.8 Hz, over lateral walk", (1.27, 1.27 * np.exp(0.1), 1.27 * np.exp(-0.2)), (0.0, 1.0, -2.0)),
+        ("trot, 0.8 Hz, over walking trot", (3.0, 1.0, np.exp(-0.02)), (0.0, 0.0, -1.0)),
+    ):
+        found = [deviations(meets(**{name: each}))[0, NAMES.index(name)] for each in figures]
+        np.testing.assert_allclose(found, expected, atol=1e-12)
 
 
 def test_a_robot_that_walks_as_published_costs_nothing_and_a_fallen_one_the_most():
-    published = {
-        name: np.array([t.low, t.low]) if np.isfinite(t.high) else np.array([1.1, 1.1]) for name, t in TARGETS.items()
-    }
-    costs = objective(published, np.array([False, True]))
-    assert costs[0] == pytest.approx(0.0, abs=1e-12)
-    assert costs[1] == 10.0
-    published["trot, 0.8 Hz, over lateral walk"] = np.array([np.nan, 1.27 * np.exp(0.1)])
-    costs = objective(published, np.array([False, False]))
-    assert costs[0] == 10.0
-    assert costs[1] == pytest.approx(1 / np.sqrt(len(TARGETS)))
+    fallen, other = meets(**{NAMES[5]: np.nan}), meets(**{NAMES[5]: 1.27 * np.exp(0.1)})
+    costs = objective(np.concatenate([meets(), other, fallen, meets(**{NAMES[5]: -1.0})]))
+    np.testing.assert_allclose(costs, [0.0, 1 / np.sqrt(len(TARGETS)), np.inf, np.inf], atol=1e-12)
 
 
-@pytest.mark.parametrize("space", [FREE, ALL])
-def test_the_unit_cube_spans_the_bounds_by_logarithm(space):
-    """Values have four digits: what is printed is what was simulated."""
-    low, high = parameters_of(np.zeros(len(space)), space), parameters_of(np.ones(len(space)), space)
-    middle = parameters_of(np.full(len(space), 0.5), space)
-    for free in space.values():
-        for name in free.names:
-            assert (low[name], high[name]) == pytest.approx((free.low, free.high))
-            assert middle[name] == pytest.approx(np.sqrt(free.low * free.high), rel=5e-4)
-            assert middle[name] == float(f"{middle[name]:.4g}")
-    point = np.random.default_rng(0).uniform(size=len(space))
-    found = parameters_of(point, space)
-    np.testing.assert_allclose(point_of(found, space), point, atol=1e-3)
-    assert parameters_of(point_of(found, space), space) == found
-
-
-def test_the_free_parameters_are_the_bodys_and_their_bounds_are_allowed():
+@pytest.mark.parametrize("profile", ["exact", "as_published"])
+def test_what_is_free_is_the_bodys_within_allowed_bounds_and_never_the_soles(profile):
+    """Frictions are uncertain, about the defaults, but no search bends them to the speeds."""
     known = dict(quantities(ModelParameters))
-    for free in ALL.values():
-        for name in free.names:
-            known[name].check(name, free.low)
-            known[name].check(name, free.high)
+    for each in free_parameters(profile):
+        known[each.name].check(each.name, each.low)
+        known[each.name].check(each.name, each.high)
+        assert each.low <= each.value <= each.high
+        assert each.name.startswith("contact.") == (each.kind == "uncertain")
 
 
-def test_the_contact_of_the_soles_is_not_searched():
-    """It is the author's; frictions are uncertain, about the defaults, but no search bends them to the speeds."""
-    assert set(START) == set(free_names(FREE))
-    assert not [name for name in free_names(FREE) if name.startswith("contact.")]
-    defaults = Setup().defaults()
-    for free in UNCERTAIN.values():
-        assert free.low < defaults[free.names[0]] < free.high
+@pytest.mark.compiles
+def test_bodies_that_were_identified_have_the_objective_of_their_walks():
+    """Of the ensemble that comes with the package: real walks, as near as last bits of another compiler let them."""
+    parameters, bodies = free_parameters("as_published"), identified.bodies()
+    wanted = IdentificationSearch(profile="as_published")
+    problem = PublishedSpeeds(parameters, wanted, "c", SILENT, LocalWorkers(), lambda compute: compute())
+    problem.predict(np.array([bodies.values[each.name][:3] for each in parameters]).T)
+    np.testing.assert_allclose(objective(problem.figures), bodies.objective[:3], atol=0.02)
 
 
 def test_figures_are_ratios_of_the_right_speeds():
@@ -97,9 +91,9 @@ def test_figures_are_ratios_of_the_right_speeds():
         "walking trot, 0.5 Hz, over lateral walk": speed["walking_trot", 0.5, False]
         / speed["lateral_walk", 0.5, False],
     }
-    assert set(found) == set(TARGETS)
+    assert found.shape == (1, len(TARGETS))
     for name, value in expected.items():
-        assert found[name][0] == pytest.approx(value)
+        assert found[0, NAMES.index(name)] == pytest.approx(value)
 
 
 class Pretended:
@@ -134,40 +128,36 @@ def pretended(monkeypatch):
         pass
 
     monkeypatch.setattr(simulating, "Simulator", Fresh)
+    monkeypatch.setattr(identification, "figures_of_identification", lambda found: iter(()))
     return Fresh
 
 
-SMALL = {"samples": 16, "generations": 12, "population": 8, "seed": 3}
+SMALL = {"samples": 96, "generations": 8, "seed": 3, "engine": "c"}
 
 
 def test_the_search_finds_a_known_optimum_and_is_the_same_again(pretended):
-    found = identify(IdentificationSearch(**SMALL, bodies=0))
-    assert found.parameters["servo.kp"] == pytest.approx(9.0, rel=0.02)
-    assert found.objective < found.start
-    assert found.objective == min(found.costs)
-    assert found.bodies is None
-    assert identify(IdentificationSearch(**SMALL, bodies=0)).parameters == found.parameters
+    found, again = (identify(IdentificationSearch(samples=16, generations=12, seed=3), "c") for _ in range(2))
+    assert found.fit.values[0] == pytest.approx(9.0, rel=0.02)
+    assert found.objective[0] == found.costs[:-16].min() < found.costs[0]
+    np.testing.assert_array_equal(found.costs, again.costs)
 
 
-def test_the_ensemble_is_within_tolerance_and_bounds_and_begins_with_the_best(pretended):
-    """The pretended region is known: |(ln kp/9, ln friction/1.4)| is at most what 0.5 allows, whatever the rest."""
-    found = identify(IdentificationSearch(**SMALL, bodies=64, sweeps=3))
-    bodies, defaults = found.bodies, Setup().defaults()
-    assert bodies.tolerance == TOLERANCE == 0.5
-    assert len(bodies.objective) == 64
-    assert bodies.objective.max() <= TOLERANCE
-    assert bodies.weights.sum() == pytest.approx(1.0)
-    first = {name: column[0] for name, column in bodies.values.items()}
-    assert first == found.parameters | {name: defaults[name] for name in free_names(UNCERTAIN)}
-    assert bodies.objective[0] == found.objective
-    for free in ALL.values():
-        for name in free.names:
-            assert free.low <= bodies.values[name].min() <= bodies.values[name].max() <= free.high
-    np.testing.assert_array_equal(bodies.values["damping.knee"], bodies.values["damping.ankle"])
-    away = np.hypot(np.log(bodies.values["servo.kp"] / 9), np.log(bodies.values["contact.friction"] / 1.4))
+def test_the_ensemble_is_the_even_share_of_the_bounds_within_the_tolerance(pretended):
+    """The pretended region is a circle in the logarithms of gain and friction, whose share of the bounds is known."""
+    found = identify(IdentificationSearch(samples=1024, generations=4, seed=3), "c")
+    parameters = dict(zip([each.name for each in found.fit.space.parameters], found.bodies[1:].T, strict=True))
+    away = np.hypot(np.log(parameters["servo.kp"] / 9), np.log(parameters["contact.friction"] / 1.4))
     missed = np.log(1.48 / 1.27 / 1.22)  # the one target that no body of the pretended kind can meet
-    np.testing.assert_allclose(bodies.objective, np.sqrt((away**2 + missed**2) / 0.1**2 / len(TARGETS)), atol=1e-6)
-    assert np.ptp(np.log(bodies.values["servo.kv"])) > 0.8 * np.log(30)  # what does not matter is not known
+    np.testing.assert_allclose(found.objective[1:], np.sqrt((away**2 + missed**2) / 0.1**2 / len(TARGETS)), atol=1e-6)
+    assert found.objective[1:].max() <= 0.5
+    circle = math.pi * (0.5**2 * 0.1**2 * len(TARGETS) - missed**2)
+    assert len(away) / 1024 == pytest.approx(circle / (math.log(20 / 4.5) * math.log(1.8)), rel=0.1)
+    for each, column in zip(found.fit.space.parameters, found.bodies.T, strict=True):
+        assert each.low <= column.min() <= column.max() <= each.high
+    low, high = found.fit.intervals.T
+    np.testing.assert_allclose(low, np.quantile(found.bodies[1:], 0.05, axis=0), rtol=0.02)
+    assert math.log(high[1] / low[1]) > 0.8 * math.log(30), "what does not matter is not known"
+    assert "servo.kv" in found.sentences()[2], "and is called so"
 
 
 def test_the_set_up_of_the_tests_is_searched_from_the_authors_values_in_the_publications_clock(pretended):
@@ -177,34 +167,34 @@ def test_the_set_up_of_the_tests_is_searched_from_the_authors_values_in_the_publ
         asked.append(values),
         inherited(self, values, run),
     )[1]
-    found = identify(IdentificationSearch(**SMALL, bodies=0, profile="as_published"))
+    found = identify(IdentificationSearch(samples=8, generations=1, profile="as_published"), "c")
     first = {name: float(values[0]) for name, values in asked[0].items()}
     assert (first["servo.kp"], first["damping.spine"], first["stance.rear_z"]) == (60.0, 0.01, -0.042)
     assert (first["tracking.clock_ratio"], first["pilot.error_gain"], first["servo.torque_limit"]) == (0.4, 0.0, 0.4)
-    assert found.start_figures["trot, 0.8 Hz, over theory"][0] == pytest.approx(0.36 * 60 / 9, rel=1e-3)
-    with pytest.raises(ParameterError, match="profile is 'as_built'"):
-        IdentificationSearch(profile="as_built")
+    assert all((values["damping.knee"] == values["damping.ankle"]).all() for values in asked)
+    assert found.figures[0, NAMES.index("trot, 0.8 Hz, over theory")] == pytest.approx(0.36 * 60 / 9, rel=1e-3)
 
 
-def test_an_ensemble_of_none_is_told_and_not_written(pretended, tmp_path):
-    """A tolerance that nothing meets: the search's result stands, there is no ensemble.csv, and the report says so."""
-    content = identification.run_identification(tmp_path, engine="c", **SMALL, bodies=16, sweeps=1, tolerance=1e-9)
+def test_a_tolerance_that_nothing_meets_leaves_the_best_and_says_so(pretended, tmp_path):
+    _, content = run_identification(tmp_path, **SMALL, tolerance=1e-9)
     assert content["ensemble"]["size"] == 0
-    assert not (tmp_path / "ensemble.csv").exists()
-    assert "There is no body to draw" in (tmp_path / "identification.md").read_text()
+    assert "These are fewer than 8, too few for intervals" in content["sentences"][-1]
+    assert not any(each["determined"] for each in content["parameters"].values())
+    bodies = identified.bodies(str(tmp_path))
+    assert (len(bodies), bodies.values["servo.kp"][0]) == (1, pytest.approx(content["parameters"]["servo.kp"]["value"]))
 
 
 def test_a_killed_identification_goes_on_and_ends_the_same(pretended, tmp_path):
-    """Killed in the search, and again in the ensemble: the same ensemble.csv as without, nothing simulated twice."""
-    settings = {**SMALL, "generations": 4, "bodies": 24, "sweeps": 3, "engine": "c"}
-    identification.run_identification(tmp_path / "whole", **settings)
+    """Killed in the search, and again in the ensemble: the same files as without, nothing simulated twice."""
+    run_identification(tmp_path / "whole", **SMALL)
     needed, pretended.calls = pretended.calls, 0
     for pretended.dies_after in (3, needed - 4):
         with pytest.raises(KeyboardInterrupt):
-            identification.run_identification(tmp_path / "killed", **settings)
+            run_identification(tmp_path / "killed", **SMALL)
         pretended.calls -= 1
     pretended.dies_after = None
-    identification.run_identification(tmp_path / "killed", **settings)
+    for _ in range(2):
+        run_identification(tmp_path / "killed", **SMALL)
     assert pretended.calls == needed
     assert (tmp_path / "killed" / "ensemble.csv").read_text() == (tmp_path / "whole" / "ensemble.csv").read_text()
 
@@ -230,135 +220,80 @@ class Backwards:
 
 
 def test_who_walks_the_candidates_and_when_does_not_matter(pretended, tmp_path):
-    """Batches of the even search and of the ensemble are handed out together; the same files in the end."""
-    settings, others = {**SMALL, "bodies": 24, "sweeps": 2, "engine": "c"}, Backwards()
-    ours, theirs = (
-        identification.run_identification(tmp_path / name, **settings, workers=workers)
+    """Batches of a generation and of the samples are handed out together; the same files in the end."""
+    others = Backwards()
+    (_, ours), (_, theirs) = (
+        run_identification(tmp_path / name, **SMALL, workers=workers)
         for name, workers in (("one", None), ("others", others))
     )
-    assert {name: ours[name] for name in ("costs", "parameters", "objective", "targets", "ensemble")} == {
-        name: theirs[name] for name in ("costs", "parameters", "objective", "targets", "ensemble")
-    }
-    assert others.at_hand == [3, *[1] * 12, *[3] * (len(others.at_hand) - 13)]
-    assert len(others.at_hand) > 14, "the ensemble sweeps"
-    for name in ("one", "others"):
-        table = pq.read_table(tmp_path / name / "results")
-        assert len(part_files(tmp_path / name)) == sum(others.at_hand)
-        assert sorted(table["row"].to_pylist()) == list(range(table.num_rows))
-        assert (
-            identification.identification_status(tmp_path / name).rows_done
-            == table.num_rows // len(CASES)
-            > len(ours["costs"])
-        )
+    for name in ("costs", "parameters", "targets", "ensemble"):
+        np.testing.assert_equal(ours[name], theirs[name])
+    assert others.at_hand == [1, *[2] * SMALL["generations"], 8]
+    assert (tmp_path / "one" / "ensemble.csv").read_bytes() == (tmp_path / "others" / "ensemble.csv").read_bytes()
 
 
 def test_workers_that_are_lost_leave_what_they_walked(pretended, tmp_path):
-    settings = {**SMALL, "bodies": 0, "engine": "c"}
+    """What is walked out of order waits for what comes before it: only that is kept."""
     with pytest.raises(JobFailed, match=r"no node came within 300 s\. What is finished is kept in .*same command"):
-        identification.run_identification(tmp_path / "lost", **settings, workers=Backwards(lost_after=2))
-    assert pretended.calls == 2
-    identification.run_identification(tmp_path / "lost", **settings)
+        run_identification(tmp_path / "lost", **SMALL, workers=Backwards(lost_after=3))
+    assert pretended.calls == 3
+    run_identification(tmp_path / "lost", **SMALL)
     again, pretended.calls = pretended.calls, 0
-    identification.run_identification(tmp_path / "whole", **settings)
+    run_identification(tmp_path / "whole", **SMALL)
     assert again == pretended.calls, "nothing is walked twice"
 
 
-def test_another_robot_does_not_go_on_with_the_candidates(pretended, tmp_path, monkeypatch):
-    settings = {**SMALL, "bodies": 0, "engine": "c"}
-    identification.run_identification(tmp_path, **settings)
-    (tmp_path / "identification.json").unlink()
-    identification.run_identification(tmp_path, **settings)
-    (tmp_path / "identification.json").unlink()
-    defaults = Setup().defaults() | {"contact.friction": 0.9}
-    monkeypatch.setattr(Setup, "defaults", lambda self: defaults)
-    with pytest.raises(ParameterError, match="other settings: choose another directory"):
-        identification.run_identification(tmp_path, **settings)
+@pytest.mark.parametrize("other", ["settings", "code", "robot"])
+def test_a_directory_goes_on_only_with_what_began_it(pretended, tmp_path, monkeypatch, other):
+    run_identification(tmp_path, **SMALL)
+    calls, settings = pretended.calls, dict(SMALL)
+    if other == "settings":
+        settings["samples"] += 1
+    elif other == "code":
+        monkeypatch.setattr("nermo_mjx.runs.code.__version__", "9.9.9")
+    else:
+        defaults = Setup().defaults() | {"contact.friction": 1.3}
+        monkeypatch.setattr(Setup, "defaults", lambda self: defaults)
+    with pytest.raises(ParameterError, match="with other settings or by other code: choose another directory"):
+        run_identification(tmp_path, **settings)
+    (tmp_path / "steps.json").unlink()  # as of an earlier version
+    with pytest.raises(ParameterError, match="with other settings or by other code: choose another directory"):
+        run_identification(tmp_path, **SMALL)
+    assert pretended.calls == calls
 
 
-def test_candidates_of_an_earlier_version_are_refused(tmp_path):
-    (tmp_path / "candidates.jsonl").write_text("{}\n")
-    with pytest.raises(DirectoryError, match="holds candidates of an earlier version: choose another directory"):
-        identification.run_identification(tmp_path, engine="c")
-    assert identification.identification_status(tmp_path).notes == ("Its candidates are of an earlier version.",)
-
-
-def test_candidates_of_other_code_are_refused_until_they_are_accepted(pretended, tmp_path, monkeypatch):
-    """Each row says which code walked it, and none is walked twice, unless its part is damaged."""
-    settings = {**SMALL, "generations": 4, "bodies": 0}
-    pretended.dies_after = 3
-    with pytest.raises(KeyboardInterrupt):
-        identification.run_identification(tmp_path, **settings, engine="mjx")
-    pretended.dies_after, pretended.calls = None, 0
-    before = {path: path.read_bytes() for path in part_files(tmp_path)}
-    monkeypatch.setattr("nermo_mjx.runs.code.__version__", "9.9.9")
-    with pytest.raises(OtherCode, match=r"made by other code: nermo-mjx .*, not 9\.9\.9; .*--accept-new-code"):
-        identification.run_identification(tmp_path, **settings, engine="mjx")
-    assert not pretended.calls
-    content = identification.run_identification(tmp_path, **settings, accept_new_code=True)
-    assert content["engine"] == "mjx", "that with which it was begun"
-    assert {path: path.read_bytes() for path in before} == before, "what was there stays as it was"
-    former, new = codes_of(tmp_path)
-    codes = {path: set(pq.read_table(path)["code"].to_pylist()) for path in part_files(tmp_path)}
-    assert [codes.pop(path) for path in before] == [{former}] * 3
-    assert list(codes.values()) == [{new}] * pretended.calls
-    (tmp_path / "identification.json").unlink()
-    next(iter(codes)).write_bytes(b"damaged")
-    pretended.calls = 0
-    again = identification.run_identification(tmp_path, **settings, accept_new_code=True)
-    assert (again["costs"], pretended.calls) == (content["costs"], 1)
-    assert content["codes"] == [former, new]
-    assert f"code {former}, {new};" in (tmp_path / "identification.md").read_text()
-
-
-def test_the_files_of_an_ensemble_agree(pretended, tmp_path):
-    """identification.json, ensemble.csv and the report: the same bodies, quantiles in order, a picture; a user's files
-    in the way are moved aside."""
-    said, mine = [], [tmp_path / name for name in ("identification.md", "ensemble.csv")]
+def test_the_files_of_an_ensemble_agree(pretended, tmp_path, monkeypatch):
+    """identification.json, ensemble.csv and the report; a user's files in the way are moved aside."""
+    monkeypatch.setattr(identification, "figures_of_identification", figures_of_identification)
+    said, mine = [], [tmp_path / name for name in ("report.html", "ensemble.csv")]
     for path in mine:
         path.write_text("a user's")
-    identification.run_identification(tmp_path, engine="c", **SMALL, bodies=32, sweeps=5, watch=Watch(warn=said.append))
+    found, content = run_identification(tmp_path, **SMALL | {"samples": 256}, watch=Watch(warn=said.append))
     assert [path.with_name(f"{path.name}.aside-1").read_text() for path in mine] == ["a user's"] * 2
     assert said == [
         "Files in the way were not as this program wrote them: moved aside in "
         f"{tmp_path}, to ensemble.csv.aside-1 and 1 more."
     ]
-    content = json.loads((tmp_path / "identification.json").read_text())["ensemble"]
-    lines = (tmp_path / "ensemble.csv").read_text().splitlines()
-    stored = read_ensemble(lines)
-    assert len(stored) == content["size"] == 32
-    assert str(tmp_path) not in "\n".join(lines)
-    for name, column in stored.values.items():
-        np.testing.assert_array_equal(column, content["bodies"][name])
-    np.testing.assert_allclose(stored.objective, content["bodies"]["objective"], atol=5e-5)
-    for name, about in content["parameters"].items():
-        low, middle, high = about["quantiles"]
-        assert about["low"] <= low <= middle <= high <= about["high"]
-        assert content["correlations"][name][name] == pytest.approx(1.0)
-    assert [each["candidates"] for each in content["sweeps"]] == [32] * len(content["sweeps"])
-    text = (tmp_path / "identification.md").read_text()
+    stored, bodies = json.loads((tmp_path / "identification.json").read_text()), identified.bodies(str(tmp_path))
+    assert stored["sentences"] == content["sentences"]
+    assert len(bodies) == stored["ensemble"]["size"] + 1 > 8
+    assert str(tmp_path) not in (tmp_path / "ensemble.csv").read_text()
+    np.testing.assert_array_equal(bodies.values["damping.knee"], bodies.values["damping.ankle"])
+    for each, column in zip(found.fit.space.parameters, found.bodies.T, strict=True):
+        np.testing.assert_array_equal(bodies.values[each.name], column)
+    np.testing.assert_allclose(bodies.objective, found.objective, rtol=1e-5)
+    assert {each.name for each in (tmp_path / "plots").glob("*.png")} == {"intervals.png", "ensemble.png"}
+    text = (tmp_path / "report.html").read_text()
     assert "contact.tail_friction" in text
-    assert (tmp_path / "plots" / "identification-ensemble.png").stat().st_size > 0
-    assert "plots/identification-ensemble.png" in text
+    assert "trot, 0.8 Hz, over lateral walk" in text
+    assert 'src="http' not in text
 
 
-def test_quantiles_and_correlations_are_weighted():
-    """A body of weight 3 counts as three bodies."""
-    random = np.random.default_rng(0)
-    values, weights = random.uniform(1, 2, 400), random.integers(1, 4, 400)
-    np.testing.assert_allclose(
-        ensemble.quantiles(values, weights), np.quantile(np.repeat(values, weights), [0.05, 0.5, 0.95]), atol=0.01
-    )
-    other = values * random.uniform(1, 2, 400)
-    found = ensemble.correlations({"a": values, "b": other}, weights)
-    repeated = np.log([np.repeat(values, weights), np.repeat(other, weights)])
-    assert found["a"]["b"] == pytest.approx(np.corrcoef(repeated)[0, 1])
-
-
-@pytest.mark.parametrize(
-    ("name", "least"), [("samples", 1), ("generations", 1), ("population", 4), ("bodies", 8), ("sweeps", 1)]
-)
-def test_a_search_too_small_is_refused(name, least):
-    with pytest.raises(ParameterError, match=f"{name} is {least - 1 or -1}: allowed is {least} or more"):
-        IdentificationSearch(**{name: least - 1 or -1})
+def test_a_search_too_small_is_refused():
+    for name, least in (("samples", 8), ("generations", 1)):
+        with pytest.raises(ParameterError, match=f"{name} is {least - 1}: allowed is {least} or more"):
+            IdentificationSearch(**{name: least - 1})
     with pytest.raises(ParameterError, match="tolerance is 0: allowed is more than 0"):
         IdentificationSearch(tolerance=0.0)
+    with pytest.raises(ParameterError, match="profile is 'as_built'"):
+        IdentificationSearch(profile="as_built")

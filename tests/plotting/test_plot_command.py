@@ -199,23 +199,6 @@ def test_a_directory_of_experiments_is_drawn_again(tmp_path: Path) -> None:
     assert "holds no experiment whose table and recordings can be read" in result.stderr
 
 
-def test_an_identifications_figures_are_remade(tmp_path: Path) -> None:
-    target = {"residual": 0.1, "start_residual": 0.5}
-    about = {
-        "costs": [3.0, 2.0, 1.0, 0.5],
-        "objective": {"start": 2.0, "end": 0.5},
-        "targets": {"speed": target},
-        "settings": {"generations": 1, "population": 2},
-        "ensemble": None,
-    }
-    (tmp_path / "identification.json").write_text(json.dumps(about))
-    (tmp_path / "run.json").write_text('{"kind": "identification"}')
-    assert plot(tmp_path, "--format", "svg").exit_code == 0
-    assert set(content(tmp_path / "plots")) == {"identification-search.svg", "identification-residuals.svg"}
-    (tmp_path / "identification.json").write_text("{")
-    assert "run the identification again" in plot(tmp_path).stderr
-
-
 def test_a_landscapes_figures_are_remade(tmp_path: Path) -> None:
     tuning = Tuning.from_dict(TUNE_SPEC)
     run_landscape(tuning, tmp_path / "there", problem=FakeProblem(tuning))

@@ -3,12 +3,10 @@
 import numpy as np
 import pytest
 
-from nermo_mjx.experiments.ensemble import FREE_IN, TOLERANCE, UNCERTAIN, free_names
+from nermo_mjx.experiments.identification import IdentificationSearch, free_parameters
 from nermo_mjx.robot import identified
 from nermo_mjx.robot.model_parameters import ModelParameters
 from nermo_mjx.robot.quantity import ParameterError, quantities
-
-ALL = FREE_IN["as_published"] | UNCERTAIN
 
 
 @pytest.mark.parametrize("name", ["damping.knee", "damping.ankle", "damping.spine", "servo.kp", "servo.kv"])
@@ -22,12 +20,12 @@ def test_the_default_body_is_among_the_identified_ones(name):
 
 def test_every_body_is_within_the_bounds_and_the_tolerance():
     ensemble = identified.bodies()
-    assert tuple(ensemble.values) == free_names(ALL)
-    for free in ALL.values():
-        for name in free.names:
-            assert free.low <= ensemble.values[name].min() <= ensemble.values[name].max() <= free.high
+    free = free_parameters("as_published")
+    assert {*ensemble.values} == {"damping.ankle", *(each.name for each in free)}
+    for each in free:
+        assert each.low <= ensemble.values[each.name].min() <= ensemble.values[each.name].max() <= each.high
     assert ensemble.objective.min() >= 0
-    assert ensemble.objective.max() <= TOLERANCE
+    assert ensemble.objective.max() <= IdentificationSearch().tolerance
     np.testing.assert_array_equal(ensemble.values["damping.knee"], ensemble.values["damping.ankle"])
 
 
@@ -38,7 +36,7 @@ def test_bodies_are_distinct_weighed_and_chosen_without_repeats_and_by_seed():
     rows = {}
     for n, seed in ((len(ensemble), 5), (len(ensemble) // 2, 1), (len(ensemble) // 2, 2)):
         rows[seed] = np.array(list(identified.choose(n, seed).values())).T
-        assert rows[seed].shape == (n, len(free_names(ALL)))
+        assert rows[seed].shape == (n, len(ensemble.values))
         assert len(np.unique(rows[seed], axis=0)) == n >= 4
         np.testing.assert_array_equal(rows[seed], np.array(list(identified.choose(n, seed).values())).T)
     np.testing.assert_array_equal(rows[5].T, list(ensemble.values.values()))  # all, in their order

@@ -104,11 +104,9 @@ def jobs() -> dict[str, Callable[[Path], pa.Table]]:
         return pa.table({key: pa.array(column.tolist()) for key, column in outcome.columns.items()})
 
     def identified(out: Path) -> pa.Table:
-        settings: dict[str, Any] = {"samples": 8, "generations": 2, "population": 6, "bodies": 0, "engine": "c"}
-        content = identification.run_identification(out, **settings)
-        return pa.table(
-            {"costs": content["costs"], "best": [json.dumps(content["parameters"])] * len(content["costs"])}
-        )
+        settings: dict[str, Any] = {"samples": 16, "generations": 1, "engine": "c"}
+        found, content = identification.run_identification(out, **settings)
+        return pa.table({"costs": found.costs, "best": [json.dumps(content["parameters"])] * len(found.costs)})
 
     return {
         "sweep": sweep,

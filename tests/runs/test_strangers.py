@@ -35,7 +35,7 @@ from nermo_mjx import trust
 from nermo_mjx.cli.directories import KINDS
 from nermo_mjx.control import protocol
 from nermo_mjx.control.schedule import Switch
-from nermo_mjx.experiments import identification
+from nermo_mjx.experiments import log_report
 from nermo_mjx.experiments.cases import CaseRuns
 from nermo_mjx.experiments.report import table_of
 from nermo_mjx.experiments.run import EXPERIMENTS, Directory
@@ -356,23 +356,6 @@ def mutated_table(content: bytes, draw: random.Random) -> bytes:
     return stream.getvalue()
 
 
-IDENTIFIED = {
-    "settings": {"generations": 1, "population": 4, "seed": 0},
-    "costs": [0.9, None, 0.5],
-    "plots": [],
-    "objective": {"start": 0.9, "end": 0.5},
-    "engine": "c",
-    "started": "2026-01-01",
-    "versions": {"jax": "0"},
-    "machine": {"cores": 2},
-    "targets": {"a": {"residual": 0.1, "start_residual": None}},
-    "ensemble": {
-        "size": 2,
-        "tolerance": 0.5,
-        "bodies": {"servo.gain": [1.0, 2.0], "objective": [0.1, 0.2], "weight": [0.5, 0.5]},
-        "parameters": {"servo.gain": {"low": 0.1, "high": 9.0, "quantiles": [1.0]}},
-    },
-}
 CHANNELS = {"rate": 50, "front_left_hip": {"channel": 0, "direction": 1, "zero": 90, "low": 20, "high": 160}}
 ROWS = "frequency,spine.amplitude\n0.5,0.1\n0.8,0.2\n"
 
@@ -437,10 +420,13 @@ def kinds_of_files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[
         "sweep.json": (sweep / "sweep.json", text, lambda: two_tables(sweep, search)),
         "metrics.json": (sweep / "metrics.json", text, lambda: own_metrics.load_metrics(str(sweep / "metrics.py"))),
         "best.json": (search / "best.json", text, kind("search", search)),
-        "identification.json": (
-            _file(identified / identification.RESULT, IDENTIFIED),
+        "steps.json": (
+            _file(identified / log_report.STEPS, {"decides": "a", "arrays": [[[0.1, None], [0.2, 0.3]]]}),
             text,
-            lambda: (identification.identification_status(identified), identification.drawn(identified)),
+            lambda: (
+                log_report.identification_status(identified),
+                log_report.kept_in(identified, "a")(lambda: np.ones(1)),
+            ),
         ),
         "experiment": (experiments.path(name), table_like, kind("experiments", experiments.out)),
         "part": (part, table_like, lambda: (read_table(sweep), Results([part]), sweep_status(sweep), runs_of(sweep))),
