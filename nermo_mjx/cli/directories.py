@@ -165,8 +165,8 @@ def plot_command(path: Path, out: Path | None, form: str | None, **chosen: str |
     """Redraw the figures of PATH from its tables; nothing is simulated.
 
     PATH is the directory of a sweep, a search, a tuning, a training, a
-    landscape, experiments or an identification, or a recording FILE.npz: gait
-    diagram, orientation, foot paths, servo angles, path over the ground.
+    landscape or experiments, or a recording FILE.npz: gait diagram,
+    orientation, foot paths, servo angles, path over the ground.
 
     --x, --y and --color choose columns of a table: two parameters of a grid
     give a heat map, two metrics with a better direction a Pareto front, other
