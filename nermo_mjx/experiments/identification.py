@@ -264,6 +264,16 @@ class Identified:
     bodies: np.ndarray
     objective: np.ndarray
 
+    @property
+    def values(self) -> np.ndarray:
+        """Of the best body (p,)."""
+        return self.bodies[0]
+
+    @property
+    def intervals(self) -> np.ndarray:
+        """Ends of the 90 % intervals (p, 2)."""
+        return self.fit.intervals
+
     def sentences(self) -> list[str]:
         """The verdict in words."""
         size, of = len(self.bodies) - 1, self.wanted
@@ -378,7 +388,7 @@ def run_identification(
         targets = log_report.html_table(TARGET_HEADINGS, target_rows(found))
         parts = [f"<h2>Published speeds</h2>{targets}<p>Objective: {html.escape(FORMULA)}.</p>"]
         title = f"Bodies that walk as published, {found.wanted.profile}"
-        told = (content["sentences"], parts, found.fit, found.fit.intervals, last_command(folder))
+        told = (content["sentences"], parts, found, last_command(folder))
         page = log_report.report_page(title, *told, figures_of_identification(found))
         written.write(folder / "report.html", page)
         held.write(log_report.RESULT, to_json(content))
@@ -397,7 +407,7 @@ def _content(found: Identified) -> dict[str, Any]:
         targets[name] |= {"start": start, "start_residual": before}
     return {
         "sentences": found.sentences(),
-        "parameters": log_report.estimates(found.fit, found.fit.intervals),
+        "parameters": log_report.estimates(found),
         "options": " ".join(f"--set {name}={value[0]:.4g}" for name, value in _columns(found).items()),
         "objective": {"formula": FORMULA, "start": found.costs[0], "end": found.objective[0]},
         "targets": targets,
@@ -440,7 +450,7 @@ def target_rows(found: Identified) -> list[list[str]]:
 def figures_of_identification(found: Identified) -> Iterator[tuple[str, Figure]]:
     """The figures of a result: intervals, and the bodies over each pair of parameters."""
     note = f"{len(found.bodies) - 1} bodies within {found.wanted.tolerance:g}, profile {found.wanted.profile}"
-    yield "intervals", log_report.intervals_figure(found.fit, found.fit.intervals, note)
+    yield "intervals", log_report.intervals_figure(found, note)
     if len(found.bodies) > FEWEST:
         about = zip(found.fit.space.parameters, found.bodies.T, strict=True)
         pairs = list(itertools.combinations([shown(each.name, each.unit, of, log=True) for each, of in about], 2))

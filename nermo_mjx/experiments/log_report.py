@@ -10,7 +10,7 @@ import dataclasses
 import html
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final, NoReturn
+from typing import Any, Final, NoReturn, Protocol
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -163,27 +163,39 @@ def kept_figures(out: Path) -> NoReturn:
     raise DirectoryError(f"{out / 'plots'} has the figures: only the command that made {out} draws them.")
 
 
-def estimates(fit: Fit, intervals: np.ndarray) -> dict[str, dict[str, Any]]:
-    """What identification.json says of the parameters of an estimate, with its intervals (p, 2)."""
+class Estimated(Protocol):
+    """What a report shows of any result: its fit, and values (p,) and 90 % intervals (p, 2) of the parameters."""
+
+    @property
+    def fit(self) -> Fit: ...
+    @property
+    def values(self) -> np.ndarray: ...
+    @property
+    def intervals(self) -> np.ndarray: ...
+
+
+def estimates(found: Estimated) -> dict[str, dict[str, Any]]:
+    """What identification.json says of the parameters."""
+    fit = found.fit
     return {
         each.name: {
-            "unit": each.unit, "kind": each.kind, "start": each.value, "value": fit.values[i],
-            "interval": list(intervals[i]), "determined": bool(fit.determined[i]),
+            "unit": each.unit, "kind": each.kind, "start": each.value, "value": found.values[i],
+            "interval": list(found.intervals[i]), "determined": bool(fit.determined[i]),
             "at_bound": fit.at_bound[i], "low": each.low, "high": each.high, "why": each.why,
         }
         for i, each in enumerate(fit.space.parameters)
     }  # fmt: skip
 
 
-def estimate_rows(fit: Fit, intervals: np.ndarray) -> list[list[str]]:
-    """Rows under `HEADINGS` of an estimate and its intervals (p, 2)."""
-    rows, bounds = [], fit.at_bound
+def estimate_rows(found: Estimated) -> list[list[str]]:
+    """Rows under `HEADINGS`."""
+    fit, rows, bounds = found.fit, [], found.fit.at_bound
     for i, each in enumerate(fit.space.parameters):
-        low, high = intervals[i]
+        low, high = found.intervals[i]
         known = "determined" if fit.determined[i] else "not determined"
         known += f", at its {bounds[i]} bound" if bounds[i] else ""
         name = f"{each.name} [{each.unit}]" if each.unit != "1" else each.name
-        numbers = [f"{each.value:.4g}", f"{fit.values[i]:.4g}", f"{low:.4g} to {high:.4g}"]
+        numbers = [f"{each.value:.4g}", f"{found.values[i]:.4g}", f"{low:.4g} to {high:.4g}"]
         rows.append([name, known, *numbers, f"{each.low:.3g} to {each.high:.3g}: {each.why}"])
     return rows
 
@@ -213,7 +225,7 @@ def write_identification(found: Identification, out: Path, command: str) -> dict
         "command": command,
         "sentences": sentences,
         "right": found.right,
-        "parameters": estimates(found.fit, found.intervals),
+        "parameters": estimates(found),
         "combinations": {formula: deviation for formula, deviation, _ in determinacy.combinations(found.fit)},
         "singular_values": np.sqrt(np.maximum(1.0 / np.maximum(found.fit.share, 1e-12) ** 2 - 1.0, 0.0)).tolist(),
         "left_out": list(found.left_out),
@@ -233,19 +245,13 @@ def write_identification(found: Identification, out: Path, command: str) -> dict
     write_figures(figures, out / "plots")
     logs = ", ".join(dict.fromkeys(Path(each.file).name for each in found.after.twin.logs))
     title = f"What {logs} says of the robot"
-    page = report_page(title, sentences, (), found.fit, found.intervals, command, figures)
+    page = report_page(title, sentences, (), found, command, figures)
     replace_file(out / "report.html", page)
     return content
 
 
 def report_page(
-    title: str,
-    sentences: Sequence[str],
-    parts: Sequence[str],
-    fit: Fit,
-    intervals: np.ndarray,
-    command: str,
-    figures: Figures,
+    title: str, sentences: Sequence[str], parts: Sequence[str], found: Estimated, command: str, figures: Figures
 ) -> bytes:
     """The page of an identification: its verdict, further parts in HTML, estimates, the command, and figures."""
     from nermo_mjx.view.trained import offline_page  # views know of experiments, too
@@ -254,7 +260,7 @@ def report_page(
     made = [
         f"<h2>Verdict</h2>{said}",
         *parts,
-        f"<h2>Parameters</h2>{html_table(HEADINGS, estimate_rows(fit, intervals))}",
+        f"<h2>Parameters</h2>{html_table(HEADINGS, estimate_rows(found))}",
         f"<h2>To make it again</h2><pre>{html.escape(command)}</pre>",
     ]
     return offline_page(html.escape(title), "an identification", made, figures).encode()
@@ -290,12 +296,12 @@ def _written_body(found: Identification, out: Path) -> list[str]:
     """The file of the identified model; for Nermo the ensemble, the best body first, as `identified` reads it."""
     names = [each.name for each in found.fit.space.parameters]
     if isinstance(found.body, MjcfBody):
-        replace_file(out / "identified.xml", found.body.written(names, found.fit.values).encode())
+        replace_file(out / "identified.xml", found.body.written(names, found.values).encode())
         return ["identified.xml"]
     known = [name for name in dict(quantities(ModelParameters)) if name in names]
     columns = [names.index(name) for name in known]
     fixed = {name: value for name, value in found.body.standing.items() if name not in known}
-    bodies = np.vstack([found.fit.values, found.bodies[:: max(len(found.bodies) // (BODIES - 1), 1)][: BODIES - 1]])
+    bodies = np.vstack([found.values, found.bodies[:: max(len(found.bodies) // (BODIES - 1), 1)][: BODIES - 1]])
     values = dict(zip(known, bodies[:, columns].T, strict=True))
     values |= {name: np.full(len(bodies), value) for name, value in fixed.items()}
     about = "Bodies drawn from the posterior of an identification from a log; the first is the best."
@@ -307,7 +313,7 @@ def figures_of(found: Identification) -> Iterator[tuple[str, Figure]]:
     """The figures of a result."""
     yield "predicted", _predicted(found)
     yield "residuals", _residuals(found)
-    yield "intervals", intervals_figure(found.fit, found.intervals)
+    yield "intervals", intervals_figure(found)
 
 
 def _predicted(found: Identification, most: int = 6) -> Figure:
@@ -356,12 +362,12 @@ def _residuals(found: Identification) -> Figure:
     return figure
 
 
-def intervals_figure(fit: Fit, intervals: np.ndarray, note: str = "") -> Figure:
-    """Intervals (p, 2) in the ranges of the parameters."""
-    space = fit.space
+def intervals_figure(found: Estimated, note: str = "") -> Figure:
+    """Intervals in the ranges of the parameters."""
+    space, fit = found.fit.space, found.fit
     span = space.high - space.low
     low, high = ([getattr(each, end) for each in space.parameters] for end in ("low", "high"))
-    ends = (space.coordinates(np.clip(intervals.T, low, high)) - space.low) / span
+    ends = (space.coordinates(np.clip(found.intervals.T, low, high)) - space.low) / span
     figure = blank_page("90 % intervals in the ranges that were searched", 7.0, 1.2 + 0.2 * len(space), note)
     ax, y = figure.subplots(), np.arange(len(space))
     colours = [LINE if known else BAND for known in fit.determined]
