@@ -153,7 +153,7 @@ class PublishedSpeeds:
         self.bodies, self.figures = np.empty((0, len(parameters))), np.empty((0, count))
         self._names, self._values = [each.name for each in parameters], [each.value for each in parameters]
         self._cases = worlds(CASES, defaults, Settings((wanted.profile,), repeats=1, seed=wanted.seed)).values
-        self._wanted, self._engine, self._watch, self._workers, self._kept = wanted, engine, watch, workers, kept
+        self._wanted, self._watch, self._workers, self._kept = wanted, watch, workers, kept
         workers.begin(walking(engine, wanted.profile))
 
     def predict(self, values: np.ndarray) -> np.ndarray:
@@ -187,10 +187,10 @@ class PublishedSpeeds:
         return deviations(self.figures[-len(bodies) :])
 
     def _worlds(self, batch: np.ndarray) -> dict[str, np.ndarray]:
-        """The walks of a batch of bodies (n, p); for engines that compile, of always as many."""
-        batch = batch if self._engine == "c" else np.resize(batch, (BATCH, batch.shape[1]))
-        values = {name: np.tile(column, len(batch)) for name, column in self._cases.items()}
-        own = dict(zip(self._names, np.repeat(batch, len(CASES), axis=0).T, strict=True))
+        """The walks of a batch of bodies (n, p), of always as many: their number changes the last bits of a walk."""
+        values = {name: np.tile(column, BATCH) for name, column in self._cases.items()}
+        each = np.repeat(np.resize(batch, (BATCH, batch.shape[1])), len(CASES), axis=0)
+        own = dict(zip(self._names, each.T, strict=True))
         return values | own | {name: own[other] for name, other in SHARED.items()}
 
     def _figures(self, result: Simulated) -> np.ndarray:
