@@ -336,7 +336,7 @@ def draw_page(path: Path, folder: Path) -> None:
     text = [
         "# Results",
         "",
-        "What each engine costs on each machine, by `engines.py` ([how to read it](README.md)). The newest measurement counts.",
+        "What each engine costs on each machine ([how to read it](README.md)), by `engines.py`; the newest run counts.",
         "",
     ]
     for number, (machine, lines) in enumerate(newest(path).items(), 1):

@@ -18,7 +18,7 @@ _OFF: Final = "| model | nv | contacts, rows | against differences | differences
 
 
 def page(lines: Path) -> str:
-    """The text between `BEGIN` and `END`: how many models are right, what is off, where the others are, and the cost."""
+    """The text between `BEGIN` and `END`: how many models are right, what is off, where others are, and the cost."""
     models = dict(sorted(lines_of(lines).items()))
     measured = {name: each for name, each in models.items() if "error" in each}
     exact = [name for name, each in measured.items() if each["finite"] and each["error"] <= LARGEST]
@@ -30,7 +30,7 @@ def page(lines: Path) -> str:
     off = [_row(name, each) for name, each in measured.items() if name not in right]
     timed = [each for each in measured.values() if "compile_s" in each]
     refused = [
-        f"| {name} | {' '.join(each['failed'].split()).replace('|', '/')} |"
+        f"| {name.replace('/', '/<wbr>')} | {' '.join(each['failed'].split()).replace('|', '/')} |"
         for name, each in models.items()
         if "error" not in each
     ]
