@@ -34,7 +34,6 @@ from nermo_mjx.plotting.files import write_figures
 from nermo_mjx.plotting.shown import shown
 from nermo_mjx.progress import shows_progress
 from nermo_mjx.robot import ModelParameters, ParameterError
-from nermo_mjx.robot.identified import ensemble_text
 from nermo_mjx.robot.quantity import choice, quantities
 from nermo_mjx.rollout import Run, Setup
 from nermo_mjx.runs import RunDirectory, Written, engine_of, session
@@ -426,7 +425,7 @@ def _ensemble(found: Identified, about: dict[str, Any]) -> bytes:
     """ensemble.csv, as `nermo_mjx.robot.identified` reads it."""
     options = " ".join(f"--{name} {value}" for name, value in about["settings"].items())
     size, wanted = len(found.bodies) - 1, found.wanted
-    return ensemble_text(
+    return log_report.ensemble_text(
         f"Bodies whose objective on the straight line, in the profile {wanted.profile}, is at most "
         f"{wanted.tolerance:g}: {size} of {wanted.samples}; the best of the search goes before them.\n"
         f"Made by: nermo-mjx identify {options}\n"

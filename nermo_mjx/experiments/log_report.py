@@ -27,7 +27,6 @@ from nermo_mjx.plotting.files import Figures, write_figures
 from nermo_mjx.plotting.style import BAND, BEST, INK, LINE, MUTED
 from nermo_mjx.recording import Recording
 from nermo_mjx.robot import ModelParameters
-from nermo_mjx.robot.identified import ensemble_text
 from nermo_mjx.robot.quantity import quantities
 from nermo_mjx.rollout import Setup
 from nermo_mjx.runs.directory import engine_of
@@ -307,6 +306,19 @@ def _written_body(found: Identification, out: Path) -> list[str]:
     about = "Bodies drawn from the posterior of an identification from a log; the first is the best."
     replace_file(out / "ensemble.csv", ensemble_text(about, values, np.ones(len(bodies))))
     return ["ensemble.csv"]
+
+
+def ensemble_text(about: str, values: Mapping[str, np.ndarray], objective: np.ndarray) -> bytes:
+    """A file that `nermo_mjx.robot.identified` reads, of bodies of equal weight, the best first.
+
+    Args:
+        about: lines of the comment that it begins with.
+        values: model parameter -> (n,).
+        objective: (n,).
+    """
+    columns = {**values, "objective": objective, "weight": np.full(len(objective), 1 / len(objective))}
+    rows = [",".join(f"{value:.6g}" for value in row) for row in zip(*columns.values(), strict=True)]
+    return "\n".join([*(f"# {line}" for line in about.splitlines()), ",".join(columns), *rows, ""]).encode()
 
 
 def figures_of(found: Identification) -> Iterator[tuple[str, Figure]]:

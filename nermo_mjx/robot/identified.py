@@ -2,8 +2,8 @@
 
 The publication gives neither servo gain nor damping nor friction. `nermo-mjx identify` finds the bodies whose speeds
 come within a tolerance of the published ones, in the set-up of the published tests; `identified.csv` is such an
-ensemble, one body per row, the best first. The damping of the default body lies in the middle of it. Its bodies were
-drawn by importance sampling, hence their weights; others of the same distribution, of equal weight, come from
+ensemble, one body per row, the best first. The damping of the default body lies in the middle of it. Importance
+sampling drew it, hence the weights; bodies of the same distribution, of equal weight, come from
 
     nermo-mjx identify --profile as_published --samples 64 --generations 3 --out runs/identified
 """
@@ -13,7 +13,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import hashlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Final
 
@@ -115,16 +115,3 @@ def read_ensemble(lines: Iterable[str]) -> Ensemble:
     content = hashlib.sha256("\n".join(",".join(row) for row in rows).encode()).hexdigest()[:16]
     values = {name: column for name, column in columns.items() if name not in _ABOUT}
     return Ensemble(values, weights, columns["objective"], content)
-
-
-def ensemble_text(about: str, values: Mapping[str, np.ndarray], objective: np.ndarray) -> bytes:
-    """A file that `bodies` reads, of bodies of equal weight, the best first.
-
-    Args:
-        about: lines of the comment that it begins with.
-        values: model parameter -> (n,).
-        objective: (n,).
-    """
-    columns = {**values, "objective": objective, "weight": np.full(len(objective), 1 / len(objective))}
-    rows = [",".join(f"{value:.6g}" for value in row) for row in zip(*columns.values(), strict=True)]
-    return "\n".join([*(f"# {line}" for line in about.splitlines()), ",".join(columns), *rows, ""]).encode()
