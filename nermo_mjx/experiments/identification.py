@@ -388,7 +388,7 @@ def run_identification(
         parts = [f"<h2>Published speeds</h2>{targets}<p>Objective: {html.escape(FORMULA)}.</p>"]
         title = f"Bodies that walk as published, {found.wanted.profile}"
         told = (content["sentences"], parts, found, last_command(folder))
-        page = log_report.report_page(title, *told, figures_of_identification(found))
+        page = log_report.identification_page(title, *told, figures_of_identification(found))
         written.write(folder / "report.html", page)
         held.write(log_report.RESULT, to_json(content))
         if written.aside:

@@ -244,12 +244,12 @@ def write_identification(found: Identification, out: Path, command: str) -> dict
     write_figures(figures, out / "plots")
     logs = ", ".join(dict.fromkeys(Path(each.file).name for each in found.after.twin.logs))
     title = f"What {logs} says of the robot"
-    page = report_page(title, sentences, (), found, command, figures)
+    page = identification_page(title, sentences, (), found, command, figures)
     replace_file(out / "report.html", page)
     return content
 
 
-def report_page(
+def identification_page(
     title: str, sentences: Sequence[str], parts: Sequence[str], found: Estimated, command: str, figures: Figures
 ) -> bytes:
     """The page of an identification: its verdict, further parts in HTML, estimates, the command, and figures."""
