@@ -39,6 +39,8 @@ WIDTH: Final = 1e-4
 CENTRAL: Final = 1e-3
 #: Parts of a model whose parameters change each other's channels by less, as a share, do not act on each other.
 ACTS: Final = 1e-3
+#: Distance from the result at which searches begin again [standard deviations of the prior].
+BESIDE: Final = 0.3
 #: Exponents of products that are tried.
 _EXPONENTS: Final = (-2.0, -1.0, -0.5, 0.5, 1.0, 2.0)
 
@@ -148,6 +150,7 @@ class Fit:
         share: standard deviation of the posterior along each of the directions, as a share of the prior's (p,).
         directions: orthonormal columns (p, p), the best determined one first.
         draws: of the posterior (draws, p), in coordinates.
+        others: coordinates of other ends that explain the data as well, which the posterior is over (k, p).
     """
 
     space: ParameterSpace
@@ -158,6 +161,7 @@ class Fit:
     share: np.ndarray
     directions: np.ndarray
     draws: np.ndarray
+    others: np.ndarray
 
     @property
     def values(self) -> np.ndarray:
@@ -324,8 +328,13 @@ class Estimation:
         iterations: int = 15,
         rounds: int = 3,
         seed: int = 0,
+        others: Sequence[np.ndarray] = (),
     ) -> Fit:
-        """The estimate from a start, by default the defaults, with its uncertainty; see `search` and `Fit`."""
+        """The estimate from a start, by default the defaults, with its uncertainty; see `search` and `Fit`.
+
+        Where other ends explain the data as well, the parameters are taken for one more such end: those of the
+        posterior have the mean of all, their covariance, and the tails of Student's t.
+        """
         x, sigma = self.search(np.zeros(len(self.space)) if start is None else start, sigma, iterations, rounds)
         jacobian, white = self.jacobian(x, sigma), self.residual(x[:, None], sigma)[:, 0]
         values, vectors = np.linalg.eigh(jacobian.T @ jacobian)
@@ -333,8 +342,19 @@ class Estimation:
         share = self._shares(jacobian @ vectors, white, values, seed)
         random = np.random.default_rng(seed)
         draws = x + (random.standard_normal((DRAWS, len(x))) * share) @ vectors.T
+        if len(others):
+            ends = np.stack([x, *others])
+            free = len(others)
+            tails = np.sqrt(free / random.chisquare(free, (DRAWS, 1)))
+            weights = tails * random.standard_normal((DRAWS, len(ends))) * math.sqrt((1 + 1 / len(ends)) / free)
+            centre = ends.mean(axis=0)
+            draws = np.clip(draws - x + centre + weights @ (ends - centre), self.space.low, self.space.high)
+            wide, vectors = np.linalg.eigh(np.cov(draws.T).reshape(len(x), -1))
+            share = np.sqrt(np.maximum(wide, 0.0))
         residual = white * sigma[self.measured.channel]
-        return Fit(self.space, x, residual, sigma, jacobian, share, vectors, draws)
+        return Fit(
+            self.space, x, residual, sigma, jacobian, share, vectors, draws, np.array(others).reshape(-1, len(x))
+        )
 
     def jacobian(self, x: np.ndarray, sigma: np.ndarray) -> np.ndarray:
         """Of the whitened residuals (n, p), by central differences within the bounds."""
@@ -379,6 +399,58 @@ class Estimation:
                 memory = max(memory, step * float(1 + 2 * product[1 : reach + 1].sum()))
         length = min(max(0.1, 4 * memory), span / BLOCKS)
         return np.minimum(((time - time.min()) / length).astype(int), math.ceil(span / length) - 1)
+
+
+def repeated(
+    stages: Sequence[Estimation],
+    x: np.ndarray,
+    sigma: np.ndarray,
+    steps: int,
+    times: int,
+    seed: int = 0,
+    report: Callable[[int], None] = lambda done: None,
+) -> Fit:
+    """The estimate from a start on a piece of the data, on longer pieces, and again from beside the result.
+
+    Searches that end at the result again show that it is the minimum. If others explain the data as well, each of
+    their ends may be the truth, and the posterior is over all of them. A better end becomes the result.
+
+    Args:
+        stages: of pieces, each longer than the one before.
+        x, sigma: coordinates (p,) and weights (channels,) on the first piece.
+        steps: of Gauss-Newton, at most.
+        times: that the search is repeated, at most.
+        seed: of the starts and of draws.
+        report: is told how many searches are done.
+    """
+    whole = stages[-1]
+    for each in stages[1:-1]:
+        x, sigma = each.search(x, sigma, steps, 2)
+    fit = whole.fit(x, sigma, steps, seed=seed)
+    random, ends, others, alike = np.random.default_rng((seed, 2)), list[np.ndarray](), list[np.ndarray](), True
+
+    def excess(of: Estimation, x: np.ndarray) -> float:
+        """How much worse a body explains a piece than the result, in standard deviations of what noise would do."""
+        squares = np.sum(of.residual(np.stack([fit.x, x], axis=1), fit.sigma) ** 2, axis=0)
+        return float((squares[1] / squares[0] - 1) * math.sqrt(len(of.measured.values) / 2))
+
+    for k in range(times):
+        report(k)
+        end, weights = fit.x + BESIDE * random.standard_normal(len(fit.x)), None
+        for each in stages:
+            end, weights = each.search(end, weights, steps, 2)
+            if excess(each, end) > CHANCE:
+                break
+        else:
+            ends.append(end)
+            if excess(whole, end) < 0:
+                ends[-1], fit = fit.x, whole.fit(end, weights, rounds=0, seed=seed)
+            others = [each for each in ends if excess(whole, each) < CHANCE]
+            near = 3.29 * fit.draws.std(axis=0)  # their intervals of 90 % touch
+            alike = all(np.all(np.abs(each - fit.x) < near) for each in others)
+            if alike and len(others) > 1:
+                break
+    return fit if alike else whole.fit(fit.x, fit.sigma, rounds=0, seed=seed, others=others)
 
 
 def without(jacobian: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:

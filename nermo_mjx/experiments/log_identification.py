@@ -37,6 +37,8 @@ STARTS: Final = 3
 SCANNED: Final = 96
 GENERATIONS: Final = 150
 EVERY: Final = 25
+#: The search of a robot on the ground is repeated so often: contacts give a log minima as deep as that of the truth.
+REPEATS: Final = 6
 #: Steps of Gauss-Newton, at most.
 STEPS: Final = 14
 #: Ends are one minimum if the mean logarithm of their channels' residuals differs by less.
@@ -164,6 +166,11 @@ class Identification:
                 f"On what was not fitted they are {best} % of the channels' signals, with the default body {default} %."
                 " Intervals say how well the log fixes the best values in this class, not how true these are."
             )
+        if len(self.fit.others):
+            said.append(
+                f"{len(self.fit.others) + 1} searches end at different bodies that explain the log as well: "
+                "intervals are over all of them."
+            )
         said += determinacy.determinacy_sentences(self.fit)
         if self.left_out:
             said.append(f"The simplest class within noise leaves out {', '.join(self.left_out)}.")
@@ -237,18 +244,24 @@ def identify_log(
         if rough.problem.stands:
             yield from rough.sought(GENERATIONS, EVERY, seed)
 
-    most = STARTS + (GENERATIONS // EVERY if rough.problem.stands else 0)
+    most, repeats = STARTS, 0
+    if rough.problem.stands:
+        most, repeats = STARTS + GENERATIONS // EVERY, REPEATS
     for i, start in enumerate(starts()):
         tried.append(rough.search(start, iterations=STEPS, rounds=2))
         costs = [float(np.sum(np.log(sigma))) for _, sigma in tried]
         x, sigma = tried[int(np.argmin(costs))]
-        report((i + 1) / (most + 3))
+        report((i + 1) / (most + repeats + 3))
         left = rough.residual(x[:, None], sigma)[:, 0] * sigma[rough.measured.channel]
         if judge(rough.measured, left).right or sum(each < min(costs) + ALIKE * len(sigma) for each in costs) > 1:
             break
+    longer = [until(log, 2 * piece.duration) for log, piece in zip(heads, pieces, strict=True)]
     whole = Estimation(space, twin(heads, names), kept)
-    fit = whole.fit(x, sigma, iterations=STEPS, seed=seed)
-    report(1 - 2 / (most + 3))
+    stages = [rough, Estimation(space, twin(longer, names), kept), whole]
+    fit = determinacy.repeated(
+        stages, x, sigma, STEPS, repeats, seed, lambda k: report((most + 1 + k) / (most + repeats + 3))
+    )
+    report(1 - 2 / (most + repeats + 3))
 
     def verdict(
         own: Body, names: Sequence[str], values: np.ndarray, of: Sequence[Log], only: Any = None
@@ -275,7 +288,8 @@ def identify_log(
         smaller = ParameterSpace(asked)
         start = smaller.coordinates(np.array([fit.values[names.index(each.name)] for each in asked]))
         own = [each.name for each in asked]
-        candidate = Estimation(smaller, twin(heads, own, lean), kept).fit(start, fit.sigma, STEPS, 1, seed)
+        others = list(fit.others[:, [names.index(name) for name in own]])
+        candidate = Estimation(smaller, twin(heads, own, lean), kept).fit(start, fit.sigma, STEPS, 1, seed, others)
         error = verdict(lean, own, candidate.values, *rest).error(sigma)
         if error < (1 + WITHIN) * errors["identified"]:
             simplest, errors["simplest class"] = candidate, error

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from nermo_mjx.experiments import determinacy
-from nermo_mjx.experiments.determinacy import Estimation, Fit, LoggedSamples, Parameter, ParameterSpace
+from nermo_mjx.experiments.determinacy import Estimation, Fit, LoggedSamples, Parameter, ParameterSpace, repeated
 
 
 def parameter(name: str, value: float = 1.0, low: float = 0.1, high: float = 10.0, neutral: float = 1.0) -> Parameter:
@@ -63,6 +63,32 @@ def test_intervals_of_correlated_noise_are_wider_and_cover_too() -> None:
         width.append(np.sqrt(plain[0, 0]) / np.std(found.draws[:, 0]))
     assert np.median(width) < 0.5  # what the residuals would give if they were white
     assert 0.8 <= np.mean(inside) <= 0.98
+
+
+def test_where_many_bodies_explain_the_data_the_interval_is_over_all_of_them() -> None:
+    """Errors that grow and turn with time, as those of a walk after its contacts: the truth is one minimum of many."""
+
+    def rugged(time: np.ndarray, p: np.ndarray) -> np.ndarray:
+        share, a = time / 10, np.log(p[0:1])
+        return share * a + 0.05 * share * np.sin(100 * share * a + 0.7 * time)
+
+    inside, of_one = [], []
+    for seed in range(40):
+        truth = float(np.random.default_rng((seed, 5)).uniform(0.7, 1.5))
+        found = Estimation(ParameterSpace([parameter("a")]), problem(rugged, [truth], white(seed=seed, size=0.1)))
+        for kept, fit in ((inside, repeated([found], *found.search(np.zeros(1)), 15, 6, seed)), (of_one, found.fit())):
+            ((low, high),) = fit.intervals
+            kept.append(low <= truth <= high)
+    assert np.mean(of_one) < 0.5  # a single minimum's, of 90 %
+    assert np.mean(inside) >= 0.8
+
+
+def test_a_search_that_ends_at_its_result_again_ends() -> None:
+    found = Estimation(ParameterSpace([parameter("a"), parameter("b")]), problem(line, [2.0, 0.5], white()))
+    told: list[int] = []
+    fit = repeated([found], *found.search(np.zeros(2)), 15, 6, report=told.append)
+    assert told == [0, 1]
+    assert not len(fit.others)
 
 
 def test_a_ratio_that_is_known_is_named_though_its_parameters_are_not() -> None:
