@@ -321,7 +321,9 @@ def identify(
     variances, directions = np.linalg.eigh(np.cov(draws.T))
     residual = deviations(problem.figures[[least]])[0]
     x, no_jacobian = space.coordinates(problem.bodies[least]), np.empty((0, len(space)))
-    fit = Fit(space, x, residual, np.ones(1), no_jacobian, np.sqrt(np.maximum(variances, 0.0)), directions, draws)
+    fit = Fit(
+        space, x, residual, np.ones(1), no_jacobian, np.sqrt(np.maximum(variances, 0.0)), directions, draws, draws[:0]
+    )
     chosen = [least, *within]
     return Identified(wanted, fit, problem.figures[[0, least]], costs, problem.bodies[chosen], costs[chosen])
 
