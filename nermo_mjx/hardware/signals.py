@@ -255,6 +255,7 @@ def _is_saturated(values: np.ndarray, expected: np.ndarray | None) -> bool:
         return False
     width = float(np.median(np.diff(levels)))
     if expected is not None:
-        return bool(np.ptp(expected[at & np.isfinite(expected)]) > max(_STAYS * width, _BEYOND * np.nanstd(expected)))
+        going = expected[at & np.isfinite(expected)]
+        return len(going) > 0 and bool(np.ptp(going) > max(_STAYS * width, _BEYOND * np.nanstd(expected)))
     near = ((values < values.max()) & (values >= values.max() - 3.0 * width)).sum() / 3.0
     return bool(at.sum() > _OFTEN * max(near, 1.0))

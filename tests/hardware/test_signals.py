@@ -113,6 +113,14 @@ def test_names_and_times_in_doubt_are_named():
     )
 
 
+def test_an_end_that_is_reached_only_before_the_command_begins_is_not_saturated():
+    """A robot that rests at its end until it is lagging behind the first command."""
+    times = np.arange(0.0, 12.0, 0.005)
+    command = Channel("cmd", "command", "hip", times[20:], sines(times[20:]) - 1.0, "rad")
+    angle = Channel("pos", "angle", "hip", times, np.where(times < 0.1, 0.0, sines(times - 0.02) - 1.0), "rad")
+    assert not any("saturated" in each for each in findings_of(Log((command, angle), "log")))
+
+
 @pytest.mark.parametrize("drift", [0.0, 2e-3, -3e-3])
 def test_a_clock_that_drifts_is_found(drift):
     """The angles' clock, and that of a video whose yaw is beside a gyro; stamps of one clock are not suspected."""
