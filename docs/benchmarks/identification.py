@@ -25,8 +25,8 @@ import numpy as np
 from scipy.stats import binomtest
 
 from nermo_mjx import Run, Setup, Simulator
-from nermo_mjx.experiments.log_identification import Identification, Wanted, identify_log
-from nermo_mjx.experiments.log_twin import STANDS, MjcfBody, NermoBody
+from nermo_mjx.experiments.log_identification import Identification, identify_log
+from nermo_mjx.experiments.log_twin import STANDS, NermoBody
 from nermo_mjx.hardware.log import Channel, Log
 from nermo_mjx.physics.variation import compile_model
 from nermo_mjx.robot import load_robot
@@ -103,7 +103,7 @@ def nermo_log(values: dict[str, float], times: np.ndarray, commands: np.ndarray,
     return Log(tuple(channels), "simulated")
 
 
-def drawn(body: NermoBody | MjcfBody, random: np.random.Generator) -> dict[str, float]:
+def drawn(body: NermoBody, random: np.random.Generator) -> dict[str, float]:
     """Parameters in the middle of their ranges; a delay is whole steps, since the log's simulation knows no other."""
     found = {}
     for each in body.parameters.values():
@@ -159,7 +159,7 @@ def nermos(robots: int, first: int, tracks: bool, duration: float) -> None:
         log = nermo_log(truth, *walk(duration, seed), random)
         seen = ("command", "position", "yaw") if tracks else ("command", "angle", "gyro", "accelerometer")
         log = dataclasses.replace(log, channels=tuple(each for each in log.channels if each.quantity in seen))
-        found = identify_log(lambda kinds: NermoBody("nermo_lite", kinds), [log], Wanted(free))
+        found = identify_log([log], free=free)
         rows.append({"seed": seed} | compared(found, truth))
         print(json.dumps(rows[-1]), flush=True)
     print(json.dumps(summary(rows)))
@@ -228,12 +228,10 @@ def classes(robots: int, first: int, folder: Path) -> None:
         else:
             values["backlash"] = random.uniform(0.03, 0.08)
         log = driven(model, values, seed, 6.0, 3e-4)
-        without = Wanted(("damping", "bias"))
-        found = identify_log(lambda kinds, log=log: MjcfBody(path, [log], kinds), [log], without)
+        found = identify_log([log], path, ("damping", "bias"))
         row = {"seed": seed, "wrong": wrong, "named": not found.right, "missing": dict(found.missing)}
         if wrong == "gain":
-            right = Wanted(("damping", "bias", "kp"))
-            row["right class"] = identify_log(lambda kinds, log=log: MjcfBody(path, [log], kinds), [log], right).right
+            row["right class"] = identify_log([log], path, ("damping", "bias", "kp")).right
         rows.append(row)
         print(json.dumps(row), flush=True)
     named = {kind: [row["named"] for row in rows if row["wrong"] == kind] for kind in ("gain", "backlash")}
@@ -280,10 +278,10 @@ def quadruped(folder: Path) -> None:
     log = driven(model, truth, 0, 23.0)
     for kind in ("armature", "damping", "frictionloss"):
         truth |= dict(zip([f"{kind}.{name}" for name in names], getattr(model, f"dof_{kind}"), strict=True))
-    wanted, results = Wanted(("armature", "damping", "frictionloss", "bias", "delay")), []
+    results = []
     for _ in range(2):
         began = time.process_time()
-        found = identify_log(lambda kinds: MjcfBody(path, [log], kinds), [log], wanted)
+        found = identify_log([log], path, ("armature", "damping", "frictionloss", "bias", "delay"))
         results.append(found.fit.values)
         row = compared(found, truth) | {"parameters": len(truth), "cpu": time.process_time() - began}
         print(json.dumps(row), flush=True)

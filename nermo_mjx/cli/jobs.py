@@ -9,7 +9,7 @@ import importlib.util
 import math
 import shlex
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -797,24 +797,22 @@ def _identify_log(
         ranges[name] = (low, high)
     logs, judges = ([read_log(file, channels) for file in files] for files in (log, check))
     kinds = tuple(free.split(",")) if free else log_identification.FREE
-    wanted = log_identification.Wanted(kinds, ranges, seed=seed)
-
-    def make(kinds: Sequence[str]) -> log_twin.Body:
-        if model is None:
-            return log_twin.NermoBody(robot, kinds)
-        return log_twin.MjcfBody(model, [*logs, *judges], kinds)
-
+    of = robot if model is None else model
     unread = [each.name for each in logs[0].channels if each.quantity not in (*log_twin.PREDICTED, "command")]
     if unread:
         say(f"not compared, since they are not predicted: {', '.join(unread)}.")
-    stamp = code.stamp(fingerprint(make(kinds).model), "c", ("experiments", "hardware"))
+    stamp = code.stamp(
+        fingerprint(log_twin.body_of(of, [*logs, *judges], kinds).model), "c", ("experiments", "hardware")
+    )
     decides = digest_of(
-        stamp.id, repr(wanted), [digest(read_bytes(each, MOST_FILE)) for each in (*log, channels, *check)]
+        stamp.id,
+        repr((kinds, ranges, seed)),
+        [digest(read_bytes(each, MOST_FILE)) for each in (*log, channels, *check)],
     )
     with RunDirectory(out, "identification from a log") as held, ProgressBar("identify") as shown, resumable(out):
         held.note_session(code.session())
         kept = log_report.kept_in(out, decides)
-        found = log_identification.identify_log(make, logs, wanted, judges, shown.share, kept)
+        found = log_identification.identify_log(logs, of, kinds, ranges, judges, seed, shown.share, kept)
         content = log_report.write_identification(found, out, shlex.join(["nermo-mjx", *sys.argv[1:]]))
 
     def show() -> None:

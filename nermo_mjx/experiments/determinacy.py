@@ -35,6 +35,8 @@ BLOCKS: Final = 10
 #: prior]: wide enough for commands that are held and for contacts.
 WIDTH: Final = 1e-4
 CENTRAL: Final = 1e-3
+#: Parts of a model whose parameters change each other's channels by less, as a share, do not act on each other.
+ACTS: Final = 1e-3
 #: Exponents of products that are tried.
 _EXPONENTS: Final = (-2.0, -1.0, -0.5, 0.5, 1.0, 2.0)
 
@@ -191,8 +193,9 @@ class Estimation:
 
     Args:
         space: of the parameters.
-        problem: with `measured`; `predict(values)` (k, p) -> (k, n), NaN where the model fails; and `renew` and
-            `project`, which remove from whitened residuals what unknown starts explain, see `without`.
+        problem: with `measured`; `predict(values)` (k, p) -> (k, n), NaN where the model fails; `renew` and `project`,
+            which remove from whitened residuals what unknown starts explain, see `without`; and `parts`, the part of
+            the model that each parameter (p,) and each channel is of, -1 of the whole.
         kept: of what computes an array, that array: computed, or kept from before.
     """
 
@@ -212,16 +215,38 @@ class Estimation:
         def posterior(x: np.ndarray) -> np.ndarray:
             return np.concatenate([self.residual(x, sigma), x])
 
+        def slopes(x: np.ndarray, r: np.ndarray) -> np.ndarray:
+            inward = np.where(x[:, 0] > (self.space.low + self.space.high) / 2, -WIDTH, WIDTH)
+            step = inward * np.maximum(1.0, np.abs(x[:, 0]))
+            return np.concatenate([self._changes(x[:, 0], sigma, step, r[: -len(x)]) / step, np.eye(len(x))])
+
         def found() -> np.ndarray:
             start, bounds = np.clip(x, self.space.low, self.space.high), [self.space.low, self.space.high]
             # Less regularization than the prior's own changes no step, and each try is a simulation.
             least, _ = minimize.least_squares(
-                start, posterior, bounds, eps=WIDTH, mu_min=1.0, mu_factor=10.0, xtol=1e-4, max_iter=iterations,
+                start, posterior, bounds, slopes, mu_min=1.0, mu_factor=10.0, xtol=1e-4, max_iter=iterations,
                 verbose=minimize.Verbosity.SILENT,
             )  # fmt: skip
             return np.asarray(least).ravel()
 
         return self._kept(found)
+
+    def _changes(self, x: np.ndarray, sigma: np.ndarray, step: np.ndarray, before: np.ndarray) -> np.ndarray:
+        """Of the residuals (n, 1) at x (p,), by a step (p,) of each parameter alone (n, p), in one batch.
+
+        Parameters of parts of the model that do not act on each other share simulations.
+        """
+        of, seen = self.problem.parts
+        if len(np.unique(seen)) > 1 and seen.min() >= 0:
+            at = seen[self.measured.channel][:, None]
+            turn = np.array([np.sum(of[:i] == each) if each >= 0 else -1 - i for i, each in enumerate(of)])
+            turns, parts = np.unique(turn), np.unique(of[of >= 0])
+            together = np.concatenate([turn == turns[:, None], of == parts[:, None]])
+            found = self.residual(x[:, None] + step[:, None] * together.T, sigma) - before
+            alone = np.abs(found[:, len(turns) :])
+            if alone[at != parts].max(initial=0.0) <= ACTS * alone.max():  # they do not touch each other
+                return np.where((of < 0) | (at == of), found[:, np.searchsorted(turns, turn)], 0.0)
+        return self.residual(x[:, None] + np.diag(step), sigma) - before
 
     def spread(self) -> np.ndarray:
         """Of each channel, a start for the weights: a tenth of its standard deviation (channels,)."""
@@ -311,12 +336,10 @@ class Estimation:
         return Fit(self.space, x, residual, sigma, jacobian, share, vectors, draws)
 
     def jacobian(self, x: np.ndarray, sigma: np.ndarray) -> np.ndarray:
-        """Of the whitened residuals (n, p), by central differences within the bounds, in one batch."""
-        steps = np.eye(len(x)) * CENTRAL
-        up = np.minimum(x[:, None] + steps, self.space.high[:, None])
-        down = np.maximum(x[:, None] - steps, self.space.low[:, None])
-        both = self.residual(np.concatenate([up, down], axis=1), sigma)
-        return (both[:, : len(x)] - both[:, len(x) :]) / np.diag(up - down)
+        """Of the whitened residuals (n, p), by central differences within the bounds."""
+        up, down = np.minimum(CENTRAL, self.space.high - x), np.minimum(CENTRAL, x - self.space.low)
+        before = self.residual(x[:, None], sigma)
+        return (self._changes(x, sigma, up, before) - self._changes(x, sigma, -down, before)) / (up + down)
 
     def _shares(self, along: np.ndarray, white: np.ndarray, values: np.ndarray, seed: int) -> np.ndarray:
         """Standard deviation of the posterior along each direction (p,).

@@ -8,7 +8,9 @@ and those with one more kind.
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
+import os
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, Final
@@ -17,7 +19,7 @@ import numpy as np
 
 from nermo_mjx.experiments import determinacy
 from nermo_mjx.experiments.determinacy import Estimation, Fit, Judgement, Parameter, ParameterSpace, judge, percent, rms
-from nermo_mjx.experiments.log_twin import KINDS, Body, LoggedTwin, until
+from nermo_mjx.experiments.log_twin import KINDS, Body, LoggedTwin, body_of, until
 from nermo_mjx.hardware.log import Log
 from nermo_mjx.hardware.signals import channel_differences
 from nermo_mjx.robot import ParameterError
@@ -28,8 +30,9 @@ FITTED: Final = 0.75
 FEWEST: Final = 5
 #: Piece on which starts are compared: share of a log, but no less than this [s].
 PIECE: Final = (0.2, 2.5)
-#: Gauss-Newton begins at the default, then at the best points of a Sobol sequence (a delay has local minima), then at
-#: the best of so many generations of CMA-ES each time, until the piece is explained, or two ends are alike.
+#: Gauss-Newton begins at the default, then at the best points of a Sobol sequence (a delay has local minima), then, of
+#: a robot on the ground (contacts have many), at the best of so many generations of CMA-ES each time, until the piece
+#: is explained, or two ends are alike.
 STARTS: Final = 3
 SCANNED: Final = 96
 GENERATIONS: Final = 150
@@ -46,21 +49,6 @@ MISSING: Final = 0.1
 _TRIED: Final = 0.5
 #: What is estimated by default: every kind but the play of servos, which makes simulations slow.
 FREE: Final = tuple(kind for kind in KINDS if kind not in ("dead_band", "backlash"))
-
-
-@dataclasses.dataclass(frozen=True)
-class Wanted:
-    """What to identify.
-
-    Attributes:
-        free: kinds of parameters.
-        ranges: name or kind -> (low, high), inside which it is searched.
-        seed: of starts and draws.
-    """
-
-    free: tuple[str, ...] = FREE
-    ranges: Mapping[str, tuple[float, float]] = dataclasses.field(default_factory=dict)
-    seed: int = 0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -122,6 +110,15 @@ class Identification:
         return [names.index(each.name) for each in self.simplest.space.parameters]
 
     @property
+    def values(self) -> np.ndarray:
+        """Of the class that is nearer to what was not fitted (p,): the whole one may follow the noise of what was."""
+        if self.simplest is self.fit or self.errors["simplest class"] > self.errors["identified"]:
+            return self.fit.values
+        values = np.array([each.absent for each in self.fit.space.parameters])
+        values[self._own] = self.simplest.values
+        return values
+
+    @property
     def bodies(self) -> np.ndarray:
         """Values of bodies drawn from the posterior, as many of each of both classes (n, p)."""
         whole, own = self.fit.bodies, self.simplest.bodies
@@ -159,11 +156,24 @@ class Identification:
                 said.append(f"What was left out and would remove most of them, each by itself: {shares}.")
             else:
                 said.append("No kind of parameters that is known here removes them.")
+            signal = self.after.twin.measured.by_channel(
+                lambda each, i: float(np.std(each)) or math.inf, self.after.twin.measured.values
+            )
+            best, default = (
+                f"{percent(min(share))} to {percent(max(share))}"
+                for share in (each.judgement.rms / signal for each in (self.after, self.before))
+            )
+            said.append(
+                f"On what was not fitted they are {best} of the channels' signals, with the default body {default}. "
+                "Intervals say how well the log fixes the best values in this class, not how true these are."
+            )
         said += determinacy.determinacy_sentences(self.fit)
         if self.left_out:
             said.append(f"The simplest class within noise leaves out {', '.join(self.left_out)}.")
         errors = ", ".join(f"{name} {value:.3g}" for name, value in self.errors.items())
         said.append(f"Error on what was not fitted, in noise: {errors}.")
+        if self.errors.get("simplest class", math.inf) < (1 - WITHIN) * self.errors["identified"]:
+            said.append("The whole class follows the noise of what was fitted: values are those of the simplest class.")
         if self.repeatability:
             own = ", ".join(f"{name} {value:.3g}" for name, value in self.repeatability.items())
             said.append(f"Two logs of one command differ by, in noise: {own}.")
@@ -171,20 +181,24 @@ class Identification:
 
 
 def identify_log(
-    make: Callable[[Sequence[str]], Body],
     logs: Sequence[Log],
-    wanted: Wanted,
+    model: str | os.PathLike[str] = "nermo_lite",
+    free: Sequence[str] = FREE,
+    ranges: Mapping[str, tuple[float, float]] | None = None,
     judges: Sequence[Log] = (),
+    seed: int = 0,
     report: Callable[[float], None] = lambda share: None,
     kept: determinacy.Kept = lambda compute: compute(),
 ) -> Identification:
-    """Fit a body to logs.
+    """Fit a body to logs, as `nermo-mjx identify --log` does.
 
     Args:
-        make: a body with these kinds of parameters.
-        logs: to fit.
-        wanted: parameters, ranges, and effort.
+        logs: to fit, see `read_log`.
+        model: MJCF file, or `nermo_lite` or `nermo_41`.
+        free: kinds of parameters that are estimated.
+        ranges: name or kind of a parameter -> (low, high), inside which it is searched.
         judges: other logs that judge; by default the last quarter of each.
+        seed: of starts and draws.
         report: is told the share done.
         kept: see `Estimation`; the order is always the same.
 
@@ -192,13 +206,14 @@ def identify_log(
         ParameterError: the log and the model do not fit together, or no parameter is free.
     """
     began = time.monotonic()
-    unknown = [kind for kind in wanted.free if kind not in KINDS and kind != "torque"]
+    unknown = [kind for kind in free if kind not in KINDS and kind != "torque"]
     if unknown:
         raise ParameterError(f"{unknown[0]!r} is no kind of parameters: allowed is {', '.join(KINDS)}.")
-    body = make(wanted.free)
-    space = ParameterSpace(_narrowed(list(body.parameters.values()), wanted.ranges))
+    make = functools.partial(body_of, model, [*logs, *judges])
+    body = make(free)
+    space = ParameterSpace(_narrowed(list(body.parameters.values()), ranges or {}))
     if not len(space):
-        raise ParameterError(f"the model has no parameter of {', '.join(wanted.free)}: nothing is free.")
+        raise ParameterError(f"the model has no parameter of {', '.join(free)}: nothing is free.")
     names = [each.name for each in space.parameters]
     heads = list(logs) if judges else [until(log, FITTED * log.duration) for log in logs]
 
@@ -221,10 +236,11 @@ def identify_log(
 
     def starts() -> Iterator[np.ndarray]:
         yield np.zeros(len(space))
-        yield from rough.scanned(SCANNED, wanted.seed)[: STARTS - 1]
-        yield from rough.sought(GENERATIONS, EVERY, wanted.seed)
+        yield from rough.scanned(SCANNED, seed)[: STARTS - 1]
+        if rough.problem.stands:
+            yield from rough.sought(GENERATIONS, EVERY, seed)
 
-    most = STARTS + GENERATIONS // EVERY
+    most = STARTS + (GENERATIONS // EVERY if rough.problem.stands else 0)
     for i, start in enumerate(starts()):
         tried.append(rough.search(start, iterations=STEPS, rounds=2))
         costs = [float(np.sum(np.log(sigma))) for _, sigma in tried]
@@ -234,7 +250,7 @@ def identify_log(
         if judge(rough.measured, left).right or sum(each < min(costs) + ALIKE * len(sigma) for each in costs) > 1:
             break
     whole = Estimation(space, twin(heads, names), kept)
-    fit = whole.fit(x, sigma, iterations=STEPS, seed=wanted.seed)
+    fit = whole.fit(x, sigma, iterations=STEPS, seed=seed)
     report(1 - 2 / (most + 3))
 
     def verdict(
@@ -262,13 +278,13 @@ def identify_log(
         smaller = ParameterSpace(asked)
         start = smaller.coordinates(np.array([fit.values[names.index(each.name)] for each in asked]))
         own = [each.name for each in asked]
-        candidate = Estimation(smaller, twin(heads, own, lean), kept).fit(start, fit.sigma, STEPS, 1, wanted.seed)
+        candidate = Estimation(smaller, twin(heads, own, lean), kept).fit(start, fit.sigma, STEPS, 1, seed)
         error = verdict(lean, own, candidate.values, *rest).error(sigma)
         if error < (1 + WITHIN) * errors["identified"]:
             simplest, errors["simplest class"] = candidate, error
         else:
             left = []
-    missing = {} if fitted.judgement.right else _missing(make, wanted, fit, whole, heads, twin)
+    missing = {} if fitted.judgement.right else _missing(make, free, fit, whole, heads, twin)
     report(1.0)
     return Identification(
         body, fit, simplest, tuple(left if simplest is not fit else ()), missing, before, after, fitted, errors,
@@ -298,11 +314,16 @@ def _narrowed(parameters: list[Parameter], ranges: Mapping[str, tuple[float, flo
 
 
 def _missing(
-    make: Callable[[Sequence[str]], Body], wanted: Wanted, fit: Fit, whole: Estimation, heads: Sequence[Log], twin: Any
+    make: Callable[[Sequence[str]], Body],
+    free: Sequence[str],
+    fit: Fit,
+    whole: Estimation,
+    heads: Sequence[Log],
+    twin: Any,
 ) -> dict[str, float]:
     """Share of the squared residuals that each kind that was left out would remove, together with all that is free."""
-    others = tuple(kind for kind in (*KINDS, "torque") if kind not in wanted.free)
-    wider, found = make((*wanted.free, *others)), dict[str, float]()
+    others = tuple(kind for kind in (*KINDS, "torque") if kind not in free)
+    wider, found = make((*free, *others)), dict[str, float]()
     own = [each.name for each in fit.space.parameters]
     whole.problem.renew(fit.values)
     white = whole.residual(fit.x[:, None], fit.sigma)[:, 0]

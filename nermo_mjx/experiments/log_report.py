@@ -157,7 +157,7 @@ def estimate_rows(found: Identification) -> list[list[str]]:
         known = "determined" if found.fit.determined[i] else "not determined"
         known += f", at its {bounds[i]} bound" if bounds[i] else ""
         name = f"{each.name} [{each.unit}]" if each.unit != "1" else each.name
-        numbers = [f"{each.value:.4g}", f"{found.fit.values[i]:.4g}", f"{low:.4g} to {high:.4g}"]
+        numbers = [f"{each.value:.4g}", f"{found.values[i]:.4g}", f"{low:.4g} to {high:.4g}"]
         rows.append([name, known, *numbers, f"{each.low:.3g} to {each.high:.3g}: {each.why}"])
     return rows
 
@@ -191,7 +191,7 @@ def write_identification(found: Identification, out: Path, command: str) -> dict
         "right": found.right,
         "parameters": {
             each.name: {
-                "unit": each.unit, "kind": each.kind, "start": each.value, "value": found.fit.values[i],
+                "unit": each.unit, "kind": each.kind, "start": each.value, "value": found.values[i],
                 "interval": list(found.intervals[i]), "determined": bool(found.fit.determined[i]),
                 "at_bound": found.fit.at_bound[i], "low": each.low, "high": each.high, "why": each.why,
             }
@@ -251,12 +251,12 @@ def _written_body(found: Identification, out: Path) -> list[str]:
     """The file of the identified model; for Nermo the ensemble, the best body first, as `identified` reads it."""
     names = [each.name for each in found.fit.space.parameters]
     if isinstance(found.body, MjcfBody):
-        replace_file(out / "identified.xml", found.body.written(names, found.fit.values).encode())
+        replace_file(out / "identified.xml", found.body.written(names, found.values).encode())
         return ["identified.xml"]
     known = [name for name in dict(quantities(ModelParameters)) if name in names]
     columns = [names.index(name) for name in known]
     fixed = {name: value for name, value in found.body.standing.items() if name not in known}
-    bodies = np.vstack([found.fit.values, found.bodies[:: max(len(found.bodies) // (BODIES - 1), 1)][: BODIES - 1]])
+    bodies = np.vstack([found.values, found.bodies[:: max(len(found.bodies) // (BODIES - 1), 1)][: BODIES - 1]])
     lines = [
         "# Bodies drawn from the posterior of an identification from a log; the first is the best.",
         ",".join([*known, *fixed, "objective", "weight"]),

@@ -12,6 +12,7 @@ import copy
 import dataclasses
 import functools
 import math
+import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -49,6 +50,12 @@ KINDS: Final[dict[str, dict[str, Any]]] = texts("log")["kinds"]
 #: Quantities that a model predicts.
 PREDICTED: Final = ("angle", "velocity", "gyro", "accelerometer", "position", "yaw", "torque")
 _SENSORS: Final = {"gyro": "GYRO", "accelerometer": "ACCELEROMETER"}
+
+
+#: What a model lacks.
+_SERVO: Final = (
+    'write <position name="{}" joint="{}" kp="..." kv="..."/> into a copy of it, with the robot\'s own gains'
+)
 
 
 class Body:
@@ -94,6 +101,8 @@ class Body:
         joints = [model.joint(int(i)).name for i in model.actuator_trnid[:, 0]]
         if name in joints:
             return joints.index(name)
+        if mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name) >= 0:
+            raise ParameterError(f"no actuator of the model turns the joint {name!r}: {_SERVO.format(name, name)}.")
         known = [model.actuator(i).name for i in range(model.nu)]
         raise ParameterError(f"the model has no servo or joint {name!r}{did_you_mean(name, known)}")
 
@@ -132,6 +141,21 @@ class Body:
             elif kind == "tendon":
                 field("tendon_range")[:, i, 1] += column
         return fields
+
+    def dof(self, name: str) -> int:
+        """A degree of freedom of the only kinematic tree on which a parameter acts; -1 if there is none."""
+        model, (kind, i) = self.model, self._places.get(name, ("", 0))
+        if kind in ("kp", "bias"):
+            kind, i = "stiffness", int(model.actuator_trnid[i, 0])
+        if kind == "mass":
+            return int(model.body_dofadr[i])  # -1 where the body has no joint of its own
+        return (
+            int(model.jnt_dofadr[i])
+            if kind == "stiffness"
+            else i
+            if kind in ("armature", "damping", "frictionloss")
+            else -1
+        )
 
     def play(self, names: Sequence[str], values: np.ndarray) -> Play | None:
         """Dead band and backlash of the position servos, with leading axis k; None without."""
@@ -174,19 +198,14 @@ class MjcfBody(Body):
         """
         try:
             spec = read_mjcf(path)
+            whole = spec.copy()
         except ParameterError as error:
             raise ParameterError(f"model{str(error).removeprefix('scene')}") from None
         try:
-            free_joints = [joint for joint in spec.joints if joint.type == mujoco.mjtJoint.mjJNT_FREE]
             seen = {each.quantity for one in log for each in one.channels}
-            held = bool(free_joints) and not seen & {"gyro", "accelerometer", "position", "yaw"}
-            if held:
-                for key in list(spec.keys):
-                    spec.delete(key)
-                for joint in free_joints:
-                    spec.delete(joint)
+            held = not seen & {"gyro", "accelerometer", "position", "yaw"} and _hold(spec)
             super().__init__(spec.compile())
-            self._spec = spec
+            self._spec = whole if held else spec
         except ParameterError:
             raise
         except (ValueError, OSError) as error:
@@ -226,7 +245,7 @@ class MjcfBody(Body):
             if "damping" in free:
                 add("damping", joint, v, f"{torque} s/{unit}", float(model.dof_damping[v]), critical)
             if "frictionloss" in free:
-                add("frictionloss", joint, v, torque, 0.0, max(strength, 3 * float(model.dof_frictionloss[v])))
+                add("frictionloss", joint, v, torque, float(model.dof_frictionloss[v]), strength)
             if "stiffness" in free and model.jnt_stiffness[j] > 0:
                 add("stiffness", joint, j, f"{torque}/{unit}", float(model.jnt_stiffness[j]))
             if "kp" in free:
@@ -249,12 +268,34 @@ class MjcfBody(Body):
 
     def written(self, names: Sequence[str], values: np.ndarray) -> str:
         """The MJCF with values (p,) of named parameters."""
-        model, spec = copy.copy(self.model), self._spec.copy()
-        spec.compile()
+        spec = self._spec.copy()
+        model = spec.compile()
+        freed = model.jnt_type == mujoco.mjtJoint.mjJNT_FREE
+        moves = {"dof": ~freed[model.dof_jntid], "jnt": ~freed} if len(freed) > self.model.njnt else {}
         for name, field in self.fields((*names, *self.fixed), np.array([[*values, *self.fixed.values()]])).items():
-            getattr(model, name)[...] = field[0]
+            getattr(model, name)[moves.get(name[:3], ...)] = field[0]
         spec.copy_back(model)
         return str(spec.to_xml())
+
+
+def _hold(spec: mujoco.MjSpec) -> bool:
+    """Hold the bases of a model where it puts them; whether it has one."""
+    free = [joint for joint in spec.joints if joint.type == mujoco.mjtJoint.mjJNT_FREE]
+    if not free:
+        return False
+    model = spec.compile()
+    welded, above = model.body_weldid, model.body_weldid[model.body_parentid[model.body_weldid]]
+    bases = [int(model.jnt_bodyid[joint.id]) for joint in free]
+    for body in spec.bodies:
+        body.name = body.name or f"body_{body.id}"
+    # A parent that moves never touches its children, but one that stands still does.
+    for one in spec.bodies:
+        for other in spec.bodies:
+            if welded[one.id] in bases and welded[other.id] != welded[one.id] == above[other.id]:
+                spec.add_exclude(bodyname1=one.name, bodyname2=other.name)
+    for each in [*spec.keys, *free]:
+        spec.delete(each)
+    return True
 
 
 class NermoBody(Body):
@@ -316,6 +357,11 @@ class NermoBody(Body):
         return int(self.model.actuator_trnid[self.actuator(name), 0])
 
 
+def body_of(model: str | os.PathLike[str], logs: Sequence[Log], free: Sequence[str]) -> Body:
+    """The body of an MJCF file, or of a robot of the package by its name; see `MjcfBody` and `NermoBody`."""
+    return MjcfBody(Path(model), logs, free) if str(model).endswith(".xml") else NermoBody(str(model), free)
+
+
 class LoggedTwin:
     """The predictions of a body for logs: the problem that an `Estimation` solves."""
 
@@ -341,6 +387,7 @@ class LoggedTwin:
         self._legs = [_Driven(body, log, AGAIN if pushed else None) for log in logs]
         if not all(leg.channels for leg in self._legs):
             raise ParameterError("no channel of the log is one that a model predicts: give angles, an IMU, or a track.")
+        self.stands = any(leg.stands for leg in self._legs)
         labels = list(dict.fromkeys(each.name for leg in self._legs for each in leg.channels))
         parts, keep, offset = [], [], 0.0
         for leg in self._legs:
@@ -368,6 +415,19 @@ class LoggedTwin:
             parts = [leg.predict(self.names, block) for leg in self._legs]
             rows.append(np.concatenate(parts, axis=1)[:, self.keep])
         return np.concatenate(rows)
+
+    @functools.cached_property
+    def parts(self) -> tuple[np.ndarray, np.ndarray]:
+        """Kinematic tree that each parameter (p,) and each channel is of; -1 of several, or of one that others pull."""
+        body, model = self.body, self.body.model
+        seen = {
+            each.name: model.jnt_dofadr[body.joint(each.of)] if each.quantity in ("angle", "velocity") else -1
+            for leg in self._legs
+            for each in leg.channels
+        }
+        dofs = np.array([*map(body.dof, self.names), *(seen[label] for label in self.labels)])
+        trees = np.where((dofs < 0) | (model.neq + model.ntendon > 0), -1, model.dof_treeid[dofs])
+        return trees[: len(self.names)], trees[len(self.names) :]
 
     def renew(self, values: np.ndarray) -> None:
         """Linearize what depends on unknown starts, at values (p,)."""
@@ -435,7 +495,14 @@ class _Driven:
                     [[min(each.times[0], 0.0) - 10.0], each.times, [max(grid[-1], each.times[-1]) + 10.0]]
                 )
                 area = np.concatenate([[0.0], np.cumsum(held * np.diff(knots))])
-                self.commands[body.actuator(each.of)] = (knots, area)
+                a = body.actuator(each.of)
+                if each.unit in ("rad", "m") and not body.servos[a]:
+                    servo = _SERVO.format(model.actuator(a).name, model.joint(int(model.actuator_trnid[a, 0])).name)
+                    raise ParameterError(
+                        f"channel {each.name!r} commands positions, but its actuator in the model takes a force: "
+                        f"{servo}, or give the channel unit: N m."
+                    )
+                self.commands[a] = (knots, area)
         self.start = self._start()
 
     def inside(self, channel: Channel) -> np.ndarray:

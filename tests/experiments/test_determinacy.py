@@ -23,6 +23,7 @@ def problem(function, truth: list[float], noise: np.ndarray, quantum: float = 0.
     return SimpleNamespace(
         measured=measured,
         predict=lambda values: np.array([function(time, v[:, None])[0] for v in values]),
+        parts=(np.array([]), np.zeros(1, int)),
         renew=lambda values: None,
         project=lambda residual, sigma: residual,
     )
@@ -135,6 +136,30 @@ def test_a_model_that_fails_is_far_away_but_does_not_stop_the_search() -> None:
 
     found = Estimation(ParameterSpace([parameter("a", 1.0)]), problem(fails, [4.0], white())).fit(np.array([1.7]))
     assert found.values[0] == pytest.approx(4.0, rel=0.01)
+
+
+@pytest.mark.parametrize("touch", [0.0, 0.3])
+def test_parts_that_do_not_act_on_each_other_share_simulations(touch: float) -> None:
+    """Two parts of three parameters and a channel each; where the other one moves a channel, too, each counts alone."""
+    space, widths = ParameterSpace([parameter(name) for name in "abcdef"]), list[int]()
+    channel, time = np.arange(400) % 2, np.linspace(0.0, 10.0, 400)
+
+    def predict(values: np.ndarray) -> np.ndarray:
+        widths.append(len(values))
+        one, other = (v[:, 0:1] * np.sin(time) + v[:, 1:2] * time + v[:, 2:3] for v in (values[:, :3], values[:, 3:]))
+        return np.where(channel == 0, one + touch * other, other)
+
+    def jacobian(of: list[int], seen: list[int]) -> np.ndarray:
+        of_two = problem(lambda time, p: 0 * time + p[0], [1.0], white())
+        of_two.measured = LoggedSamples(white(), channel, time, np.zeros(2))
+        of_two.predict, of_two.parts = predict, (np.array(of), np.array(seen))
+        widths.clear()
+        return Estimation(space, of_two).jacobian(np.zeros(6), np.ones(2))
+
+    np.testing.assert_allclose(jacobian([4, 4, 4, 9, 9, 9], [4, 9]), jacobian([-1] * 6, [-1, -1]), rtol=1e-6, atol=1e-9)
+    assert max(widths) == 6
+    jacobian([4, 4, 4, 9, 9, 9], [4, 9])
+    assert widths == ([1, 5, 5] if not touch else [1, 5, 6, 5, 6])
 
 
 def test_a_search_over_the_whole_ranges_is_not_stopped_by_local_minima() -> None:

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from nermo_mjx.cli import main as command
-from nermo_mjx.experiments.log_identification import Identification, Wanted, identify_log
+from nermo_mjx.experiments.log_identification import Identification, identify_log
 from nermo_mjx.experiments.log_report import kept_in
 from nermo_mjx.experiments.log_twin import LoggedTwin, MjcfBody, NermoBody, until
 from nermo_mjx.files import FileError
@@ -76,7 +76,7 @@ def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def identified_arm(path: Path, free: tuple[str, ...], *logs: Log, **more: object) -> Identification:
-    return identify_log(lambda kinds: MjcfBody(path, logs, kinds), logs, Wanted(free, **more))
+    return identify_log(logs, path, free, **more)
 
 
 def values_of(found: Identification) -> dict[str, float]:
@@ -124,6 +124,7 @@ def test_a_wrong_class_is_named_and_what_it_lacks(path: Path) -> None:
     said = " ".join(found.sentences())
     assert not found.right
     assert "This class of models is wrong" in said
+    assert re.search(r"On what was not fitted they are [\d.]+ % to [\d.]+ % of the channels' signals", said)
     cause = next(each for each in found.sentences() if each.startswith("What was left out"))
     assert found.missing["kp"] > 0.5
     assert "kp" in cause
@@ -167,12 +168,36 @@ def test_an_arm_that_motors_push_is_set_to_its_angles_again(tmp_path: Path) -> N
     assert values_of(found)["damping.j"] == pytest.approx(0.02, rel=0.05)
 
 
+def test_a_model_without_servos_is_told_what_it_needs(tmp_path: Path) -> None:
+    file, log = tmp_path / "motor.xml", logged(0.5)
+    command, angle = (dataclasses.replace(each, unit="rad", of="j") for each in log.channels)
+    for text, sentence in (
+        (
+            arm(TRUTH, actuator="motor"),
+            r"^channel 'command' commands positions, .* a force: write <position name=\"servo\"",
+        ),
+        (
+            re.sub("<actuator>.*</actuator>", "", arm(TRUTH)),
+            "^no actuator of the model turns the joint 'j': write <pos",
+        ),
+    ):
+        file.write_text(text)
+        with pytest.raises(ParameterError, match=sentence):
+            identify_log([Log((command, angle), "log")], file, ("damping",))
+
+
 def test_a_base_that_no_channel_sees_is_held(tmp_path: Path) -> None:
     file = tmp_path / "floating.xml"
     file.write_text(arm(START, free="<freejoint/>"))
-    body = MjcfBody(file, [logged(0.5)], ("kp",))
+    body = MjcfBody(file, [logged(0.5)], ("kp", "damping", "frictionloss"))
     assert body.model.nv == 1
     assert "held" in body.notes[0]
+    data = mujoco.MjData(body.model)
+    mujoco.mj_forward(body.model, data)
+    assert data.ncon == 0, "a base that moves does not touch its own limbs, and they overlap"
+    other = mujoco.MjModel.from_xml_string(body.written(["damping.j", "frictionloss.j"], np.array([0.3, 0.1])))
+    assert other.dof_damping.tolist() == [0.0] * 6 + [0.3]
+    assert other.dof_frictionloss.tolist() == [0.0] * 6 + [0.1]
 
 
 @pytest.mark.parametrize(
@@ -194,16 +219,16 @@ def test_channels_that_the_model_lacks_are_refused(path: Path, change: dict[str,
 @pytest.mark.parametrize(
     ("wanted", "sentence"),
     [
-        (Wanted(("colour",)), "'colour' is no kind"),
-        (Wanted(("tendon",)), "nothing is free"),
-        (Wanted(("kp",), {"mass": (1, 2)}), "no free parameter"),
-        (Wanted(("kp",), {"kp": (2, 1)}), "is empty"),
+        ({"free": ("colour",)}, "'colour' is no kind"),
+        ({"free": ("tendon",)}, "nothing is free"),
+        ({"free": ("kp",), "ranges": {"mass": (1, 2)}}, "no free parameter"),
+        ({"free": ("kp",), "ranges": {"kp": (2, 1)}}, "is empty"),
     ],
 )
-def test_wrong_wishes_are_refused(path: Path, wanted: Wanted, sentence: str) -> None:
+def test_wrong_wishes_are_refused(path: Path, wanted: dict[str, object], sentence: str) -> None:
     log = logged(0.5)
     with pytest.raises(ParameterError, match=sentence):
-        identify_log(lambda kinds: MjcfBody(path, [log], kinds), [log], wanted)
+        identify_log([log], path, **wanted)
 
 
 @pytest.mark.parametrize(
@@ -222,7 +247,7 @@ def test_logs_that_cannot_be_judged_are_refused(
 ) -> None:
     log = Log(channels(*logged(2.0).channels), "log")
     with pytest.raises(ParameterError, match=sentence):
-        identify_log(lambda kinds: MjcfBody(path, [log], kinds), [log], Wanted(("mass",)))
+        identify_log([log], path, ("mass",))
 
 
 def test_a_file_that_is_no_mjcf_is_refused(tmp_path: Path) -> None:
@@ -305,8 +330,7 @@ def test_what_was_killed_goes_on_after_its_last_step(path: Path, tmp_path: Path)
 
             return keeps(counted)
 
-        wanted = Wanted(("damping", "kp"))
-        return identify_log(lambda kinds: MjcfBody(path, [log], kinds), [log], wanted, kept=kept).fit.draws
+        return identify_log([log], path, ("damping", "kp"), kept=kept).fit.draws
 
     with pytest.raises(KeyboardInterrupt):
         identified_until(3)
