@@ -140,14 +140,14 @@ class Identification:
         """The verdict in words."""
         said = list(self.body.notes)
         worst = int(np.argmax(self.fitted.judgement.rms / self.fitted.judgement.noise))
-        label, of = self.fitted.twin.labels[worst], self.fitted.judgement
+        label, judged = self.fitted.twin.labels[worst], self.fitted.judgement
         if self.right:
             said.append("The model explains the log to its noise: what is left is white.")
         else:
             said.append(
                 f"This class of models is wrong: residuals of {label} are "
-                f"{of.rms[worst] / of.noise[worst]:.2g} times their noise and smooth "
-                f"(von Neumann's ratio {of.white[worst]:.2f}, of white noise 1)."
+                f"{judged.rms[worst] / judged.noise[worst]:.2g} times their noise and smooth "
+                f"(von Neumann's ratio {judged.white[worst]:.2f}, of white noise 1)."
             )
             most = max(self.missing.values(), default=0.0)
             likely = sorted((k for k, v in self.missing.items() if v > 0.8 * most), key=lambda k: -self.missing[k])
@@ -156,16 +156,16 @@ class Identification:
                 said.append(f"What was left out and would remove most of them, each by itself: {shares}.")
             else:
                 said.append("No kind of parameters that is known here removes them.")
-            signal = self.after.twin.measured.by_channel(
-                lambda each, i: float(np.std(each)) or math.inf, self.after.twin.measured.values
-            )
-            best, default = (
-                f"{percent(min(share))} to {percent(max(share))}"
-                for share in (each.judgement.rms / signal for each in (self.after, self.before))
-            )
+            of = self.after.twin.measured
+            signal = of.by_channel(lambda each, i: float(np.std(each)) or math.inf, of.values)
+            ends = [
+                [f"{100 * end(one.judgement.rms / signal):.3g}" for end in (min, max)]
+                for one in (self.after, self.before)
+            ]
+            best, default = (" to ".join(dict.fromkeys(each)) for each in ends)
             said.append(
-                f"On what was not fitted they are {best} of the channels' signals, with the default body {default}. "
-                "Intervals say how well the log fixes the best values in this class, not how true these are."
+                f"On what was not fitted they are {best} % of the channels' signals, with the default body {default} %."
+                " Intervals say how well the log fixes the best values in this class, not how true these are."
             )
         said += determinacy.determinacy_sentences(self.fit)
         if self.left_out:

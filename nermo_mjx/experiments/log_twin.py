@@ -76,6 +76,8 @@ class Body:
         self.fixed: dict[str, float] = {}
         self.standing: dict[str, float] = {}
         self._places: dict[str, tuple[str, int]] = {}
+        #: Parameters that act on one kinematic tree alone, and a degree of freedom of it.
+        self.dofs: dict[str, int] = {}
 
     def joint(self, name: str) -> int:
         """Id of the joint of this name, or that an actuator of this name turns.
@@ -142,21 +144,6 @@ class Body:
                 field("tendon_range")[:, i, 1] += column
         return fields
 
-    def dof(self, name: str) -> int:
-        """A degree of freedom of the only kinematic tree on which a parameter acts; -1 if there is none."""
-        model, (kind, i) = self.model, self._places.get(name, ("", 0))
-        if kind in ("kp", "bias"):
-            kind, i = "stiffness", int(model.actuator_trnid[i, 0])
-        if kind == "mass":
-            return int(model.body_dofadr[i])  # -1 where the body has no joint of its own
-        return (
-            int(model.jnt_dofadr[i])
-            if kind == "stiffness"
-            else i
-            if kind in ("armature", "damping", "frictionloss")
-            else -1
-        )
-
     def play(self, names: Sequence[str], values: np.ndarray) -> Play | None:
         """Dead band and backlash of the position servos, with leading axis k; None without."""
         column = dict(zip(names, values.T, strict=True))
@@ -211,7 +198,9 @@ class MjcfBody(Body):
         except (ValueError, OSError) as error:
             raise ParameterError(f"{path}: MuJoCo cannot compile it ({str(error).splitlines()[0]}).") from None
         if held:
-            self.notes.append("No channel sees the base: it is held where the model puts it.")
+            self.notes.append(
+                "No channel sees the base: it is held where the model puts it, and nothing touches the ground."
+            )
         self._add(tuple(free), {each.of for one in log for each in one.channels if each.quantity == "command"})
 
     def _add(self, free: tuple[str, ...], commanded: set[str]) -> None:
@@ -234,6 +223,7 @@ class MjcfBody(Body):
             self._places[name] = (kind, i)
 
         for a, j, v in zip(driven, joints, dofs, strict=True):
+            others = tuple(self.parameters)
             joint, servo = model.joint(j).name, model.actuator(a).name or model.joint(j).name
             unit = "m" if model.jnt_type[j] == mujoco.mjtJoint.mjJNT_SLIDE else "rad"
             torque = "N" if unit == "m" else "N m"
@@ -252,10 +242,12 @@ class MjcfBody(Body):
                 add("kp", servo, a, f"{torque}/{unit}" if self.servos[a] else "1", gain)
             if "bias" in free and self.servos[a]:
                 add("bias", servo, a, unit)
+            self.dofs |= {name: v for name in self.parameters if name not in others}
         if "mass" in free:
             for b in range(1, model.nbody):
                 if model.body_mass[b] > 0 and (model.body_weldid[b] != 0):
                     add("mass", model.body(b).name or f"body_{b}", b, "kg", float(model.body_mass[b]))
+                    self.dofs[f"mass.{model.body(b).name or f'body_{b}'}"] = int(model.body_dofadr[b])
         for t in range(model.ntendon):
             if "tendon" in free and model.tendon_limited[t]:
                 add("tendon", model.tendon(t).name or f"tendon_{t}", t, "m")
@@ -288,10 +280,11 @@ def _hold(spec: mujoco.MjSpec) -> bool:
     bases = [int(model.jnt_bodyid[joint.id]) for joint in free]
     for body in spec.bodies:
         body.name = body.name or f"body_{body.id}"
-    # A parent that moves never touches its children, but one that stands still does.
+    # A parent that moves never touches its children, but one that stands still does; one that hangs is above ground.
     for one in spec.bodies:
         for other in spec.bodies:
-            if welded[one.id] in bases and welded[other.id] != welded[one.id] == above[other.id]:
+            child = welded[one.id] in bases and welded[other.id] != welded[one.id] == above[other.id]
+            if child or welded[one.id] == 0 < welded[other.id]:
                 spec.add_exclude(bodyname1=one.name, bodyname2=other.name)
     for each in [*spec.keys, *free]:
         spec.delete(each)
@@ -425,7 +418,7 @@ class LoggedTwin:
             for leg in self._legs
             for each in leg.channels
         }
-        dofs = np.array([*map(body.dof, self.names), *(seen[label] for label in self.labels)])
+        dofs = np.array([*(body.dofs.get(name, -1) for name in self.names), *(seen[label] for label in self.labels)])
         trees = np.where((dofs < 0) | (model.neq + model.ntendon > 0), -1, model.dof_treeid[dofs])
         return trees[: len(self.names)], trees[len(self.names) :]
 

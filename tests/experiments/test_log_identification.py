@@ -124,7 +124,9 @@ def test_a_wrong_class_is_named_and_what_it_lacks(path: Path) -> None:
     said = " ".join(found.sentences())
     assert not found.right
     assert "This class of models is wrong" in said
-    assert re.search(r"On what was not fitted they are [\d.]+ % to [\d.]+ % of the channels' signals", said)
+    assert re.search(
+        r"On what was not fitted they are [\d.]+ % of the channels' signals, with the default body [\d.]+ %\.", said
+    )
     cause = next(each for each in found.sentences() if each.startswith("What was left out"))
     assert found.missing["kp"] > 0.5
     assert "kp" in cause
@@ -188,13 +190,14 @@ def test_a_model_without_servos_is_told_what_it_needs(tmp_path: Path) -> None:
 
 def test_a_base_that_no_channel_sees_is_held(tmp_path: Path) -> None:
     file = tmp_path / "floating.xml"
-    file.write_text(arm(START, free="<freejoint/>"))
+    ground = '<worldbody><geom type="plane" size="1 1 1" pos="0 0 1"/>'
+    file.write_text(arm(START, free="<freejoint/>").replace("<worldbody>", ground))
     body = MjcfBody(file, [logged(0.5)], ("kp", "damping", "frictionloss"))
     assert body.model.nv == 1
     assert "held" in body.notes[0]
     data = mujoco.MjData(body.model)
     mujoco.mj_forward(body.model, data)
-    assert data.ncon == 0, "a base that moves does not touch its own limbs, and they overlap"
+    assert data.ncon == 0, "a base that moves does not touch its own limbs, and one that hangs is above ground"
     other = mujoco.MjModel.from_xml_string(body.written(["damping.j", "frictionloss.j"], np.array([0.3, 0.1])))
     assert other.dof_damping.tolist() == [0.0] * 6 + [0.3]
     assert other.dof_frictionloss.tolist() == [0.0] * 6 + [0.1]
