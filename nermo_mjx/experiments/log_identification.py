@@ -153,7 +153,7 @@ class Identification:
             likely = sorted((k for k, v in self.missing.items() if v > 0.8 * most), key=lambda k: -self.missing[k])
             if most > MISSING:
                 shares = ", ".join(f"{kind} {percent(self.missing[kind])}" for kind in likely)
-                said.append(f"What was left out and would remove most of them, each by itself: {shares}.")
+                said.append(f"What was left out would remove these shares of their squares, each by itself: {shares}.")
             else:
                 said.append("No kind of parameters that is known here removes them.")
             of = self.after.twin.measured
