@@ -797,18 +797,13 @@ def _identify_log(
         ranges[name] = (low, high)
     logs, judges = ([read_log(file, channels) for file in files] for files in (log, check))
     kinds = tuple(free.split(",")) if free else log_identification.FREE
-    of = robot if model is None else model
+    of, wanted = robot if model is None else model, repr((kinds, ranges, seed))
     unread = [each.name for each in logs[0].channels if each.quantity not in (*log_twin.PREDICTED, "command")]
     if unread:
         say(f"not compared, since they are not predicted: {', '.join(unread)}.")
-    stamp = code.stamp(
-        fingerprint(log_twin.body_of(of, [*logs, *judges], kinds).model), "c", ("experiments", "hardware")
-    )
-    decides = digest_of(
-        stamp.id,
-        repr((kinds, ranges, seed)),
-        [digest(read_bytes(each, MOST_FILE)) for each in (*log, channels, *check)],
-    )
+    body = log_twin.body_of(of, [*logs, *judges], kinds)
+    stamp = code.stamp(fingerprint(body.model), "c", ("experiments", "hardware"))
+    decides = digest_of(stamp.id, wanted, [digest(read_bytes(each, MOST_FILE)) for each in (*log, channels, *check)])
     with RunDirectory(out, "identification from a log") as held, ProgressBar("identify") as shown, resumable(out):
         held.note_session(code.session())
         kept = log_report.kept_in(out, decides)

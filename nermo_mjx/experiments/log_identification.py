@@ -152,17 +152,14 @@ class Identification:
             most = max(self.missing.values(), default=0.0)
             likely = sorted((k for k, v in self.missing.items() if v > 0.8 * most), key=lambda k: -self.missing[k])
             if most > MISSING:
-                shares = ", ".join(f"{kind} {percent(self.missing[kind])}" for kind in likely)
-                said.append(f"What was left out would remove these shares of their squares, each by itself: {shares}.")
+                removed = ", ".join(f"{kind} {percent(self.missing[kind])}" for kind in likely)
+                said.append(f"What was left out would remove these shares of their squares, each by itself: {removed}.")
             else:
                 said.append("No kind of parameters that is known here removes them.")
             of = self.after.twin.measured
             signal = of.by_channel(lambda each, i: float(np.std(each)) or math.inf, of.values)
-            ends = [
-                [f"{100 * end(one.judgement.rms / signal):.3g}" for end in (min, max)]
-                for one in (self.after, self.before)
-            ]
-            best, default = (" to ".join(dict.fromkeys(each)) for each in ends)
+            shares = [100 * each.judgement.rms / signal for each in (self.after, self.before)]
+            best, default = (" to ".join(dict.fromkeys((f"{min(s):.3g}", f"{max(s):.3g}"))) for s in shares)
             said.append(
                 f"On what was not fitted they are {best} % of the channels' signals, with the default body {default} %."
                 " Intervals say how well the log fixes the best values in this class, not how true these are."
@@ -284,7 +281,7 @@ def identify_log(
             simplest, errors["simplest class"] = candidate, error
         else:
             left = []
-    missing = {} if fitted.judgement.right else _missing(make, free, fit, whole, heads, twin)
+    missing = {} if fitted.judgement.right else _missing(make, free, fit, whole, twin)
     report(1.0)
     return Identification(
         body, fit, simplest, tuple(left if simplest is not fit else ()), missing, before, after, fitted, errors,
@@ -314,12 +311,7 @@ def _narrowed(parameters: list[Parameter], ranges: Mapping[str, tuple[float, flo
 
 
 def _missing(
-    make: Callable[[Sequence[str]], Body],
-    free: Sequence[str],
-    fit: Fit,
-    whole: Estimation,
-    heads: Sequence[Log],
-    twin: Any,
+    make: Callable[[Sequence[str]], Body], free: Sequence[str], fit: Fit, whole: Estimation, twin: Any
 ) -> dict[str, float]:
     """Share of the squared residuals that each kind that was left out would remove, together with all that is free."""
     others = tuple(kind for kind in (*KINDS, "torque") if kind not in free)
@@ -338,7 +330,7 @@ def _missing(
         moved = space.values(start + np.diag(away))
         rows = np.concatenate([np.tile(fit.values, (len(more), 1)), moved], axis=1)
         still = np.concatenate([fit.values, space.values(start)])[None]
-        tried = twin(heads, [*own, *(each.name for each in more)], wider)
+        tried = twin(whole.problem.logs, [*own, *(each.name for each in more)], wider)
         tried.renew(still[0])
         change = (tried.predict(np.concatenate([still, rows])) / fit.sigma[tried.measured.channel]).T
         change = tried.project(np.nan_to_num(change), fit.sigma)
