@@ -82,7 +82,7 @@ def offline_page(name: str, what: str, parts: Sequence[str], figures: Figures) -
         for title, figure in figures:
             lay_out(figure)
             file = io.BytesIO()
-            figure.savefig(file, format="svg")
+            figure.savefig(file, format="svg", metadata={"Date": None})
             source = f"data:image/svg+xml;base64,{base64.b64encode(file.getvalue()).decode('ascii')}"
             parts.append(f'<h2>{title.capitalize()}</h2><img alt="{html.escape(title)}" src="{source}">')
     head = '<meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">'
