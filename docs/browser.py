@@ -1,13 +1,16 @@
-"""Pictures of the pages in the browser, by headless Chromium, which draws them in software.
+"""Pictures of the pages in the browser, by headless Chromium.
 
     python docs/browser.py explore DIR         # docs/images/explore.png, of the sweep DIR/runs/quickstart
     python docs/browser.py viewer PAGE.html    # docs/images/viewer.png
     python docs/browser.py drive DIR           # docs/images/drive.webp
+
+Chromium draws them in software.
 """
 
 from __future__ import annotations
 
 import io
+import itertools
 import os
 import sys
 import threading
@@ -82,7 +85,7 @@ def driven(tab: chromium.Tab, folder: str) -> None:
             tab.evaluate(script.pop(0)[1])
         frames.append(Image.open(io.BytesIO(tab.picture())).convert("RGB"))
     drive.over = True
-    stay = [int(1e3 * (after - now)) for now, after in zip(times, times[1:], strict=False)]
+    stay = [int(1e3 * (after - now)) for now, after in itertools.pairwise(times)]
     target = IMAGES / "drive.webp"
     frames[0].save(target, save_all=True, append_images=frames[1:-1], duration=stay, loop=0, quality=60)
 
