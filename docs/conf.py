@@ -83,16 +83,24 @@ def metric_table() -> str:
     return "\n".join(rows) + "\n"
 
 
+def readme() -> str:
+    """README.md below its title, with its links as those of a page of the docs."""
+    text = (ROOT / "README.md").read_text(encoding="utf-8").partition("\n")[2]
+    return re.sub(r"\]\((?!https?:|#|docs/)", "](../", text).replace("](docs/", "](")
+
+
 def fill(app: Sphinx, docname: str, source: list[str]) -> None:
     """Put tables where a page asks for them, and lead links to files that are no pages to the repository, if any.
 
     A page ends with how its results were made, and whether they are of the present body and code.
     """
-    for mark, table in (("{{parameters}}", parameter_table), ("{{metrics}}", metric_table)):
+    if docname == "index":
+        app.env.note_dependency(ROOT / "README.md")
+    for mark, table in (("{{parameters}}", parameter_table), ("{{metrics}}", metric_table), ("{{readme}}", readme)):
         if mark in source[0]:
             source[0] = source[0].replace(mark, table())
     up = "../" * (len(pathlib.Path(app.srcdir, docname).relative_to(ROOT).parts) - 1)
-    link = rf"\[([^\]]*)\]\({re.escape(up)}((?:sweeps|notebooks|nermo_mjx)\b[^)]*)\)"
+    link = rf"\[([^\]]*)\]\({re.escape(up)}((?:sweeps|notebooks|nermo_mjx|LICENSE|CITATION)\b[^)]*)\)"
     source[0] = re.sub(link, _file, source[0]) + results.footer(f"{docname}.md")
 
 
