@@ -86,7 +86,7 @@ def test_lines_become_a_table(tmp_path: Path) -> None:
     assert "2 models; the gradients of 2 are finite, and 1 are within 0.0001" in text
     assert "`mjx.step` was differentiated on 1 of them: it refuses 1, and 0 more gradients are wrong or NaN" in text
     assert "| b | 2 | 1, 4 | **3e-02** | 1e-09 | 0e+00 |" in text
-    assert "end of C's, on 1:\n\n- a\n" in text
+    assert "end of C's, on 1: a 1.\n" in text
     assert "| c | ValueError: no file |" in text
 
 

@@ -333,13 +333,18 @@ def newest(path: Path) -> dict[str, list[dict[str, Any]]]:
 
 def draw_page(path: Path, folder: Path) -> None:
     """Make results.md and its plots in a folder from the lines of a file."""
-    text = ["# Results", "", "Made by `engines.py`; the newest measurement of each kind counts.", ""]
+    text = [
+        "# Results",
+        "",
+        "What each engine costs on each machine ([how to read it](README.md)), by `engines.py`; the newest run counts.",
+        "",
+    ]
     for number, (machine, lines) in enumerate(newest(path).items(), 1):
         text += [f"## {machine}", ""]
         for case in dict.fromkeys(line["case"] for line in lines):
             own = [line for line in lines if line["case"] == case]
             text += [f"### {case.capitalize()}: {CASES[case][0]}", "", table_of(case, own)]
-            text += [f"Measured {'; '.join(dict.fromkeys(line['made'] for line in own))}.", ""]
+        text += [f"Measured {'; '.join(dict.fromkeys(line['made'] for line in lines))}.", ""]
         for drawn in write_figures(_figures(machine, lines, number), folder / "plots"):
             if drawn.suffix == ".png":
                 text += [f"![{drawn.stem.removesuffix(f'_{number}')}](plots/{drawn.name})", ""]

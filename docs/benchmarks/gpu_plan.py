@@ -6,6 +6,12 @@ The program is compiled to machine code for the target and never run. Launches, 
 optimized HLO (hlo.py), memory from the compiler's plan of it. The two bounds on throughput are estimates: of a device
 that launches as slowly as `LAUNCH_S` and `WAIT_S` say and computes in no time, and of one that only moves bytes.
 Needs the extra gpu-plan.
+
+`bytes_per_world` has arguments, results and temporaries; `fits` compares all with the device's memory.
+`launches_per_step` counts kernels, library calls and copies of a physics step, every loop iteration counted, or of a
+gradient all launches over its steps; `launches_per_tick` those of a control tick. `unknown_loops` are loops in a tick
+whose length only the device knows, so that the host waits for each iteration. `moved_bytes_per_step` is what kernels
+read and write per world, without caches: small batches, which stay there, may exceed `estimated_bandwidth_bound`.
 """
 
 import inspect

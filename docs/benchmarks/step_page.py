@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from pathlib import Path
 from typing import Any, Final
 
@@ -12,13 +13,12 @@ BEGIN: Final = "<!-- made by step_page.py -->"
 END: Final = "<!-- end -->"
 #: Largest error at which a gradient counts as equal to the differences.
 LARGEST: Final = 1e-4
-#: What is off, and what a step costs.
+#: What is off.
 _OFF: Final = "| model | nv | contacts, rows | against differences | differences among themselves | end against C |"
-_COST: Final = "| model | trace, compile [s] | a step [ms] | gradient over steps | float32, cosine |"
 
 
 def page(lines: Path) -> str:
-    """The text between `BEGIN` and `END`: how many models are right, what is off, the others' names, and the cost."""
+    """The text between `BEGIN` and `END`: how many models are right, what is off, where others are, and the cost."""
     models = dict(sorted(lines_of(lines).items()))
     measured = {name: each for name, each in models.items() if "error" in each}
     exact = [name for name, each in measured.items() if each["finite"] and each["error"] <= LARGEST]
@@ -28,9 +28,9 @@ def page(lines: Path) -> str:
     refusals = sum(isinstance(each, str) and each != "NaN" for each in plain)
     wrong = sum(each == "NaN" or (not isinstance(each, str) and each > LARGEST) for each in plain)
     off = [_row(name, each) for name, each in measured.items() if name not in right]
-    cost = [_cost(name, each) for name, each in measured.items() if "compile_s" in each]
+    timed = [each for each in measured.values() if "compile_s" in each]
     refused = [
-        f"| {name} | {' '.join(each['failed'].split()).replace('|', '/')} |"
+        f"| {name.replace('/', '/<wbr>')} | {' '.join(each['failed'].split()).replace('|', '/')} |"
         for name, each in models.items()
         if "error" not in each
     ]
@@ -40,9 +40,8 @@ def page(lines: Path) -> str:
         f"{sum(measured[name]['contacts'] > 0 for name in exact)} with contacts. `mjx.step` was differentiated on "
         f"{len(plain)} of them: it refuses {refusals}, and {wrong} more gradients are wrong or NaN.",
         *_table("Where something is off:", _OFF, off),
-        f"Gradient within {LARGEST:g} of the differences, and end of C's, on {len(right)}:",
-        "\n".join(_names(right)),
-        *_table("What it costs:", _COST, cost),
+        f"Gradient within {LARGEST:g} of the differences, and end of C's, on {len(right)}: {_folders(right)}.",
+        *([_cost(timed)] if timed else []),
         *_table("Not measured:", "| model | because |", refused),
     ]
     return "\n\n".join(said)
@@ -53,15 +52,10 @@ def _table(title: str, head: str, rows: list[str]) -> list[str]:
     return [title, "\n".join([head, "|---" * (head.count("|") - 1) + "|", *rows])] if rows else []
 
 
-def _names(models: list[str]) -> list[str]:
-    """A line for each folder of models."""
-    folders: dict[str, list[str]] = {}
-    for name in models:
-        folder, _, own = name.rpartition("/")
-        folders.setdefault(folder, []).append(own)
-    return [
-        f"- {folder}: {', '.join(names)}" if folder else f"- {', '.join(names)}" for folder, names in folders.items()
-    ]
+def _folders(models: list[str]) -> str:
+    """How many there are in each folder."""
+    counted = Counter(name.rpartition("/")[0] or name for name in models)
+    return ", ".join(f"{folder} {number}" for folder, number in counted.items())
 
 
 def _row(name: str, each: dict[str, Any]) -> str:
@@ -71,10 +65,19 @@ def _row(name: str, each: dict[str, Any]) -> str:
     return f"| {' | '.join([name.replace('/', '/<wbr>'), str(each['nv']), rows, *errors])} |"
 
 
-def _cost(name: str, each: dict[str, Any]) -> str:
-    cosine = "" if each.get("cosine") is None else f"{each['cosine']:.7f}"
-    times = f"{each['trace_s']:.1f}, {each['compile_s']:.1f} | {each['forward_ms']:.3f} | {each['ratio']:.1f}"
-    return f"| {name} | {times} | {cosine} |"
+def _cost(timed: list[dict[str, Any]]) -> str:
+    """The range over the models of which it was measured."""
+
+    def over(key: str, digits: int) -> str:
+        values = [each[key] for each in timed]
+        return f"{min(values):.{digits}f} to {max(values):.{digits}f}"
+
+    cosine = min(each["cosine"] for each in timed if each.get("cosine") is not None)
+    return (
+        f"Cost, measured on {len(timed)}: {over('trace_s', 1)} s to trace, {over('compile_s', 1)} s to compile, "
+        f"{over('forward_ms', 3)} ms a step. The gradient takes {over('ratio', 1)} times as long as the steps. "
+        f"In float32 its cosine with that in float64 is at least {cosine:.5f}."
+    )
 
 
 def _error(value: float) -> str:
