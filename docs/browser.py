@@ -67,7 +67,8 @@ def explored(tab: chromium.Tab, folder: str) -> None:
 def viewed(tab: chromium.Tab, page: str) -> None:
     opened(tab, Path(page))
     tab.evaluate("viewer.player.seek(3.9)")
-    tab.wait("!viewer.stage.stale && viewer.stage.quality.shown === viewer.stage.quality.still", 300)
+    while not tab.evaluate("!viewer.stage.stale && viewer.stage.quality.shown === viewer.stage.quality.still"):
+        tab.picture()  # draws
     (IMAGES / "viewer.png").write_bytes(tab.picture())
 
 
