@@ -18,7 +18,7 @@ from nermo_mjx.learn.environment import Environment, Mixture, check_alike, check
 from nermo_mjx.learn.loop import EpisodeLoop
 from nermo_mjx.learn.observing import FORMER
 from nermo_mjx.learn.own import code_place, is_own, own_name
-from nermo_mjx.learn.task import ADDED, RANDOMIZED, Task, task_parameters
+from nermo_mjx.learn.task import ADDED, GIVEN, RANDOMIZED, Task, task_parameters
 from nermo_mjx.robot.parameters import PRESETS
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.robot.terrains import terrain_values
@@ -417,8 +417,17 @@ def _read(doc: Document) -> Training:
     if file.until is not None and not file.validation:
         doc.fail(("until",), "stands without 'validation', the number of walks that decide: add one, such as 60.")
     pairs = training.evaluated()
+    late, tasks = "sensing.delay", [each.task for each in scenes] or [task]
+    taught = {name for each in tasks for name in (*each.set, *each.randomize, *each.sampled)}
+    taught |= {name for name in GIVEN if name.endswith("_noise") and any(each.endswith("_noise") for each in taught)}
+    longest = max(max(each.set.get(late, 0.0), *each.randomize.get(late, (0.0, 0.0))) for each in tasks)
     for section, given in (("set", file.evaluate.set), ("randomize", file.evaluate.randomize)):
-        for name in given:
+        for name, value in given.items():
+            if name in GIVEN and name not in taught:
+                doc.fail(("evaluate", section, name), "is given, and the policy is not trained with it: leave it out.")
+            if name == late and (max(value) if isinstance(value, tuple) else value) > longest:
+                sentence = f"is longer than {longest:g} s, the longest that the policy is trained with."
+                doc.fail(("evaluate", section, name), sentence)
             if any(name in getattr(task, section) for _, task in pairs):
                 continue
             if section == "randomize" and name in file.evaluate.set:

@@ -35,6 +35,7 @@ from nermo_mjx.learn.run import _KEY, BestPolicy, successes
 from nermo_mjx.runs import RunDirectory
 from nermo_mjx.runs.files import WrongDirectory
 from nermo_mjx.runs.job import Watch
+from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.view.trained import trained
 
 pytestmark = pytest.mark.compiles
@@ -213,6 +214,25 @@ def test_an_evaluation_draws_from_ranges_of_its_own():
     assert ramp.set["start.yaw"] == 0.0
     assert training.scenes[1].task.randomize["contact.friction"] == (1.2, 1.6)
     assert Training.from_text(training.to_yaml()) == training
+
+
+@pytest.mark.parametrize(
+    ("task", "name", "value", "sentence"),
+    [
+        ({}, "sensing.delay", 0.02, "the policy is not trained with it"),
+        ({"sensing.gyro_noise": 0.1}, "sensing.delay", 0.02, "the policy is not trained with it"),
+        ({}, "sensing.gyro_noise", 0.02, "the policy is not trained with it"),
+        ({}, "command.yaw_rate", 0.2, "the policy is not trained with it"),
+        ({"sensing.delay": 0.02}, "sensing.delay", 0.05, "is longer than 0.02 s, the longest that"),
+    ],
+)
+@pytest.mark.parametrize("section", ["set", "randomize"])
+def test_an_evaluation_gives_nothing_that_the_policy_is_not_trained_with(task, name, value, sentence, section):
+    """It would be left out without a word."""
+    there = {section: {name: value if section == "set" else [0.0, value]}}
+    with pytest.raises(SpecError, match=rf"evaluate.{section}.{name}.* {sentence}"):
+        Training.from_dict({"task": {"set": task}, "evaluate": there})
+    Training.from_dict({"task": {"set": task | {name: value}}, "evaluate": there})
 
 
 def test_an_evaluation_has_physics_of_its_own():
