@@ -149,7 +149,7 @@ WALK = Run(cycles=6, warmup_cycles=2)
 def gazing(simulator):
     """Trots with the spine at 0.8 Hz, the head held and gazing, and with a head that tilts; recorded."""
     walks = {"none": {}, "gaze": {"head": "gaze"}, "tilting": {"head": "gaze", "robot": "nermo_41"}}
-    # The damped body of docs/model.md, whose head does not tremble between two recorded poses.
+    # The identified body of docs/model.md, whose head does not tremble between two recorded poses.
     values = {"frequency": [0.8], "damping.knee": 0.02531, "damping.ankle": 0.02531, "damping.spine": 0.09242}
     return {
         name: simulator(spine="stride_extension", **choices).run(values, WALK, record=True)

@@ -33,8 +33,8 @@ WORLDS, STEPS = 24, 120
 LIMITS, CONTACTS = 6, 16
 
 
-#: Of the robots at the ends, docs/model.md's damped body, on whose states the share of what converges was measured. Of
-#: those of the default body 0.52 % do not.
+#: Of the robots at the ends, docs/model.md's identified body, on whose states the share of what converges was measured.
+#: Of those of the default body 0.52 % do not.
 DAMPED = {"damping.knee": 0.02531, "damping.ankle": 0.02531, "damping.spine": 0.09242}
 
 

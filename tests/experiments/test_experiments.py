@@ -1,6 +1,6 @@
 """The published experiments as this project demands them of the profile `exact`; one repeat each, on the C engine.
 
-On the damped body of docs/model.md, on which the bounds were set.
+On the identified body of docs/model.md, on which the bounds were set.
 """
 
 import itertools

@@ -182,7 +182,7 @@ def test_the_sagittal_extension_flexes_at_touch_down_and_steering_leaves_less_of
 @pytest.mark.parametrize(("mode", "least", "most"), [("none", 0.0, 0.04), ("sagittal_extension", 0.08, 0.13)])
 def test_a_bound_walks_forward_with_and_without_the_vertical_spine(simulator, mode, least, most):
     """It neither falls nor stands. At 0.4 rad of servo the vertical joints bend by about 0.1 rad; held, they give way
-    to the feet's impacts by a third of that at most: of docs/model.md's damped body (the default one by 0.042 rad)."""
+    to the feet's impacts by a third of that at most: of docs/model.md's identified body (the default's by 0.042)."""
     sim = simulator(**BOUND, spine=mode)
     damped = {"damping.knee": 0.02531, "damping.ankle": 0.02531, "damping.spine": 0.09242}
     result = sim.run(damped, Run(cycles=5, warmup_cycles=2), record=True)

@@ -86,7 +86,7 @@ def test_a_batch_has_servos_with_and_without_play(simulator):
     """A world without play walks as it does without the parameters.
 
     Servos that do not respond to 3 degrees, or whose battery is low, are slower with the spine and draw less: of
-    docs/model.md's damped body. Such a dead band makes the default one faster.
+    docs/model.md's identified body. Such a dead band makes the default one faster.
     """
     damped = {"damping.knee": 0.02531, "damping.ankle": 0.02531, "damping.spine": 0.09242}
     sim, run = simulator(spine="stride_extension"), Run(cycles=3, warmup_cycles=1)

@@ -88,7 +88,7 @@ def test_no_servo_chatters_that_is_allowed_beside_its_damping(timestep: float, s
 def test_a_servo_past_the_bound_does(timestep: float, kp: float) -> None:
     """The bound is sharp: a damping 1.3 times the allowed one alternates.
 
-    Of docs/model.md's damped body; the default one, at 10/3 ms and 100 N m/rad, from 1.4 times on.
+    Of docs/model.md's identified body; the default one, at 10/3 ms and 100 N m/rad, from 1.4 times on.
     """
     damped = {"knee": 0.02531, "ankle": 0.02531, "spine": 0.09242}
     assert servo_jump(kp, 1.3 * float(highest_kv(timestep, kp)), timestep, **damped) > 0.5

@@ -69,16 +69,19 @@ def coverages() -> dict[tuple, float]:
 
 
 def page() -> str:
-    """The tables of the page: the first with the lowest share over the spreads of the variants."""
+    """The tables of the page: the first with the lowest share over the spreads of the variants, and over their numbers
+    where there are several."""
     found, lines = coverages(), list[str]()
-    heads = [f"{repeats} runs" for repeats in REPEATS]
-    lines += [f"| | {' | '.join(heads)} |", f"|---|{'---:|' * len(heads)}"]
+    lines += [f"| pairs of each variant | {' | '.join(map(str, REPEATS))} |", f"|---|{'---:|' * len(REPEATS)}"]
     for noise in NOISES:
-        for variants in VARIANTS:
-            name = f"{variants} variant{'s' * (variants > 1)}, {noise}"
-            each = [min(found["pairs", variants, noise, repeats, ratio] for ratio in RATIOS) for repeats in REPEATS]
-            lines.append(f"| {name} | {' | '.join(f'{share:.2f}' for share in each)} |")
-    lines += ["", f"| | {' | '.join(f'{ratio:g}' for ratio in RATIOS)} |", f"|---|{'---:|' * len(RATIOS)}"]
+        for name, variants in (("1 variant", VARIANTS[:1]), (f"2 to {VARIANTS[-1]} variants", VARIANTS[1:])):
+            each = [
+                min(found["pairs", n, noise, repeats, ratio] for n in variants for ratio in RATIOS)
+                for repeats in REPEATS
+            ]
+            lines.append(f"| {name}, {noise} | {' | '.join(f'{share:.2f}' for share in each)} |")
+    lines += ["", f"| relative spread | {' | '.join(f'{ratio:g}' for ratio in RATIOS)} |"]
+    lines.append(f"|---|{'---:|' * len(RATIOS)}")
     for counts in UNBALANCED:
         each = [found["sides", counts, ratio] for ratio in RATIOS]
         lines.append(f"| {counts[0]} runs against {counts[1]} | {' | '.join(f'{share:.2f}' for share in each)} |")
@@ -102,7 +105,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say(what: str) -> None:
 def test_the_page_has_the_table_of_this_test() -> None:
     """Made by `page`; a hundredth may differ by the machine."""
     told = PAGE.read_text()
-    table = told[told.index("| | 2 runs") :]
+    table = told[told.index("| pairs of each variant") :]
     numbers, own = (np.array([*map(float, re.findall(r" (\d\.\d\d) \|", text))]) for text in (table, page()))
     assert [line.split("|")[1] for line in page().splitlines() if line] == [
         line.split("|")[1] for line in table.splitlines() if line.startswith("|")

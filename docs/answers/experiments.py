@@ -1,0 +1,151 @@
+"""Numbers and tables of docs/experiments.md, as JSON, from a directory of `nermo-mjx experiment all`.
+
+    python docs/answers/experiments.py DIR
+
+What `as_built` does on stiff soles is walked here, from one start.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from model import STIFF
+
+from nermo_mjx import Run, Simulator
+from nermo_mjx.experiments.cases import AMPLITUDE, FREQUENCIES, Case, Settings, worlds
+from nermo_mjx.experiments.walks import walk_maze
+
+Line = dict[str, Any]
+#: Rows of the first table: title, figures, decimal places.
+SHOWN = (
+    ("trot, 0.8 Hz, spine held [mm/s]", ["speed of trot, 0.8 Hz, no spine"], 1),
+    ("speed, spine over none, 0.8 Hz", ["speed of trot, 0.8 Hz, spine over none"], 2),
+    (
+        "trot over lateral walk, 0.8 Hz, spine held and free",
+        ["speed of trot over lateral walk, 0.8 Hz, no spine", "speed of trot with spine over lateral walk, 0.8 Hz"],
+        2,
+    ),
+    ("roll std, compensated over not, 0.67 Hz", ["roll std of trot, 0.67 Hz, spine, compensated over not"], 2),
+    (
+        "smallest radius, trot, legs and both [m]",
+        ["smallest radius of trot, leg-based", "smallest radius of trot, mix-based"],
+        3,
+    ),
+    (
+        "rear left foot, lifted, without and with compensation [N]",
+        ["force of the rear left foot, without compensation", "force of the rear left foot, with compensation"],
+        2,
+    ),
+    ("maze: time, spine held and free [s]", ["time without spine", "time with spine"], 1),
+    ("maze: roll std, spine held and free [°]", ["roll std without spine", "roll std with spine"], 2),
+)
+#: The same of the hardware's figures.
+BUILT = (
+    (
+        "trot at 0.67 Hz, spine held and free [mm/s]",
+        ["hardware: speed of trot, 0.67 Hz, no spine", "hardware: speed of trot, 0.67 Hz, spine"],
+        1,
+    ),
+    (
+        "trot over lateral walk, mean of the frequencies",
+        ["hardware: speed of trot over lateral walk, mean of the frequencies"],
+        2,
+    ),
+    ("spine over none, 0.67 Hz", ["hardware: speed of trot, 0.67 Hz, spine over none"], 2),
+    ("the same at 0.5 and 0.8 Hz, farthest", ["hardware: speed of trot, 0.5 and 0.8 Hz, spine over none"], 2),
+    ("maze: time saved with the spine", ["hardware: time saved with the spine"], 2),
+    (
+        "quarter circle of 0.5 m, legs, spine, both [s]",
+        [f"hardware: time for 0.5 m, trot, 0.67 Hz, {way}-based" for way in ("leg", "spine", "mix")],
+        1,
+    ),
+)
+EXPERIMENTS = {
+    "straight line": ["straight-line"],
+    "turning": ["turning"],
+    "balance": ["balance"],
+    "maze": ["maze"],
+    "body and test stands": ["body", "leg-stand", "spine-stand"],
+}
+KINDS = ("predicted", "chosen", "theory")
+
+
+def shown(value: float | list[float] | None, places: int) -> str:
+    """A number or a range."""
+    if value is None:
+        return "–"
+    ends = value if isinstance(value, list) else [value]
+    return " to ".join(f"{each:.{places}f}" for each in dict.fromkeys((min(ends), max(ends))))
+
+
+def judged(lines: Iterable[Line], **wanted: Any) -> list[Line]:
+    return [
+        line
+        for line in lines
+        if line["holds"] is not None and all(line[name] == value for name, value in wanted.items())
+    ]
+
+
+def counts(lines: list[Line]) -> dict[str, str]:
+    """How many figures of each experiment hold, by kind."""
+    table = ["| figures that hold | predicted | chosen with it in view | theory |", "|---|---|---|---|"]
+    for title, names in EXPERIMENTS.items():
+        cells = []
+        for kind in KINDS:
+            of = [line for name in names for line in judged(lines, experiment=name, kind=kind)]
+            cells.append(f"{sum(line['holds'] for line in of)} of {len(of)}" if of else "–")
+        table.append(f"| {title} | {' | '.join(cells)} |")
+    predicted = judged(lines, kind="predicted")
+    hold = sum(line["holds"] for line in predicted)
+    not_judged = sum(line["holds"] is None for line in lines)
+    return {
+        "published.counts": "\n".join(table),
+        "published.hold": f"{hold} of the {len(predicted)}",
+        "published.share": f"{100 * hold / len(predicted):.0f} %",
+        "published.not_judged": f"{not_judged}",
+    }
+
+
+def figures(rows: Any, heads: dict[str, str], by_name: dict[str, Line]) -> str:
+    """A table of figures, one column for each of `heads`, what it is -> how it is called."""
+    lines = [f"| figure | {' | '.join(heads.values())} |", "|---" * (1 + len(heads)) + "|"]
+    for title, names, places in rows:
+        values = [[by_name[name][what] for name in names] for what in heads]
+        cells = ["–" if of == [None] * len(of) else ", ".join(shown(each, places) for each in of) for of in values]
+        lines.append(f"| {title} | {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def built() -> dict[str, str]:
+    """Of `as_built` on stiff soles: the gain of the spine at a full stride, and the time saved in the maze."""
+    settings = Settings(profiles=["as_built"], repeats=1, engine="c")
+    simulator = Simulator(settings.setup("straight_line", spine="stride_extension"), engine="c")
+    both: list[Case] = []
+    for frequency in FREQUENCIES:
+        for spine in (0.0, 1.0):
+            values = {"frequency": frequency, "spine.amplitude": AMPLITUDE * spine}
+            values |= {"pilot.error_gain": 0.0, "pilot.change_gain": 0.0}
+            both.append(Case({"frequency": frequency, "spine": spine}, "trot", values=values))
+    changed = {name: np.full(len(both), value) for name, value in {**STIFF, "stride": 1.0}.items()}
+    values = worlds(both, simulator.setup.defaults(), settings).values | changed
+    speed = np.reshape(simulator.run(values, Run(cycles=12, warmup_cycles=2)).metrics["speed"], (-1, 2))
+    time = walk_maze(Settings(profiles=["as_built"], repeats=1, engine="c", values=STIFF)).columns["time"]
+    return {
+        "built.both": ", ".join(f"{each:.2f}" for each in speed[:, 1] / speed[:, 0]),
+        "built.maze": f"{1 - time[1] / time[0]:.2f}",
+    }
+
+
+if __name__ == "__main__":
+    lines = json.loads((Path(sys.argv[1]) / "report.json").read_text())["lines"]
+    by_name = {line["figure"]: line for line in lines}
+    found = counts(lines) | built()
+    heads = {"published": "published", "author": "author's model", "as_published": "`as_published`", "exact": "`exact`"}
+    found["published.main"] = figures(SHOWN, heads, by_name)
+    found["built"] = figures(BUILT, {"published": "hardware", "as_built": "`as_built`"}, by_name)
+    print(json.dumps(found, indent=1, ensure_ascii=False))
