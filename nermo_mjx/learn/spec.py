@@ -418,7 +418,11 @@ def _read(doc: Document) -> Training:
         doc.fail(("until",), "stands without 'validation', the number of walks that decide: add one, such as 60.")
     pairs = training.evaluated()
     late, tasks = "sensing.delay", [each.task for each in scenes] or [task]
-    taught = {name for each in tasks for name in (*each.set, *each.randomize, *each.sampled)}
+    taught = {name for each in tasks for name in (*each.set, *each.randomize)}
+    if RUNS_CODE.get() or not any(each.has_own for each in tasks):
+        taught |= {name for each in tasks for name in each.sampled}
+    else:  # own code that is not run may draw any command
+        taught |= {name for name in GIVEN if name.startswith("command.")}
     taught |= {name for name in GIVEN if name.endswith("_noise") and any(each.endswith("_noise") for each in taught)}
     longest = max(max(each.set.get(late, 0.0), *each.randomize.get(late, (0.0, 0.0))) for each in tasks)
     for section, given in (("set", file.evaluate.set), ("randomize", file.evaluate.randomize)):
