@@ -137,6 +137,18 @@ def test_the_simplest_class_leaves_out_what_is_not_there(path: Path) -> None:
     found = identified_arm(path, ("damping", "armature", "kp", "bias", "frictionloss"), logged())
     assert {"bias", "frictionloss"} <= set(found.left_out)
     assert found.errors["simplest class"] < 1.1
+    # Values are those of the class that is nearer to what was not fitted.
+    names = [each.name for each in found.fit.space.parameters]
+    own = [names.index(each.name) for each in found.simplest.space.parameters]
+    better, worse = (
+        dataclasses.replace(found, errors=found.errors | {"simplest class": share * found.errors["identified"]})
+        for share in (0.6, 1.01)
+    )
+    np.testing.assert_array_equal(better.values[own], found.simplest.values)
+    assert better.values[names.index("bias.servo")] == 0.0
+    np.testing.assert_array_equal(worse.values, found.fit.values)
+    assert any("follows the noise" in each for each in better.sentences())
+    assert not any("follows the noise" in each for each in worse.sentences())
 
 
 def test_every_body_of_the_posterior_explains_the_log(path: Path) -> None:
