@@ -2,16 +2,25 @@
 
     python docs/browser.py explore DIR         # docs/images/explore.png, of the sweep DIR/runs/quickstart
     python docs/browser.py viewer PAGE.html    # docs/images/viewer.png
+    python docs/browser.py drive DIR           # docs/images/drive.webp; needs an idle machine
 
 Chromium draws them in software.
 """
 
 from __future__ import annotations
 
+import io
 import os
 import sys
+import threading
+import time
 from pathlib import Path
 
+from PIL import Image
+
+from nermo_mjx import Setup
+from nermo_mjx.live.driving import Driving
+from nermo_mjx.live.server import LiveDrive
 from nermo_mjx.view.explore import explore
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
@@ -20,6 +29,15 @@ import chromium
 IMAGES = Path(__file__).parent / "images"
 #: The run beside the plot: 0.88 Hz, 0.2 rad, phase 0.
 ROW = 140
+#: What is done while the robot is driven: simulated time [s], and what it says to the page.
+DEEDS = (
+    (0.8, '{"gait": "lateral_walk"}'),
+    (2.2, '{"spine": "stride_extension"}'),
+    (3.8, '{"set": {"pilot.turn_rate": 0.8}}'),
+    (5.2, '{"set": {"pilot.turn_rate": 0}}'),
+)
+#: Length of the film [simulated s], and its pictures a simulated second, at most. It is shown in real time.
+LENGTH, RATE = 6.8, 12.0
 
 
 def opened(tab: chromium.Tab, page: Path) -> None:
@@ -45,6 +63,40 @@ def viewed(tab: chromium.Tab, page: str) -> None:
     (IMAGES / "viewer.png").write_bytes(tab.picture())
 
 
+def driven(tab: chromium.Tab, folder: str) -> None:
+    drive = LiveDrive(Driving(Setup(pilot="open_loop"), {"frequency": 0.8}), Path(folder) / f"drive-{time.time_ns()}.npz")
+    thread = threading.Thread(target=drive.run)
+    thread.start()
+    try:
+        tab.open(drive.address, 1000, 625, scale=0.8)
+        tab.wait(chromium.READY)
+        tab.wait("viewer.drive.socket.readyState === WebSocket.OPEN")
+        # Time is so slow that every picture can be as good as a still.
+        tab.evaluate("Object.defineProperty(viewer.stage.quality, 'wanted', {get() { return this.still; }}), 1")
+        tab.evaluate("viewer.drive.send({reset: true, pause: false, speed: 0.1})")
+        tab.wait("viewer.drive.state.paused === false && viewer.player.time < 0.3")
+        deeds, times, pictures = list(DEEDS), [], []
+        while (now := tab.evaluate("viewer.player.time")) < LENGTH:
+            if deeds and now >= deeds[0][0]:
+                tab.evaluate(f"viewer.drive.send({deeds.pop(0)[1]})")
+            if not times or now >= times[-1] + 1.0 / RATE:
+                times.append(now)
+                pictures.append(Image.open(io.BytesIO(tab.picture())).convert("RGB"))
+    finally:
+        drive.over = True
+        thread.join(30)
+    waits = [round(1000 * (after - before)) for before, after in zip(times, [*times[1:], LENGTH], strict=True)]
+    pictures[0].save(
+        IMAGES / "drive.webp",
+        save_all=True,
+        append_images=pictures[1:],
+        duration=waits,
+        loop=0,
+        quality=70,
+        method=6,
+    )
+
+
 if __name__ == "__main__":
     with chromium.page() as page:
-        {"explore": explored, "viewer": viewed}[sys.argv[1]](page, sys.argv[2])
+        {"explore": explored, "viewer": viewed, "drive": driven}[sys.argv[1]](page, sys.argv[2])

@@ -2,6 +2,7 @@
 
 python docs/answers/three_gaits.py PROFILE DIR   # writes DIR/PROFILE.yaml, the same sweep in another profile
 python docs/answers/three_gaits.py table DIR     # of DIR/exact/optimum.csv and DIR/as_published/optimum.csv
+python docs/answers/three_gaits.py film DIR      # docs/images/three_gaits.webp, of the sweep DIR/exact
 """
 
 from __future__ import annotations
@@ -9,10 +10,18 @@ from __future__ import annotations
 import csv
 import json
 import math
+import subprocess
 import sys
 from pathlib import Path
 
-SPEC = Path(__file__).parents[2] / "sweeps" / "three_gaits.yaml"
+from nermo_mjx import Recording
+from nermo_mjx.sweep.optimum import optimum_in
+from nermo_mjx.sweep.replay import recording_file
+
+ROOT = Path(__file__).parents[2]
+SPEC = ROOT / "sweeps" / "three_gaits.yaml"
+#: Seconds of the film: five gait cycles.
+SECONDS = 6.25
 HEAD = ("profile", "gait", "amplitude, phase", "gain in speed", "mechanical cost", "electrical cost")
 
 
@@ -34,11 +43,27 @@ def table(optima: dict[str, Path]) -> str:
     return "\n".join(lines)
 
 
+def film(sweep: Path) -> None:
+    """The last cycles of the best points and their bases, from above."""
+    sought = optimum_in(sweep)
+    assert sought is not None
+    files = []
+    for row in sought.shown_rows():
+        recording = Recording.load(recording_file(sweep, row))
+        files.append(sweep / f"film-{row}.npz")
+        recording.between(recording.time[-1] - SECONDS, recording.time[-1]).save(files[-1])
+    target = ROOT / "docs" / "images" / "three_gaits.webp"
+    small = ["--camera", "top", "--width", "360", "--height", "225", "--fps", "12"]
+    subprocess.run([sys.executable, "-m", "nermo_mjx", "render", *files, *small, "--out", target], check=True)
+
+
 if __name__ == "__main__":
     what, out = sys.argv[1], Path(sys.argv[2])
     if what == "table":
         optima = {profile: out / profile / "optimum.csv" for profile in ("exact", "as_published")}
         print(json.dumps({"answers": table(optima)}, indent=1, ensure_ascii=False))
+    elif what == "film":
+        film(out / "exact")
     else:
         (out / f"{what}.yaml").write_text(
             SPEC.read_text().replace("robot: nermo_lite\n", f"robot: nermo_lite\nprofile: {what}\n")
