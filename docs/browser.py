@@ -64,7 +64,8 @@ def viewed(tab: chromium.Tab, page: str) -> None:
 
 
 def driven(tab: chromium.Tab, folder: str) -> None:
-    drive = LiveDrive(Driving(Setup(pilot="open_loop"), {"frequency": 0.8}), Path(folder) / f"drive-{time.time_ns()}.npz")
+    record = Path(folder) / f"drive-{time.time_ns()}.npz"
+    drive = LiveDrive(Driving(Setup(pilot="open_loop"), {"frequency": 0.8}), record)
     thread = threading.Thread(target=drive.run)
     thread.start()
     try:

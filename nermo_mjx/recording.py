@@ -23,7 +23,7 @@ LAYOUT: Final = 1
 _MARK: Final = "nermo_mjx recording"
 #: Beginning of the names of sensors that hold a channel of a robot's log, measured and simulated (T, 2).
 BESIDE: Final = "log."
-_REMEDY: Final = "nermo-mjx walk --record FILE.npz writes one"
+_REMEDY: Final = "nermo-mjx walk --record FILE.npz writes one, and nermo-mjx log reads a robot's log"
 
 #: The arrays of a file, T samples each; with them a text `header`, and `sensor.NAME`.
 _ARRAYS: Final[dict[str, tuple[str, tuple[Any, ...]]]] = {

@@ -37,7 +37,7 @@ def gaze() -> dict[str, str]:
     for robot, frequencies in (("nermo_lite", FREQUENCIES), ("nermo_41", [0.8])):
         for head in ("none", "gaze"):
             found[robot, head] = walked({"frequency": frequencies}, robot=robot, head=head, spine="stride_extension")
-    lines = ["| | " + " | ".join(f"{each:g} Hz" for each in FREQUENCIES) + " |", "|---|---|---|---|"]
+    lines = ["| held, gazing | " + " | ".join(f"{each:g} Hz" for each in FREQUENCIES) + " |", "|---|---|---|---|"]
     held, gazed = found["nermo_lite", "none"], found["nermo_lite", "gaze"]
     for title, metric, places in (
         ("head yaw, standard deviation [degrees]", "head_yaw_std", 1),

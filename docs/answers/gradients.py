@@ -1,7 +1,7 @@
 """Numbers and tables of docs/gradients.md, as JSON.
 
-    python docs/answers/gradients.py slopes   # exact derivatives beside slopes as wide as a tuner's steps
-    python docs/answers/gradients.py costs    # of first and further gradients; needs an idle machine
+python docs/answers/gradients.py slopes   # exact derivatives beside slopes as wide as a tuner's steps
+python docs/answers/gradients.py costs    # of first and further gradients; needs an idle machine
 """
 
 from __future__ import annotations
@@ -97,7 +97,7 @@ def slopes() -> dict[str, str]:
     return {"slopes": "\n".join(lines)} | told
 
 
-#: A first gradient and a further one, in a fresh process; it prints processor seconds from its start, and of the second.
+#: A first and a further gradient, in a fresh process; it prints processor seconds from its start, and of the second.
 FIRST = """
 import resource, time
 import jax
@@ -117,7 +117,8 @@ print(first, spent() - first, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 def first(engine: str, cache: str) -> list[float]:
     """Processor seconds to the first gradient and of the next one, and memory [GB]."""
     env = os.environ | {"NERMO_MJX_CACHE": cache, "PYTHONPATH": str(ROOT)}
-    done = subprocess.run([sys.executable, "-c", FIRST.format(engine=engine)], env=env, stdout=subprocess.PIPE, check=True)
+    command = [sys.executable, "-c", FIRST.format(engine=engine)]
+    done = subprocess.run(command, env=env, stdout=subprocess.PIPE, check=True)
     return [float(each) for each in done.stdout.split()]
 
 

@@ -1,7 +1,7 @@
 """Numbers and table of docs/landscape/report.md.
 
-    python docs/answers/landscape.py stiff DIR   # writes DIR/stiff.yaml: the tuning with stiff soles and tendons
-    python docs/answers/landscape.py table DIR   # JSON, from DIR/landscape and DIR/stiff
+python docs/answers/landscape.py stiff DIR   # writes DIR/stiff.yaml: the tuning with stiff soles and tendons
+python docs/answers/landscape.py table DIR   # JSON, from DIR/landscape and DIR/stiff
 """
 
 from __future__ import annotations

@@ -22,7 +22,7 @@ def main(directory: str) -> dict[str, str]:
     table["yaw"] = np.degrees(table["yaw_std"])
     still, phase = table["tail.swing_amplitude"] == 0, np.isclose(table["tail.swing_phase"], PHASE)
     his = np.isclose(table["tail.swing_amplitude"], AMPLITUDE) & phase
-    lines = ["| | without the spine | with the spine | ratio |", "|---|---|---|---|"]
+    lines = ["| walks | without the spine | with the spine | ratio |", "|---|---|---|---|"]
     found = {}
     for profile in ("exact", "as_published"):
         of = table["profile"] == profile

@@ -1,8 +1,8 @@
 """Numbers of docs/howto/train.md, as JSON.
 
-    python docs/answers/trainings.py flat DIR     # of DIR/train_residual-0 and DIR/train_own-0, by trainings.py
-    python docs/answers/trainings.py minute DIR   # of DIR/summary.json, by policy_in_a_minute.py
-    python docs/answers/trainings.py pushed DIR   # of DIR, a training; pushes its policy and the controller alone
+python docs/answers/trainings.py flat DIR     # of DIR/train_residual-0 and DIR/train_own-0, by trainings.py
+python docs/answers/trainings.py minute DIR   # of DIR/summary.json, by policy_in_a_minute.py
+python docs/answers/trainings.py pushed DIR   # of DIR, a training; pushes its policy and the controller alone
 """
 
 from __future__ import annotations

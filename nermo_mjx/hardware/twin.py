@@ -82,7 +82,7 @@ def command_table(log: Log, servos: tuple[str, ...], dt: float) -> Float[np.ndar
     table = np.zeros((math.ceil(log.duration / dt) + 1, len(servos)))
     ticks = dt * np.arange(len(table)) + 1e-9
     for of, channel in commands.items():
-        place = servos.index(choice(f"{log.file}: Nermo's servo of channel {channel.name!r}", of, servos))
+        place = servos.index(choice(f"{log.file}: the servo of channel {channel.name!r}", of, servos))
         table[:, place] = channel.values[np.maximum(np.searchsorted(channel.times, ticks, "right") - 1, 0)]
     return table
 

@@ -155,7 +155,8 @@ def test_what_is_no_recording_or_an_old_one_is_refused_with_the_remedy(command: 
     np.savez(tmp_path / "other.npz", speed=np.zeros(3))
     cases = {
         tmp_path / "text.npz": "so it is not a recording of nermo_mjx; nermo-mjx walk --record FILE.npz writes",
-        tmp_path / "other.npz": "not a recording of nermo_mjx; nermo-mjx walk --record FILE.npz writes one.",
+        tmp_path / "other.npz": "not a recording of nermo_mjx; nermo-mjx walk --record FILE.npz writes one, and "
+        "nermo-mjx log reads a robot's log.",
         old.save(tmp_path / "old.npz"): "made with another version of the robot's model; record the run again.",
     }
     there = sorted(tmp_path.iterdir())
