@@ -96,9 +96,9 @@ def step(model: mjx.Model, data: mjx.Data) -> mjx.Data:
     True
 
     Derivatives flow from the new state to the old one (`qpos`, `qvel`, `act`), to `ctrl`, applied forces and mocap
-    poses, and to the real fields of the model that MJX's step reads, except the impedances of rows that are not
-    contacts and the exponents of those that are. None flows through the warm start, since the solution does not depend
-    on it. The model's `solver`, `iterations` and `tolerance` are ignored; `step_with_verdict` says how it converged.
+    poses, and to the real fields of the model that MJX's step reads, `solref` and `solimp` among them. None flows
+    through the warm start, since the solution does not depend on it. The model's `solver`, `iterations` and `tolerance`
+    are ignored; `step_with_verdict` says how it converged.
 
     Args:
         model: MJX model of `impl="jax"`, with any solver, integrator, cone and constraint that `mjx.put_model` takes.
