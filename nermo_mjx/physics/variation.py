@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import functools
 import operator
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from typing import Final
 
 import jax
@@ -16,6 +16,7 @@ from jaxtyping import Float
 from mujoco.batch import Batch
 
 from nermo_mjx.dynamics.constants import MassConstants, PlaceConstants
+from nermo_mjx.dynamics.precision import Lanes
 from nermo_mjx.physics.geometry_fields import GeometryFields
 from nermo_mjx.physics.servo_play import PLAY_FIELDS, SERVO_PLAY, UNLIMITED, Play, without_play
 from nermo_mjx.robot import LIMBS, ModelParameters, Robot
@@ -86,6 +87,7 @@ class Variation:
         self.model, self._hinges = model, robot.config.hinges
         #: Created once for each combination of names of lengths.
         self._geometry = functools.cache(functools.partial(GeometryFields, robot))
+        self._batched = functools.cache(lambda lengths: Lanes(functools.partial(self.fields, lengths=lengths)))
         names = [model.joint(i).name for i in range(model.njnt)]
         dof = {name: int(model.jnt_dofadr[i]) for i, name in enumerate(names)}
 
@@ -255,7 +257,7 @@ class Variation:
         leaves = jax.tree.map(lambda leaf: np.broadcast_to(np.asarray(leaf, float), (worlds,)), parameters)
         start_jax()
         with jax.enable_x64(True):
-            fields = self._batched(leaves, _lengths(named))
+            fields = self._batched(_lengths(named))(leaves)
         return {name: np.asarray(fields[name], float) for name in reached if name in fields}
 
     def differentiable(self, parameters: ModelParameters, named: Iterable[str]) -> dict[str, Float[Array, ...]]:
@@ -281,13 +283,6 @@ class Variation:
     @functools.cached_property
     def _place_constants(self) -> PlaceConstants:
         return PlaceConstants(self.model)
-
-    @functools.cached_property
-    def _batched(self) -> Callable[[ModelParameters, tuple[str, ...]], dict[str, Array]]:
-        def fields(parameters: ModelParameters, lengths: tuple[str, ...]) -> dict[str, Array]:
-            return jax.vmap(functools.partial(self.fields, lengths=lengths))(parameters)
-
-        return jax.jit(fields, static_argnums=1)
 
 
 def _reached(named: Iterable[str]) -> list[str]:

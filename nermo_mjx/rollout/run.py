@@ -5,16 +5,14 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
-from collections.abc import Callable
 from typing import Any, Final
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from nermo_mjx.control.protocol import ControllerLike
-from nermo_mjx.dynamics.precision import full_precision
+from nermo_mjx.dynamics.precision import Lanes
 from nermo_mjx.kinematics import spine
 from nermo_mjx.kinematics.body import feet_positions, hips, shoulders
 from nermo_mjx.kinematics.leg import forward_kinematics, four_legs
@@ -22,7 +20,6 @@ from nermo_mjx.robot import LIMBS, ModelParameters, ParameterError, Quantity, Ro
 from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.terrains import TerrainShape
 from nermo_mjx.rollout.setup import Start
-from nermo_mjx.runtime import compiler_options
 from nermo_mjx.shapes import Array
 
 Length = float | np.ndarray
@@ -123,37 +120,6 @@ class Run:
         length, warmup = self._lengths()
         period = 1.0 / cycle_rate if self.duration is None else cycle_rate**0
         return warmup * period, length * period
-
-
-# ---
-# A function of one world, for batches of any size, with results that do not depend on the batch.
-#
-# XLA's rounding depends on an array's shape, not on the position in it, so work is divided into chunks of one shape.
-
-
-#: Worlds per chunk; the last one is padded.
-LANES: Final = 256
-
-
-class Lanes:
-    """Applies a jittable function of one world to batches: leaves (n, ...) in, NumPy leaves (n, ...) out."""
-
-    def __init__(self, function: Callable[..., Any]) -> None:
-        """
-        Args:
-            function: of one world.
-        """
-        self._program = jax.jit(full_precision(jax.vmap(function)), compiler_options=compiler_options(level=0))
-
-    def __call__(self, *arguments: Any) -> Any:
-        """The results of all worlds; n is at least 1."""
-        arguments = jax.tree.map(np.asarray, arguments)
-        worlds = len(jax.tree.leaves(arguments)[0])
-        pieces = []
-        for start in range(0, worlds, LANES):
-            ids = np.minimum(np.arange(start, start + LANES), worlds - 1)
-            pieces.append(self._program(*jax.tree.map(lambda leaf, ids=ids: leaf[ids], arguments)))
-        return jax.tree.map(lambda *parts: np.concatenate(parts)[:worlds], *pieces)
 
 
 # ---

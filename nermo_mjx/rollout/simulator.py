@@ -16,6 +16,7 @@ import jax
 import numpy as np
 
 from nermo_mjx.control.protocol import ControllerLike
+from nermo_mjx.dynamics.precision import Lanes
 from nermo_mjx.physics import Trace, Variation, make_engine
 from nermo_mjx.progress import shown_share
 from nermo_mjx.recording import Recording, recording_of
@@ -28,7 +29,7 @@ from nermo_mjx.rollout.electrical import Supply
 from nermo_mjx.rollout.loop import LoopParameters, checked_loop, loop_parameters, terrain_of
 from nermo_mjx.rollout.own_metrics import OwnMetric
 from nermo_mjx.rollout.path_metrics import ticks_until
-from nermo_mjx.rollout.run import LONGEST, Lanes, Run, StartPose, too_many
+from nermo_mjx.rollout.run import LONGEST, Run, StartPose, too_many
 from nermo_mjx.rollout.saving import Keeper, Saving, Series
 from nermo_mjx.rollout.setup import Setup, Window, WorldParameters, with_own, without_presettings
 from nermo_mjx.runs.code import versions

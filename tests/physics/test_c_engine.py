@@ -13,11 +13,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from nermo_mjx.dynamics.precision import LANES as PIECE
+from nermo_mjx.dynamics.precision import Lanes
 from nermo_mjx.physics.c_engine import LANES, CEngine
 from nermo_mjx.rollout import Run, RunResult, Simulator
 from nermo_mjx.rollout.path_metrics import begins_in_run, ticks_until
-from nermo_mjx.rollout.run import LANES as PIECE
-from nermo_mjx.rollout.run import Lanes
 from nermo_mjx.rollout.saving import Saving
 from nermo_mjx.rollout.setup import Window
 from nermo_mjx.rollout.simulator import BLOCK
@@ -144,6 +144,27 @@ def test_what_shares_its_batch_changes_no_bit_of_a_run(on_threads, walks, alone,
         found = simulated(on_threads(threads), walks, RUNS[run], ids, how)
         for place, i in enumerate(ids):
             assert_same_run(found, place, alone(run, int(i), "plain"), alone(run, int(i), "both"))
+
+
+@pytest.mark.parametrize("profile", ["exact", "as_published"])
+@pytest.mark.parametrize("scene", ["flat", "rough"])
+def test_what_shares_its_batch_changes_no_bit_of_a_body_or_a_start(simulator, profile, scene) -> None:
+    """Geometry, build, masses, springs, servos, contact and terrain all differ from world to world."""
+    sim = simulator(profile=profile, scene=scene)
+    groups = ("geometry", "build", "mass", "stiffness", "damping", "servo", "contact", "start")
+    draw = np.random.default_rng(5).uniform
+    defaults = {name: float(value) for name, value in sim.setup.defaults().items() if name.split(".")[0] in groups}
+    defaults |= {"servo.spine_torque": 0.9}
+    bodies = {name: value * draw(1.0, 1.03, WORLDS) for name, value in defaults.items()}
+    bodies |= {"terrain.height": draw(0.004, 0.01, WORLDS)} if scene == "rough" else {}
+    together = sim.prepare(bodies, RUN)
+    assert {"tendon_range", "body_pos", "pair_friction"} <= together.fields.keys()
+    for i in range(0, WORLDS, 5):
+        lone = sim.prepare(some(bodies, np.array([i])), RUN)
+        same({name: column[i : i + 1] for name, column in together.fields.items()}, lone.fields)
+        np.testing.assert_array_equal(together.qpos[i], lone.qpos[0])
+        for left, right in zip(jax.tree.leaves(together.params), jax.tree.leaves(lone.params), strict=True):
+            np.testing.assert_array_equal(np.asarray(left)[i], np.asarray(right)[0])
 
 
 @pytest.mark.parametrize(
