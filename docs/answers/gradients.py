@@ -75,8 +75,8 @@ def slopes() -> dict[str, str]:
     rows: dict[str, list[str]] = {
         "measure": [],
         "median cosine, share above 0.9": [],
-        "with stiff soles and tendons": [],
-        "worst": [],
+        "the same with stiff soles and tendons": [],
+        "worst, here and with stiff ones": [],
         "mean speed, here and with stiff ones [mm/s]": [],
     }
     told = {}
@@ -90,8 +90,8 @@ def slopes() -> dict[str, str]:
             row.append(cell)
         if gait == "trot":
             rough = roughness(speeds(gait, {}), points[:PLACES])
-            told = {"slopes.rough": f"{np.median(rough):.2g}", "slopes.roughest": f"{rough.max():.2g}"}
-    rows["worst, here and with stiff ones"] = rows.pop("worst")
+            ends = {"rough": np.median(rough), "roughest": rough.max()}
+            told = {f"slopes.{name}": f"{each:.1e}".replace("e-0", "e-") for name, each in ends.items()}
     lines = [f"| {title} | {' | '.join(cells)} |" for title, cells in rows.items()]
     lines.insert(1, "|---" * (1 + len(GAITS)) + "|")
     return {"slopes": "\n".join(lines)} | told
