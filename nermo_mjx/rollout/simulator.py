@@ -495,6 +495,8 @@ def _batched(
         (a, first), (b, second) = sorted(sizes.items())[:2]
         raise ParameterError(f"{second} has {b} values and {first} has {a}: all arrays must have one length.")
     worlds = next(iter(sizes), 1)
+    if not worlds:
+        raise ParameterError(f"{sizes[0]} has no values: a batch has at least one world.")
 
     def spread(leaf: Any, one: Any) -> np.ndarray:
         leaf = np.asarray(leaf)

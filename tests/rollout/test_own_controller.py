@@ -105,6 +105,7 @@ def test_a_controller_of_thirty_lines_walks(bound: Simulator) -> None:
         ({"reach": 0.07}, r"reach is 0.07: allowed is \[0, 0.06\] m"),
         ({"stride": 1.0}, "stride is not a parameter"),
         ({"reach": [0.01, 0.02], "lift": [0.0, 0.01, 0.02]}, "lift has 3 values|reach has 2 values"),
+        ({"reach": []}, "reach has no values: a batch has at least one world"),
     ],
 )
 def test_values_are_checked_by_the_controllers_own_ranges(bound: Simulator, values: Any, message: str) -> None:
