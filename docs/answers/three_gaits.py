@@ -50,10 +50,10 @@ def film(sweep: Path) -> None:
     files = []
     for row in sought.shown_rows():
         recording = Recording.load(recording_file(sweep, row))
-        files.append(sweep / f"film-{row}.npz")
+        files.append(sweep / f"{recording.metadata['kept']}.npz")
         recording.between(recording.time[-1] - SECONDS, recording.time[-1]).save(files[-1])
     target = ROOT / "docs" / "images" / "three_gaits.webp"
-    small = ["--camera", "top", "--width", "360", "--height", "226", "--fps", "12"]
+    small = ["--camera", "top", "--width", "360", "--height", "150", "--fps", "12"]
     subprocess.run([sys.executable, "-m", "nermo_mjx", "render", *files, *small, "--out", target], check=True)
 
 
