@@ -1,9 +1,9 @@
 """Where the time of a physics step goes, and what other settings of it cost and give, for docs/benchmarks/physics.md.
 
-    python docs/answers/stages.py      # JSON; its times need an idle machine
+    python docs/answers/stages.py      # JSON
 
-Stages are of `docs/benchmarks/profile_step.py`. A setting walks the 24 walks of `presets.py` in MuJoCo C, its times
-between those of the preset `reference`.
+Stages are of `docs/benchmarks/profile_step.py`. A setting walks the 24 walks of `presets.py` in MuJoCo C, its
+processor time between those of the preset `reference`.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ STAGES = {
     ),
 }
 Change = Callable[[mujoco.MjModel], None]
-ROUNDS = 3
+ROUNDS = 2
 
 
 def option(**values: Any) -> Change:
@@ -105,9 +105,10 @@ def walked(setup: dict[str, Any], change: Change) -> Callable[[], tuple[Metrics,
 
 
 def timed(walk: Callable[[], tuple[Metrics, int]]) -> tuple[float, tuple[Metrics, int]]:
-    began = time.perf_counter()
+    """Processor seconds of the walks, and what they give."""
+    began = time.process_time()
     found = walk()
-    return time.perf_counter() - began, found
+    return time.process_time() - began, found
 
 
 def errors(found: Metrics, reference: Metrics) -> str:

@@ -23,7 +23,7 @@ from measuring import compile_cold, seconds
 from nermo_mjx.dynamics import differentiable
 from nermo_mjx.dynamics.impedance import make_constraint
 from nermo_mjx.dynamics.integration import integrate
-from nermo_mjx.dynamics.mjx_import import mjx
+from nermo_mjx.dynamics.mjx_import import Solved, mjx
 from nermo_mjx.physics.c_engine import CEngine
 from nermo_mjx.physics.mjx_engine import MjxEngine
 from nermo_mjx.robot import ParameterError
@@ -133,7 +133,7 @@ def _mjx_stages(simulator: Simulator, walk: Any) -> list[dict[str, Any]]:
     state["qacc_warmstart"] = _accelerations(simulator, **state, ctrl=walk.ctrl[:, WARMUP - 1])
     state["ctrl"] = walk.ctrl[:, WARMUP]
     real = engine.data.qpos.dtype
-    data = jax.vmap(lambda one: engine.data.replace(**one))(
+    data = jax.vmap(lambda one: Solved.of(engine.data.replace(**one)))(
         {key: np.asarray(each, real) for key, each in state.items()}
     )
     rows = []
