@@ -103,7 +103,7 @@ def digest(*parts: Any) -> str:
 
 
 def code(path: Path) -> str:
-    """A source without its comments and docstrings, which change no result; other files as they are."""
+    """A source without its comments, docstrings and imports, which change no result; other files as they are."""
     text = path.read_text(encoding="utf-8", errors="replace")
     if path.suffix == ".ipynb":
         return json.dumps([cell["source"] for cell in json.loads(text)["cells"] if cell["cell_type"] == "code"])
@@ -111,7 +111,9 @@ def code(path: Path) -> str:
         return text
     lines = text.splitlines()
     for node in ast.walk(ast.parse(text)):
-        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str):
+        value = node.value if isinstance(node, ast.Expr) else None
+        prose = isinstance(value, ast.Constant) and isinstance(value.value, str)
+        if prose or isinstance(node, (ast.Import, ast.ImportFrom)):
             lines[node.lineno - 1 : node.end_lineno] = [""] * (node.end_lineno - node.lineno + 1)
     return "\n".join(line for line in lines if line.strip() and not line.lstrip().startswith("#"))
 

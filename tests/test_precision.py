@@ -13,7 +13,7 @@ import pytest
 
 from nermo_mjx.dynamics import differentiable
 from nermo_mjx.dynamics.mjx_import import mjx
-from nermo_mjx.dynamics.precision import Lanes
+from nermo_mjx.physics.lanes import Lanes
 from nermo_mjx.rollout import Run, Setup, metrics
 
 #: A ball on a stick that lies on the ground: inertia, contacts, a tendon's limit.

@@ -12,12 +12,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from nermo_mjx.control import Controller
-from nermo_mjx.dynamics.precision import Lanes, full_precision
+from nermo_mjx.dynamics.precision import full_precision
 from nermo_mjx.learn.acting import ACTIONS, Acting
 from nermo_mjx.learn.loop import EpisodeLoop, Observed
 from nermo_mjx.learn.task import Episodes, Outcome, Task
 from nermo_mjx.physics import Variation, resolve_engine
 from nermo_mjx.physics.c_engine import CDriven, CEngine, Threads
+from nermo_mjx.physics.lanes import Lanes
 from nermo_mjx.robot import ParameterError
 from nermo_mjx.rollout.loop import check_controller
 from nermo_mjx.rollout.setup import Setup

@@ -16,8 +16,8 @@ from jaxtyping import Float
 from mujoco.batch import Batch
 
 from nermo_mjx.dynamics.constants import MassConstants, PlaceConstants
-from nermo_mjx.dynamics.precision import Lanes
 from nermo_mjx.physics.geometry_fields import GeometryFields
+from nermo_mjx.physics.lanes import Lanes
 from nermo_mjx.physics.servo_play import PLAY_FIELDS, SERVO_PLAY, UNLIMITED, Play, without_play
 from nermo_mjx.robot import LIMBS, ModelParameters, Robot
 from nermo_mjx.robot.equipment import chain_of, contact_kinds, is_spine_joint, pair_of

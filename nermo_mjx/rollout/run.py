@@ -12,10 +12,10 @@ import numpy as np
 from jaxtyping import Float
 
 from nermo_mjx.control.protocol import ControllerLike
-from nermo_mjx.dynamics.precision import Lanes
 from nermo_mjx.kinematics import spine
 from nermo_mjx.kinematics.body import feet_positions, hips, shoulders
 from nermo_mjx.kinematics.leg import forward_kinematics, four_legs
+from nermo_mjx.physics.lanes import Lanes
 from nermo_mjx.robot import LIMBS, ModelParameters, ParameterError, Quantity, Robot
 from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.terrains import TerrainShape

@@ -16,8 +16,8 @@ import jax
 import numpy as np
 
 from nermo_mjx.control.protocol import ControllerLike
-from nermo_mjx.dynamics.precision import Lanes
 from nermo_mjx.physics import Trace, Variation, make_engine
+from nermo_mjx.physics.lanes import Lanes
 from nermo_mjx.progress import shown_share
 from nermo_mjx.recording import Recording, recording_of
 from nermo_mjx.robot import Sensors

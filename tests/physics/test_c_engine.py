@@ -13,9 +13,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from nermo_mjx.dynamics.precision import LANES as PIECE
-from nermo_mjx.dynamics.precision import Lanes
 from nermo_mjx.physics.c_engine import LANES, CEngine
+from nermo_mjx.physics.lanes import LANES as PIECE
+from nermo_mjx.physics.lanes import Lanes
 from nermo_mjx.rollout import Run, RunResult, Simulator
 from nermo_mjx.rollout.path_metrics import begins_in_run, ticks_until
 from nermo_mjx.rollout.saving import Saving
