@@ -602,7 +602,7 @@ def test_yaml_has_a_limit_of_values_and_of_bytes(tmp_path: Path, monkeypatch: py
 
 
 @contextlib.contextmanager
-def bounded(seconds: int = 20, more: int = 1 << 30) -> Iterator[None]:
+def bounded(seconds: int = 60, more: int = 1 << 30) -> Iterator[None]:
     """Inside of it, waiting ends in an alarm, and memory beyond what is taken now in a MemoryError."""
 
     def late(*_: Any) -> None:
