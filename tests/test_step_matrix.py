@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
+import functools
 import importlib
 import json
 import sys
 from pathlib import Path
 
+import jax
+import numpy as np
 import pytest
 from composites import IN_THEIR_PLACE
+
+from nermo_mjx import Setup, Simulator, compiler_options
+from nermo_mjx.dynamics import step
+from nermo_mjx.dynamics.mjx_import import Solved
 
 STUDIES = Path(__file__).parents[1] / "docs" / "benchmarks"
 sys.path.insert(0, str(STUDIES))
 step_matrix, step_models, step_page = map(importlib.import_module, ("step_matrix", "step_models", "step_page"))
+profile_step = importlib.import_module("profile_step")
 
 MODELS = dict(step_models.installed_models())
 
@@ -93,3 +101,21 @@ def test_lines_become_a_table(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", sorted(path.stem for path in STUDIES.glob("*.py")))
 def test_every_study_finds_what_it_imports(name: str) -> None:
     importlib.import_module(name)
+
+
+@pytest.mark.release
+@pytest.mark.slow
+def test_the_stages_of_a_profile_are_a_step() -> None:
+    engine = Simulator(Setup(), "mjx").engine
+
+    def staged(data: Solved) -> Solved:
+        return functools.reduce(lambda each, stage: stage(engine.model, each), profile_step.MJX_STAGES.values(), data)
+
+    options = compiler_options(level=0)
+    found = jax.jit(staged, compiler_options=options)(Solved.of(engine.data))
+    wanted = jax.jit(functools.partial(step, engine.model), compiler_options=options)(engine.data)
+    for name in ("qpos", "qvel", "sensordata"):
+        np.testing.assert_allclose(getattr(found, name), getattr(wanted, name), rtol=1e-4, atol=1e-5, err_msg=name)
+    rows = profile_step.profile("mjx", worlds=2)["stages"]
+    assert [row["stage"] for row in rows] == list(profile_step.MJX_STAGES)
+    assert all(row["us"] > 0 for row in rows)
