@@ -29,7 +29,7 @@ import chromium
 IMAGES = Path(__file__).parent / "images"
 #: The run beside the plot: 0.88 Hz, 0.2 rad, phase 0.
 ROW = 140
-#: What is done while the robot is driven: simulated time [s], and what it says to the page.
+#: What is done while the robot is driven: simulated time [s], and what the page then says to the drive.
 DEEDS = (
     (0.8, '{"gait": "lateral_walk"}'),
     (2.2, '{"spine": "stride_extension"}'),
