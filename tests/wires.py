@@ -1,9 +1,10 @@
-"""A clock of their own for tests in time, and a broker and a bridge on this machine, over which robots are driven."""
+"""Robots driven over messages: a clock for tests, a controller with a simulated robot, a broker and a bridge."""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
+import dataclasses
 import importlib.util
 import json
 import logging
@@ -13,7 +14,14 @@ import threading
 from collections.abc import Iterator
 from typing import Any
 
+import numpy as np
 import pytest
+
+from nermo_mjx.hardware import Channels, read_channels
+from nermo_mjx.live.wire import Measured, RobotDriving, SimulatedRobot, sensor_message
+
+#: The author's order, with angles that are not cut to whole degrees.
+CHANNELS = dataclasses.replace(read_channels("published"), whole_degrees=None)
 
 
 class Clock:
@@ -29,6 +37,47 @@ class Clock:
         self.now += seconds
         if self.now >= self.jump_at:
             self.now, self.jump_at = self.now + self.jump, math.inf
+
+
+class Together:
+    """A controller and a simulated robot, tick by tick in one time."""
+
+    def __init__(
+        self,
+        driving: RobotDriving,
+        channels: Channels = CHANNELS,
+        delay: float = 0.0,
+        loss: float = 0.0,
+        rate: float | None = None,
+        values: dict[str, float] | None = None,
+    ) -> None:
+        self.clock, self.silent = Clock(), False
+        self.body = SimulatedRobot(driving.setup, values or {}, channels, delay, loss, self.clock)
+        self.measured = Measured(self.body.robot, channels, clock=self.clock)
+        self.commands: list[np.ndarray] = []
+        self.body.outward.put(-1.0, sensor_message(self.body.robot, channels, self.body._readings[0, -1], 0.0))
+        self.tell()
+        self.driving = driving
+        driving._period = 1.0 / (rate or 100.0)
+        driving.connect(self.measured, self.publish)
+        self.walk(self.measured.watchdog)
+        assert not self.commands, "the first messages may be old"
+
+    def publish(self, message: Any) -> None:
+        self.commands.append(np.array(message["data"]))
+        self.body.receive(message)
+
+    def tell(self) -> None:
+        for message in self.body.outward.arrived(self.clock() + 1e-9):
+            if not self.silent:
+                self.measured.receive(message)
+
+    def walk(self, seconds: float) -> None:
+        for _ in range(round(seconds / self.body.dt)):
+            self.tell()
+            self.driving.step()
+            self.body.tick(self.clock())
+            self.clock.now += self.body.dt
 
 
 def needs(*packages: str) -> None:

@@ -7,6 +7,7 @@ python docs/answers/landscape.py table DIR   # JSON, from DIR/landscape and DIR/
 from __future__ import annotations
 
 import json
+import math
 import sys
 from pathlib import Path
 from typing import Any
@@ -38,7 +39,7 @@ def ends(out: Path, name: str) -> dict[str, str]:
     points = pd.read_parquet(out / "landscape.parquet")
     line = points[(points.line == name) & (points.centre == -1)]
     best = line.loc[line.objective.idxmin()]
-    at = f"{best[name] * 180 / 3.141592653589793:.3g}"
+    at = f"{math.degrees(best[name]):.3g}"
     found = {"best": f"{best.objective:.3f}", "at": at, "worst": f"{line.objective.max():.3f}"}
     return {f"landscape.{name.split('.')[1]}_{what}": each for what, each in found.items()}
 
@@ -57,6 +58,7 @@ if __name__ == "__main__":
         for name, content in (("soft", soft), ("stiff", stiff)):
             for parameter, error in zip(("amplitude", "phase"), judged(content, 0.02), strict=True):
                 found[f"landscape.{name}_{parameter}"] = error
+        found["landscape.walks"] = f"{soft['evaluations']}"
         for parameter in soft["parameters"]:
             found |= ends(out / "landscape", parameter)
         print(json.dumps(found, indent=1, ensure_ascii=False))

@@ -1,4 +1,4 @@
-"""The table of README.md: the optima of `sweeps/three_gaits.yaml` in two profiles, as JSON.
+"""The table and numbers of README.md: the optima of `sweeps/three_gaits.yaml` in two profiles, as JSON.
 
 python docs/answers/three_gaits.py PROFILE DIR   # writes DIR/PROFILE.yaml, the same sweep in another profile
 python docs/answers/three_gaits.py table DIR     # of DIR/exact/optimum.csv and DIR/as_published/optimum.csv
@@ -13,6 +13,8 @@ import math
 import subprocess
 import sys
 from pathlib import Path
+
+import numpy as np
 
 from nermo_mjx import Recording
 from nermo_mjx.sweep.optimum import optimum_in
@@ -43,6 +45,13 @@ def table(optima: dict[str, Path]) -> str:
     return "\n".join(lines)
 
 
+def worst(sweep: Path) -> str:
+    """The most that a point of the maps costs of the base's speed [%]."""
+    sought = optimum_in(sweep)
+    assert sought is not None
+    return f"{-100 * min(np.nanmin(each.mean / each.base_mean - 1.0) for each in sought.answers):.0f}"
+
+
 def film(sweep: Path) -> None:
     """The last cycles of the best points and their bases, from above."""
     sought = optimum_in(sweep)
@@ -61,7 +70,8 @@ if __name__ == "__main__":
     what, out = sys.argv[1], Path(sys.argv[2])
     if what == "table":
         optima = {profile: out / profile / "optimum.csv" for profile in ("exact", "as_published")}
-        print(json.dumps({"answers": table(optima)}, indent=1, ensure_ascii=False))
+        found = {"answers": table(optima), "answers.worst": worst(out / "exact")}
+        print(json.dumps(found, indent=1, ensure_ascii=False))
     elif what == "film":
         film(out / "exact")
     else:

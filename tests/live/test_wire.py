@@ -21,9 +21,10 @@ import numpy as np
 import pytest
 import wires
 from conftest import shared_simulator
+from wires import CHANNELS, Together
 
 from nermo_mjx import Run, Setup
-from nermo_mjx.hardware import Channels, read_channels, read_log
+from nermo_mjx.hardware import read_channels, read_log
 from nermo_mjx.hardware.live import PATIENCE, ROS_TYPE, TOPIC, NotSentError, SendError, linked
 from nermo_mjx.hardware.signals import findings_of
 from nermo_mjx.live.driving import Journal, replayed
@@ -35,7 +36,6 @@ from nermo_mjx.live.wire import (
     LinkLog,
     Measured,
     RobotDriving,
-    SimulatedRobot,
     meet,
     needed_sensors,
     sensor_message,
@@ -46,8 +46,6 @@ from nermo_mjx.trust import TELL
 
 pytestmark = [pytest.mark.compiles, pytest.mark.usefixtures("shared_simulators")]
 
-#: The author's order, with angles that are not cut to whole degrees.
-CHANNELS = dataclasses.replace(read_channels("published"), whole_degrees=None)
 #: A message of the author's simulation: eight leg servos, tail, neck, head and spine, four feet, and the IMU's place,
 #: quaternion, velocity, acceleration and turning.
 AUTHORS = {
@@ -166,47 +164,6 @@ def test_what_a_controller_reads_is_found_and_must_be_told() -> None:
     meet(measured, {"foot_force"}, clock.wait)
     measured.receive({"servo_pos_leg": [0.0] * 8, "servo_pos_aux": [0.0] * 4})
     assert measured.counts["of a wrong size"] == 1, "what the controller reads may not be left out later"
-
-
-class Together:
-    """A controller and a simulated robot, tick by tick in one time."""
-
-    def __init__(
-        self,
-        driving: RobotDriving,
-        channels: Channels = CHANNELS,
-        delay: float = 0.0,
-        loss: float = 0.0,
-        rate: float | None = None,
-        values: dict[str, float] | None = None,
-    ) -> None:
-        self.clock, self.silent = wires.Clock(), False
-        self.body = SimulatedRobot(driving.setup, values or {}, channels, delay, loss, self.clock)
-        self.measured = Measured(self.body.robot, channels, clock=self.clock)
-        self.commands: list[np.ndarray] = []
-        self.body.outward.put(-1.0, sensor_message(self.body.robot, channels, self.body._readings[0, -1], 0.0))
-        self.tell()
-        self.driving = driving
-        driving._period = 1.0 / (rate or 100.0)
-        driving.connect(self.measured, self.publish)
-        self.walk(self.measured.watchdog)
-        assert not self.commands, "the first messages may be old"
-
-    def publish(self, message: Any) -> None:
-        self.commands.append(np.array(message["data"]))
-        self.body.receive(message)
-
-    def tell(self) -> None:
-        for message in self.body.outward.arrived(self.clock() + 1e-9):
-            if not self.silent:
-                self.measured.receive(message)
-
-    def walk(self, seconds: float) -> None:
-        for _ in range(round(seconds / self.body.dt)):
-            self.tell()
-            self.driving.step()
-            self.body.tick(self.clock())
-            self.clock.now += self.body.dt
 
 
 @pytest.mark.release

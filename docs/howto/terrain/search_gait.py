@@ -211,11 +211,14 @@ def measured(ground: Ground, gait: Gait, seed: int) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def appended(name: str, rows: pd.DataFrame) -> None:
-    """Rows at the end of a table beside this file."""
+def put(name: str, rows: pd.DataFrame) -> None:
+    """Rows of a spine and a seed at the end of a table beside this file, in place of those it has of them."""
     path = HERE / name
-    table = pd.concat([pd.read_csv(path, dtype={"seed": str}), rows]) if path.exists() else rows
-    table.to_csv(path, index=False, float_format="%.5g")
+    if path.exists():
+        table = pd.read_csv(path, dtype={"seed": str})
+        others = (table.spine != rows.spine.iloc[0]) | (table.seed != rows.seed.iloc[0])
+        rows = pd.concat([table[others], rows])
+    rows.to_csv(path, index=False, float_format="%.5g")
 
 
 def compared(table: pd.DataFrame) -> pd.DataFrame:
@@ -248,6 +251,6 @@ if __name__ == "__main__":
             walks = measured(ground, gaits().loc[spine, seed].dropna().to_dict(), 5)
         else:
             gait = search(spine, ground, int(seed))
-            appended("gaits.csv", pd.DataFrame([{"spine": spine, "seed": seed} | gait]))
+            put("gaits.csv", pd.DataFrame([{"spine": spine, "seed": seed} | gait]))
             walks = measured(ground, gait, int(seed))
-        appended("seeds.csv", walks.assign(spine=spine, seed=seed))
+        put("seeds.csv", walks.assign(spine=spine, seed=seed))
