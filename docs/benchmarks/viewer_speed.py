@@ -2,9 +2,9 @@
 
     python docs/benchmarks/viewer_speed.py DIR   # of DIR/free.npz and DIR/stiff.npz; pages are made beside them
 
-Of a recording's page: the time until it is ready and until it is stopped and drawn as a still, and the frames a second
-while it plays. Of a directory's page: the time until it is ready and until it is seen, until another choice is drawn, and until
-a recording plays. Medians of three, each in a new browser. Of a drive: how far the picture is behind.
+Of a recording's page: the time until it is ready, until it is stopped and drawn as a still, and the frames a second
+while it plays. Of a directory's page: the time until it is ready and until it is seen, until another choice is drawn,
+and until a recording plays. Medians of three, each in a new browser. Of a drive: how far the picture is behind.
 """
 
 from __future__ import annotations
