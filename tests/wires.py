@@ -11,7 +11,8 @@ import logging
 import math
 import socket
 import threading
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,13 @@ from nermo_mjx.live.wire import Measured, RobotDriving, SimulatedRobot, sensor_m
 
 #: The author's order, with angles that are not cut to whole degrees.
 CHANNELS = dataclasses.replace(read_channels("published"), whole_degrees=None)
+
+
+def until(is_so: Callable[[], Any], seconds: float = 120.0) -> None:
+    deadline = time.monotonic() + seconds
+    while not is_so():
+        assert time.monotonic() < deadline, "it did not happen in time"
+        time.sleep(0.02)
 
 
 class Clock:

@@ -24,6 +24,7 @@ import pytest
 from command import call, json_of
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
+from wires import until
 
 from nermo_mjx.control.controller import published_controller
 from nermo_mjx.control.schedule import Switch
@@ -245,9 +246,7 @@ def closed(page) -> int:
 
 def paused(drive: LiveDrive) -> bool:
     """Whether it pauses soon, and stands still then."""
-    deadline = time.monotonic() + 10
-    while not drive.paused and time.monotonic() < deadline:
-        time.sleep(0.02)
+    until(lambda: drive.paused, 10.0)
     before = drive.driving.ticks
     time.sleep(0.2)
     return drive.paused and drive.driving.ticks == before
@@ -346,14 +345,7 @@ def test_a_switch_that_comes_due_is_refused_as_a_command_is_and_the_drive_goes_o
     drive.driving._due = [Switch(0.0, values={"stride": 1.2, "stance.max_stride": 0.08})]
     assert "stride is 1.2" in said(page, '{"speed": 1.0}', lambda told: "refused" in told)["refused"]
     before = drive.driving.ticks
-    wait(lambda: drive.driving.ticks > before + 5)
-
-
-def wait(reached, seconds: float = 20.0) -> None:
-    end = time.monotonic() + seconds
-    while not reached():
-        assert time.monotonic() < end
-        time.sleep(0.02)
+    until(lambda: drive.driving.ticks > before + 5)
 
 
 @pytest.mark.parametrize(
@@ -378,8 +370,8 @@ def test_a_page_that_sends_without_reading_stops_neither_time_nor_a_second_page(
         time.sleep(1.0)
         before = drive.driving.ticks
         with socket(drive) as second:
-            wait(lambda: drive._page is not None and drive._page.remote_address == second.local_address, 10)
-            wait(lambda: drive.driving.ticks > before + 30, 10)
+            until(lambda: drive._page is not None and drive._page.remote_address == second.local_address, 10)
+            until(lambda: drive.driving.ticks > before + 30, 10)
             stop.set()
             said(second, speed=0.5)
         sender.join(10)
@@ -518,22 +510,22 @@ def test_a_full_disk_stops_time_until_there_is_room(recorded, tmp_path):
     assert paused(made)
     said(page, '{"pause": false}', lambda told: "refused" in told)
     journal._file = real
-    wait(lambda: journal.error is None)
+    until(lambda: journal.error is None)
     said(page, wanted=lambda told: not told["paused"], pause=False)
-    wait(lambda: len(replayed(tmp_path / "d.jsonl").metadata["driven"]["commands"]) == 1)
+    until(lambda: len(replayed(tmp_path / "d.jsonl").metadata["driven"]["commands"]) == 1)
 
 
 def test_where_the_recording_cannot_be_written_the_journal_stays(recorded, tmp_path, monkeypatch):
     made, page, thread = recorded
-    wait(lambda: made.driving.ticks > 20)
+    until(lambda: made.driving.ticks > 20)
 
     def failing(self, path):
         raise RecordingError(f"{path}: the recording cannot be written (No space left on device).")
 
     monkeypatch.setattr(Recording, "save", failing)
     said(page, reset=True)
-    wait((tmp_path / "d-2.jsonl").exists)
-    wait(lambda: made.driving.ticks > 20)
+    until((tmp_path / "d-2.jsonl").exists)
+    until(lambda: made.driving.ticks > 20)
     made.over = True
     thread.join(30)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["d-2.jsonl", "d.jsonl"]
@@ -651,10 +643,10 @@ def test_the_robot_follows_keys_gamepad_and_hand(drive, module):
                 canvas.setPointerCapture = () => {};
                 at("pointerdown", 0.5, 0.5); at("pointermove", 0.6, 0.5); at("pointerup", 0.6, 0.5);
             })()""")
-            wait(lambda: drive.driving.pushes)
+            until(lambda: drive.driving.pushes)
             assert np.linalg.norm(drive.driving.pushes[0].force) > 0.2
         # Of each picture that is shown the page tells when; how many a second is the machine's.
-        wait(lambda: len(drive.delays) > 50, chromium.PATIENCE)
+        until(lambda: len(drive.delays) > 50, chromium.PATIENCE)
         tab.key(" ")
         tab.wait("viewer.drive.state.paused")
         # What comes long after the last row is joined to it by no line.

@@ -13,7 +13,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,7 @@ import numpy as np
 import pytest
 import wires
 from conftest import shared_simulator
-from wires import CHANNELS, Together
+from wires import CHANNELS, Together, until
 
 from nermo_mjx import Run, Setup
 from nermo_mjx.hardware import read_channels, read_log
@@ -524,13 +524,6 @@ def wire(request) -> Iterator[str]:
     """The address of a broker, or of a bridge."""
     with wires.broker() if request.param == "mqtt" else wires.bridge() as port:
         yield f"{request.param}://127.0.0.1:{port}"
-
-
-def until(is_so: Callable[[], Any], seconds: float = 120.0) -> None:
-    deadline = time.monotonic() + seconds
-    while not is_so():
-        assert time.monotonic() < deadline, "it did not happen in time"
-        time.sleep(0.02)
 
 
 @pytest.fixture
