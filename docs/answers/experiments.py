@@ -1,4 +1,5 @@
-"""Numbers and tables of docs/experiments.md, as JSON, from a directory of `nermo-mjx experiment all`.
+"""Numbers and tables of docs/experiments.md and docs/published_set_up.md, as JSON, from a directory of
+`nermo-mjx experiment all`.
 
     python docs/answers/experiments.py DIR
 
@@ -14,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from model import STIFF
 
 from nermo_mjx import Run, Simulator
@@ -73,6 +75,9 @@ EXPERIMENTS = {
     "body and test stands": ["body", "leg-stand", "spine-stand"],
 }
 KINDS = ("predicted", "chosen", "theory")
+GAITS = ("trot", "walking trot", "lateral walk")
+#: Standard deviation of the roll of the author's model in a trot at 0.67 Hz, spine held and free [degrees].
+AUTHORS_ROLL = (3.22, 4.45)
 
 
 def shown(value: float | list[float] | None, places: int) -> str:
@@ -141,10 +146,50 @@ def built() -> dict[str, str]:
     }
 
 
+def quoted(by_name: dict[str, Line]) -> dict[str, str]:
+    """Figures of `as_published` that the text of docs/experiments.md tells."""
+    published = {name: line["as_published"] for name, line in by_name.items()}
+    tighter = [100 * published[f"smallest radius of {gait}, mix-based below leg-based"] for gait in GAITS]
+    return {
+        "published.slow_gain": f"{published['speed of trot, 0.5 and 0.67 Hz, spine over none']:.2f}",
+        "published.over_theory": f"{published['speed of trot over its theory, 0.8 Hz']:.2f}",
+        "published.tighter": f"{min(tighter):.0f} to {max(tighter):.0f}",
+    }
+
+
+def set_up(walks: pd.DataFrame) -> dict[str, str]:
+    """Of the trot of `as_published`, without a pilot: means of the starts, spine held and free."""
+    trot = walks[(walks.profile == "as_published") & (walks.gait == "trot") & (walks.stride == 1.0)]
+    means = trot[~trot.compensated].groupby(["frequency", "spine"]).mean(numeric_only=True)
+    gains = [means.speed[each, True] / means.speed[each, False] for each in (0.8, 0.67, 0.5)]
+    roll, pitch = (np.degrees(means.loc[0.67, f"{name}_std"]).to_numpy() for name in ("roll", "pitch"))
+    more = sorted(100 * (roll / AUTHORS_ROLL - 1.0))
+    return {
+        "set_up.gains": ", ".join(f"{each:.2f}" for each in gains),
+        "set_up.roll": ", ".join(f"{each:.2f}" for each in roll),
+        "set_up.pitch": ", ".join(f"{each:.2f}" for each in pitch),
+        "set_up.more_roll": f"{more[0]:.0f} to {more[1]:.0f}",
+    }
+
+
+def circles(turns: pd.DataFrame) -> dict[str, str]:
+    """Of the circles of 0.5 m by the spine in `exact`: how many are left in a start, and the mean farthest distance."""
+    cases = turns[(turns.profile == "exact") & (turns.strategy == "spine") & (turns.radius == 0.5)]
+    each = cases.groupby(["gait", "frequency"]).agg({"followed": "all", "cross_track_peak": "mean"})
+    far = 1e3 * each.cross_track_peak
+    return {
+        "circles.left": f"{(~each.followed).sum()} of {len(each)}",
+        "circles.far": f"{far.min():.0f} to {far.max():.0f}",
+    }
+
+
 if __name__ == "__main__":
     lines = json.loads((Path(sys.argv[1]) / "report.json").read_text())["lines"]
     by_name = {line["figure"]: line for line in lines}
-    found = counts(lines) | built()
+    straight, turns = (
+        pd.read_parquet(Path(sys.argv[1]) / "results" / f"{name}.parquet") for name in ("straight-line", "turning")
+    )
+    found = counts(lines) | built() | quoted(by_name) | set_up(straight) | circles(turns)
     heads = {"published": "published", "author": "author's model", "as_published": "`as_published`", "exact": "`exact`"}
     found["published.main"] = figures(SHOWN, heads, by_name)
     found["built"] = figures(BUILT, {"published": "hardware", "as_built": "`as_built`"}, by_name)
