@@ -24,7 +24,7 @@ import numpy as np
 from pydantic import TypeAdapter, ValidationError
 from pydantic_core import from_json
 
-from nermo_mjx.trust import FileError, one_line
+from nermo_mjx.trust import FileError, one_line, shortened
 
 #: Bytes of a file of arrays or a table, and of all its arrays; of a JSON file, whose values take up to 30 times that.
 MOST_ARRAYS: Final = 1 << 28
@@ -138,8 +138,8 @@ def read_as(content: bytes | str, shape: Any, called: object) -> Any:
         first = error.errors(include_url=False, include_context=False)[0]
     except UnicodeError:
         raise FileError(f"{called}: not valid JSON: it is not UTF-8.") from None
-    field, given = (one_line(str(text)) for text in (".".join(map(str, first["loc"])), repr(first["input"])))
-    given = given if len(given) <= 60 else f"{given[:57]}..."
+    field = shortened(one_line(".".join(map(str, first["loc"]))), 200)
+    given = shortened(one_line(repr(first["input"])))
     what = f"field {field!r} is {given}" if field else f"it holds {given}"
     what = "not valid JSON" if first["type"] == "json_invalid" else what
     raise FileError(f"{called}: {what}: {first['msg'].rstrip('.')}.") from None

@@ -35,6 +35,11 @@ def one_line(text: str) -> str:
     return printable(text).replace("\n", "\\n").replace("\t", "\\t")
 
 
+def shortened(text: str, most: int = 60) -> str:
+    """A text, or its beginning if it has more letters."""
+    return text if len(text) <= most else f"{text[: most - 3]}..."
+
+
 # ---
 # Whose Python is run.
 

@@ -17,7 +17,7 @@ from ruamel.yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
 
 from nermo_mjx.files import read_bytes
 from nermo_mjx.robot.quantity import ParameterError, of_type
-from nermo_mjx.trust import FileError
+from nermo_mjx.trust import FileError, shortened
 
 #: Keys (and list positions) from the top of a document to one of its fields.
 FieldPath = tuple["str | int", ...]
@@ -53,7 +53,7 @@ class Document:
     def fail(self, path: FieldPath, message: str, field: str | None = None) -> NoReturn:
         """Raise a `SpecError` about the field at `path`: `source:line: field 'name' <message>`."""
         name = ".".join(map(str, path)) if field is None else field
-        subject = f"field '{name}' " if name else ""
+        subject = f"field '{shortened(name, 200)}' " if name else ""
         raise SpecError(f"{self.where(path)}: {subject}{message}") from None
 
     def where(self, path: FieldPath) -> str:

@@ -35,6 +35,7 @@ from nermo_mjx.specs.walk import WalkSpec, unread
 from nermo_mjx.sweep.spec import Rows, Sample, Sweep
 from nermo_mjx.sweep.structures import STRUCTURES
 from nermo_mjx.sweep.table import RECORD, RECORDINGS, SweepRecord
+from nermo_mjx.trust import shortened
 
 # ---
 # Whether the sweep of a directory can be extended to another one, and how two sweeps differ.
@@ -94,8 +95,7 @@ def _sentence(apart: Mapping[str, tuple[Any, Any]]) -> str:
 
 
 def _text(value: Any) -> str:
-    text = f"{value:g}" if isinstance(value, float) else str(value)
-    return text if len(text) <= 60 else f"{text[:57]}..."
+    return shortened(f"{value:g}" if isinstance(value, float) else str(value))
 
 
 # ---

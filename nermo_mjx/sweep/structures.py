@@ -34,6 +34,7 @@ from nermo_mjx.specs.reading import Document, FieldPath, SpecError, describe, re
 from nermo_mjx.specs.values import Checked, by_parameter, refuse_parameter
 from nermo_mjx.specs.walk import PilotFields, SetupFields, WalkFields, WalkSpec, read_walk, unread
 from nermo_mjx.sweep.sampling import Axis, settled
+from nermo_mjx.trust import shortened
 
 #: Combinations in one sweep: each is a simulator, and is checked before anything runs.
 MOST_STRUCTURES: Final = 1_000
@@ -272,7 +273,7 @@ class RowTable:
 
     def fail(self, row: int, name: str, message: str) -> NoReturn:
         """Raise a `SpecError` about a value."""
-        raise SpecError(f"{self.place(row)}: field '{name}' {message}") from None
+        raise SpecError(f"{self.place(row)}: field '{shortened(name, 200)}' {message}") from None
 
     def combinations(self) -> tuple[list[dict[str, StructureValue]], np.ndarray]:
         """The different combinations of structures, and which one each row has, (n,)."""

@@ -498,6 +498,16 @@ def hunted(kinds_of_files: Any, mutants: int, seed: int) -> list[str]:
     return wrong
 
 
+def test_a_name_of_any_length_is_refused_at_once(tmp_path: Path) -> None:
+    path = tmp_path / "rows.parquet"
+    pq.write_table(pa.table({"spine.amplitude" * 20_000: [0.1]}), path)
+    began = time.process_time()
+    with pytest.raises(FileError, match="is not a parameter") as refused:
+        read_row_table(read_mapping({}), str(path))
+    assert time.process_time() - began < 5.0
+    assert len(str(refused.value)) < 1000
+
+
 # ---
 # What is asked for is weighed before anything is made of it.
 
