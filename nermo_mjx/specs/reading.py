@@ -233,7 +233,7 @@ class _NodeReader:
         self._open.pop()
 
     def _subject(self, path: FieldPath) -> str:
-        return f"field '{'.'.join(map(str, path))}'" if path else f"the {self.what}"
+        return f"field '{shortened('.'.join(map(str, path)), 200)}'" if path else f"the {self.what}"
 
     def _refuse(self, node: Node, message: str) -> NoReturn:
         raise SpecError(f"{self.source}:{node.start_mark.line + 1}: {message}") from None
