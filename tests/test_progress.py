@@ -9,7 +9,7 @@ import tempfile
 import types
 
 import pytest
-from sweep_fake import SPEC, FakeSimulator
+from fakes.sweep_fake import SPEC, FakeSimulator
 
 from nermo_mjx import Run, run_sweep
 from nermo_mjx.progress import shown_share, shows_progress

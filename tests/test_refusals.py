@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from conftest import shared_simulator
-from learn_toy import PointMass
+from fakes.learn_toy import PointMass
 
 from nermo_mjx import ParameterError, Rollout, Run, Setup, servo_table
 from nermo_mjx.bench import run_bench

@@ -11,7 +11,7 @@ from pathlib import Path
 import jax
 import numpy as np
 import pytest
-from composites import IN_THEIR_PLACE
+from fakes.composites import IN_THEIR_PLACE
 
 from nermo_mjx import Setup, Simulator, compiler_options
 from nermo_mjx.dynamics import step

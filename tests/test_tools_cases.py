@@ -17,10 +17,10 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-import search_fake
 from command import call, json_of
 from conftest import shared_simulator
-from sweep_fake import FakeSimulator
+from fakes import search_fake
+from fakes.sweep_fake import FakeSimulator
 
 from nermo_mjx import Run, Setup, Simulator, all_metrics, all_parameters, load_robot
 from nermo_mjx.optimize import Tuning, run_search

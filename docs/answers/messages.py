@@ -12,7 +12,7 @@ from nermo_mjx import Setup
 from nermo_mjx.live.wire import RobotDriving, Way
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))
-from wires import CHANNELS, Together
+from fakes.wires import CHANNELS, Together
 
 SECONDS, DRAWS = 8.0, 6
 #: Mean delay [s] and share of lost messages, both ways.

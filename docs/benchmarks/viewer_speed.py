@@ -28,7 +28,7 @@ from nermo_mjx.view.explore import MOST_RECORDINGS, explore
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))
 import chromium
-from explore_data import many
+from fakes.explore_data import many
 
 SECONDS = 6.0
 COUNT = """new Promise((done) => {

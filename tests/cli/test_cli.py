@@ -21,7 +21,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 from command import call, json_of
-from experiment_fake import Fake, pretend
+from fakes.experiment_fake import Fake, pretend
 
 from nermo_mjx import Recording, load_robot
 from nermo_mjx.cli import choices, main

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command import call, json_of
-from measured import write_log
+from fakes.measured import write_log
 
 from nermo_mjx.hardware import read_log
 from nermo_mjx.recording import Recording

@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 import pytest
 from command import call
-from experiment_fake import Fake, pretend
-from sweep_fake import SPEC, FakeSimulator, contents, part_of
-from tune_fake import SPEC as TUNE_SPEC
-from tune_fake import FakeProblem
+from fakes.experiment_fake import Fake, pretend
+from fakes.sweep_fake import SPEC, FakeSimulator, contents, part_of
+from fakes.tune_fake import SPEC as TUNE_SPEC
+from fakes.tune_fake import FakeProblem
 
 from nermo_mjx.experiments import identification, plots
 from nermo_mjx.experiments.identification import CASES

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from published_maze import clearance
+from fakes.published_maze import clearance
 
 from nermo_mjx.control.path import AHEAD, BEHIND, Course, PathPoint, course_through, locate
 from nermo_mjx.experiments.walks import MAZE_COURSE, maze_course

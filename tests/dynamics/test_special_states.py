@@ -11,9 +11,9 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
-import special_states
+from fakes import special_states
+from fakes.special_states import CASES
 from mujoco.mjx._src import collision_sdf, constraint, math, support
-from special_states import CASES
 
 from nermo_mjx.dynamics import forward, impedance, rows, step
 from nermo_mjx.dynamics.jacobians import _segment_direction, _segment_length, with_point_jacobians

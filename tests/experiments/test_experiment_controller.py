@@ -10,7 +10,7 @@ from pathlib import Path
 import jax
 import numpy as np
 import pytest
-from experiment_fake import Fake
+from fakes.experiment_fake import Fake
 
 from nermo_mjx import Setup
 from nermo_mjx.experiments import plots, walks

@@ -5,7 +5,7 @@ import itertools
 
 import numpy as np
 import pytest
-from experiment_fake import made_up
+from fakes.experiment_fake import made_up
 
 from nermo_mjx.experiments import stands, walks
 from nermo_mjx.experiments.cases import Case, CaseRuns, clock, texts

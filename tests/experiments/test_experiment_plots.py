@@ -8,7 +8,7 @@ import re
 import matplotlib
 import numpy as np
 import pytest
-from experiment_fake import BOTH, made_up
+from fakes.experiment_fake import BOTH, made_up
 from matplotlib.collections import PathCollection, PolyCollection
 from matplotlib.image import imread
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from experiment_fake import RUN, pretend
+from fakes.experiment_fake import RUN, pretend
 
 from nermo_mjx.experiments import plots, run
 from nermo_mjx.experiments.cases import Settings

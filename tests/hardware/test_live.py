@@ -9,8 +9,8 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
-import wires
 from command import json_of
+from fakes import wires
 
 from nermo_mjx import Setup, servo_table
 from nermo_mjx.hardware import connected, send_table

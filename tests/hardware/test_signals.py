@@ -3,9 +3,9 @@
 import dataclasses
 import re
 
-import measured
 import numpy as np
 import pytest
+from fakes import measured
 
 from nermo_mjx.hardware import read_log
 from nermo_mjx.hardware.log import Channel, Log

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from learn_toy import PointMass
+from fakes.learn_toy import PointMass
 
 from nermo_mjx.learn.algorithms import PPO, ShortHorizon
 from nermo_mjx.learn.experience import (

@@ -19,8 +19,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from click.testing import CliRunner
-from explore_data import falling
-from learn_toy import PointMass
+from fakes.explore_data import falling
+from fakes.learn_toy import PointMass
 from scipy.stats import kstest
 
 from nermo_mjx import ParameterError, Run, Setup, Simulator, show

@@ -22,9 +22,9 @@ import firefox
 import numpy as np
 import pytest
 from command import call, json_of
+from fakes.wires import until
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
-from wires import until
 
 from nermo_mjx.control.controller import published_controller
 from nermo_mjx.control.schedule import Switch

@@ -19,9 +19,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-import wires
 from conftest import shared_simulator
-from wires import CHANNELS, Together, until
+from fakes import wires
+from fakes.wires import CHANNELS, Together, until
 
 from nermo_mjx import Run, Setup
 from nermo_mjx.hardware import read_channels, read_log

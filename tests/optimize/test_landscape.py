@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from tune_fake import SPEC, FakeProblem
+from fakes.tune_fake import SPEC, FakeProblem
 
 from nermo_mjx.optimize import Evaluation, Tuning, landscape, run_landscape
 from nermo_mjx.optimize.landscape import CENTRES, WIDTHS, line_figure, lines_of, points_along, rows_of, sentences

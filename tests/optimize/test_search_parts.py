@@ -7,7 +7,7 @@ import types
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from search_fake import ATLAS, FRONT, SPEED, FakeSimulator
+from fakes.search_fake import ATLAS, FRONT, SPEED, FakeSimulator
 
 from nermo_mjx.cli import main
 from nermo_mjx.optimize import Search, run_search

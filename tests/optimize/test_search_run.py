@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from search_fake import ATLAS, BEST, FALLS, FRONT, SPEED, WALK, FakeSimulator, walk
+from fakes.search_fake import ATLAS, BEST, FALLS, FRONT, SPEED, WALK, FakeSimulator, walk
 
 from nermo_mjx.optimize import run_search
 from nermo_mjx.runs import Interrupted, JobFailed, Watch
@@ -243,7 +243,7 @@ def test_a_kill_at_any_moment_loses_a_batch_at_most(tmp_path):
     """SIGKILL at two moments of one search; the last process ends with the numbers of a search without kills."""
     out, log = tmp_path / "out", tmp_path / "log"
     run_search(SPEED, tmp_path / "whole", simulator=FakeSimulator())
-    fake, simulated = Path(__file__).parents[1] / "search_fake.py", 0
+    fake, simulated = Path(__file__).parents[1] / "fakes" / "search_fake.py", 0
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
     for kills in (1, 2):
         process = subprocess.Popen([sys.executable, str(fake), str(out), str(log)], env=environment)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from command import call, json_of
-from tune_fake import SPEC, FakeProblem, FakeWalker, speed
+from fakes.tune_fake import SPEC, FakeProblem, FakeWalker, speed
 
 from nermo_mjx.cli import jobs
 from nermo_mjx.optimize import Tuning

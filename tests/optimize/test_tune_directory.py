@@ -11,8 +11,8 @@ import jax
 import numpy as np
 import orbax.checkpoint as ocp
 import pytest
+from fakes.tune_fake import SPEC, FakeProblem
 from test_tune_run import lasting, same, tune
-from tune_fake import SPEC, FakeProblem
 
 from nermo_mjx.optimize import Tuning, load_tuning, read_history, run, run_tuning
 from nermo_mjx.optimize.directory import TuningDirectory, TuningHistory, history_columns

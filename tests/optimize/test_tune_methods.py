@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command import call
-from tune_fake import BEST, SPEC, FakeProblem, speed
+from fakes.tune_fake import BEST, SPEC, FakeProblem, speed
 
 from nermo_mjx.optimize import Tuning, run_tuning
 from nermo_mjx.optimize.problems import WalkProblem

@@ -7,10 +7,10 @@ import matplotlib
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from fakes.tune_fake import SPEC, FakeProblem, FakeWalker, speed
 from matplotlib.collections import PathCollection
 from matplotlib.contour import QuadContourSet
 from matplotlib.image import imread
-from tune_fake import SPEC, FakeProblem, FakeWalker, speed
 
 from nermo_mjx.optimize import Tuning, figures, run_tuning
 from nermo_mjx.optimize.directory import TuningHistory

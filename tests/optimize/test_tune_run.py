@@ -13,8 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from sweep_fake import FakeSimulator
-from tune_fake import BEST, SPEC, FakeProblem, FakeWalker, Three
+from fakes.sweep_fake import FakeSimulator
+from fakes.tune_fake import BEST, SPEC, FakeProblem, FakeWalker, Three
 
 from nermo_mjx.optimize import Tuning, load_tuning, read_history, run_tuning
 from nermo_mjx.optimize.methods import Tuner, initial_state
@@ -411,8 +411,8 @@ def test_start_and_best_are_walked_again_from_unseen_starts(tmp_path):
 def test_a_killed_process_is_gone_on_with(tmp_path, reference, number):
     """Killed by a signal in its fourth evaluation, the tuning loses no more than that one."""
     out, log = tmp_path / "out", tmp_path / "log"
-    script = Path(__file__).parents[1] / "tune_fake.py"
-    environment = os.environ | {"PYTHONPATH": str(script.parents[1])}
+    script = Path(__file__).parents[1] / "fakes" / "tune_fake.py"
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
     process = subprocess.Popen([sys.executable, script, out, log], stdout=subprocess.PIPE, text=True, env=environment)
     waited = time.monotonic()
     while (log.read_text().count("\n") if log.exists() else 0) < 4:

@@ -51,7 +51,7 @@ FOUR = """
 import dataclasses, json, re, sys
 import nermo_mjx, jax, numpy as np
 sys.path.insert(0, {tests!r})
-from swinging import SwayLoop, batch, robot
+from fakes.swinging import SwayLoop, batch, robot
 from nermo_mjx.physics.engine import Devices
 from nermo_mjx.physics.mjx_engine import MjxEngine
 

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
-from composites import IN_THEIR_PLACE, mjcf
+from fakes.composites import IN_THEIR_PLACE, mjcf
 
 from nermo_mjx import ParameterError
 from nermo_mjx.physics import trajectory

@@ -9,8 +9,8 @@ import jax
 import mujoco
 import numpy as np
 import pytest
-import swinging
 from conftest import WALKS
+from fakes import swinging
 from mujoco.batch import Batch
 
 from nermo_mjx import Setup, load_robot

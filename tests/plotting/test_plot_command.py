@@ -12,10 +12,10 @@ from pathlib import Path
 import pyarrow.parquet as pq
 import pytest
 from command import call
-from sweep_fake import SPEC, FakeSimulator, part_of
+from fakes.sweep_fake import SPEC, FakeSimulator, part_of
+from fakes.tune_fake import SPEC as TUNE_SPEC
+from fakes.tune_fake import FakeProblem, FakeWalker
 from test_experiment_plots import walked
-from tune_fake import SPEC as TUNE_SPEC
-from tune_fake import FakeProblem, FakeWalker
 
 from nermo_mjx.cli.directories import KINDS, RECORDING, Kind
 from nermo_mjx.experiments.plots import figures_of_experiment

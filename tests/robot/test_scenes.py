@@ -8,7 +8,7 @@ import functools
 import mujoco
 import numpy as np
 import pytest
-from published_maze import BOXES
+from fakes.published_maze import BOXES
 
 from nermo_mjx.experiments.walks import maze_course
 from nermo_mjx.robot import LIMBS, Robot, load_robot

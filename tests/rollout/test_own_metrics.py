@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 from conftest import shared_simulator
-from sweep_fake import FakeSimulator
+from fakes.sweep_fake import FakeSimulator
 from test_metrics import DT, STEPS, stream
 
 from nermo_mjx import METRICS, ParameterError, Rollout, Run, Setup, Simulator, all_metrics, metric

@@ -47,12 +47,12 @@ def test_forty_kills_leave_the_tables_as_they_were(tmp_path: Path) -> None:
 
 def jobs() -> dict[str, Callable[[Path], pa.Table]]:
     """By kind: runs a job into a directory, and reads its table."""
-    from experiment_fake import Fake
-    from search_fake import SPEED
-    from search_fake import FakeSimulator as Searched
-    from sweep_fake import SPEC, FakeSimulator
-    from tune_fake import SPEC as TUNE
-    from tune_fake import FakeProblem
+    from fakes.experiment_fake import Fake
+    from fakes.search_fake import SPEED
+    from fakes.search_fake import FakeSimulator as Searched
+    from fakes.sweep_fake import SPEC, FakeSimulator
+    from fakes.tune_fake import SPEC as TUNE
+    from fakes.tune_fake import FakeProblem
 
     from nermo_mjx.experiments import identification, plots
     from nermo_mjx.experiments.run import EXPERIMENTS, run_experiments

@@ -16,10 +16,10 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from click.testing import CliRunner
-from ray_fake import IDENTIFY, STARTS
-from sweep_fake import SPEC, FakeSimulator
-from tune_fake import SPEC as TUNING
-from tune_fake import FakeProblem
+from fakes.ray_fake import IDENTIFY, STARTS
+from fakes.sweep_fake import SPEC, FakeSimulator
+from fakes.tune_fake import SPEC as TUNING
+from fakes.tune_fake import FakeProblem
 
 from nermo_mjx.cli import main
 from nermo_mjx.experiments.identification import run_identification
@@ -32,7 +32,7 @@ from nermo_mjx.version import __version__
 
 pytestmark = pytest.mark.cluster
 
-FAKE = Path(__file__).parents[1] / "ray_fake.py"
+FAKE = Path(__file__).parents[1] / "fakes" / "ray_fake.py"
 WALKS = {"vary": {"frequency": {"linspace": [0.7, 1.2, 7]}}, "run": {"cycles": 2, "warmup_cycles": 1}, "plots": False}
 
 
@@ -44,7 +44,7 @@ def ray():
 
 def started(*arguments):
     """A process of `ray_fake.py`."""
-    environment = os.environ | {"PYTHONPATH": str(FAKE.parents[1])}
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
     return subprocess.Popen(
         [sys.executable, FAKE, *map(str, arguments)],
         env=environment,
@@ -187,7 +187,7 @@ def test_real_walks_are_the_same_while_nodes_and_the_driver_are_killed(tmp_path)
         "10",
         "--kill-driver",
     ]
-    environment = os.environ | {"PYTHONPATH": str(FAKE.parents[1])}
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
     done = subprocess.run([*map(str, command)], env=environment, capture_output=True, text=True, timeout=580)
     assert done.returncode == 0, done.stdout + done.stderr[-3000:]
     found = json.loads(done.stdout.splitlines()[-1])

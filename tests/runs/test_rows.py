@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pytest
-from sweep_fake import contents
+from fakes.sweep_fake import contents
 
 from nermo_mjx import files as writing
 from nermo_mjx.runs import CodeStamp, DirectoryError, OtherCode, RunDirectory

@@ -24,12 +24,12 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from command import call
-from experiment_fake import ABOUT
-from search_fake import SPEED as SEARCH
-from search_fake import FakeSimulator as FakeSearched
-from sweep_fake import SPEC as SWEEP
-from sweep_fake import FakeSimulator
-from tune_fake import SPEC as TUNE
+from fakes.experiment_fake import ABOUT
+from fakes.search_fake import SPEED as SEARCH
+from fakes.search_fake import FakeSimulator as FakeSearched
+from fakes.sweep_fake import SPEC as SWEEP
+from fakes.sweep_fake import FakeSimulator
+from fakes.tune_fake import SPEC as TUNE
 
 from nermo_mjx import trust
 from nermo_mjx.cli.directories import KINDS

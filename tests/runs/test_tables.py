@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from sweep_fake import SPEC, FakeSimulator
+from fakes.sweep_fake import SPEC, FakeSimulator
 
 from nermo_mjx.sweep import read_table, run_sweep
 

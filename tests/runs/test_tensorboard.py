@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command import call
-from sweep_fake import SPEC, FakeSimulator
+from fakes.sweep_fake import SPEC, FakeSimulator
 
 from nermo_mjx import read_table, run_sweep
 from nermo_mjx.runs import Interrupted

@@ -12,9 +12,9 @@ import pyarrow.csv
 import pyarrow.parquet as pq
 import pytest
 from command import call, json_of
+from fakes.sweep_fake import FakeSimulator
 from matplotlib.text import Text
 from scipy import stats
-from sweep_fake import FakeSimulator
 
 from nermo_mjx import ParameterError, compare, read_table, run_sweep
 from nermo_mjx.specs.reading import SpecError

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from command import call, json_of
-from sweep_fake import SPEC, FakeSimulator, contents
+from fakes.sweep_fake import SPEC, FakeSimulator, contents
 
 from nermo_mjx import Sweep, run_sweep
 from nermo_mjx.runs.files import DirectoryError

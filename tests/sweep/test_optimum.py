@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from fakes.sweep_fake import OPTIMUM as SPEC
+from fakes.sweep_fake import FakeSimulator, Noisy
 from matplotlib.text import Text
 from scipy import stats
-from sweep_fake import OPTIMUM as SPEC
-from sweep_fake import FakeSimulator, Noisy
 
 from nermo_mjx.sweep import SpecError, Sweep, run_sweep
 from nermo_mjx.sweep.counting import two_stage

@@ -16,7 +16,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from sweep_fake import FakeSimulator, part_of, speed
+from fakes.sweep_fake import FakeSimulator, part_of, speed
 
 from nermo_mjx.physics.c_engine import CEngine, CSession, _Block
 from nermo_mjx.rollout import METRICS, Simulator

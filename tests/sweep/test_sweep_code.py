@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pyarrow.parquet as pq
 import pytest
-from sweep_fake import SPEC, FakeSimulator, contents
+from fakes.sweep_fake import SPEC, FakeSimulator, contents
 
 from nermo_mjx.physics import resolve_engine
 from nermo_mjx.rollout import Setup

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command import call, json_of
-from sweep_fake import FakeSimulator, contents, part_of
+from fakes.sweep_fake import FakeSimulator, contents, part_of
 
 from nermo_mjx.runs import Interrupted, OtherCode, Watch, code
 from nermo_mjx.runs.directory import RunDirectory

@@ -12,7 +12,7 @@ import time
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from sweep_fake import SPEC, FakeSimulator, contents, part_of
+from fakes.sweep_fake import SPEC, FakeSimulator, contents, part_of
 from test_rows import FullDisk
 
 from nermo_mjx import files

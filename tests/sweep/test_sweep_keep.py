@@ -12,7 +12,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from conftest import shared_simulator
-from sweep_fake import SPEC, FakeSimulator, part_of
+from fakes.sweep_fake import SPEC, FakeSimulator, part_of
 
 from nermo_mjx import Recording, Run, Setup, load_robot
 from nermo_mjx.rollout import Saving, Series

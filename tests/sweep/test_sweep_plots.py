@@ -3,9 +3,9 @@
 import matplotlib
 import numpy as np
 import pytest
+from fakes.sweep_fake import AMPLITUDES, FREQUENCIES, PHASES, SPEC, FakeSimulator, speed
 from matplotlib.collections import PathCollection, QuadMesh
 from matplotlib.image import imread
-from sweep_fake import AMPLITUDES, FREQUENCIES, PHASES, SPEC, FakeSimulator, speed
 
 from nermo_mjx.plotting.charts import colour_scale, heat_maps
 from nermo_mjx.plotting.files import write_figures

@@ -11,7 +11,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
 from command import call
-from sweep_fake import SPEC, FakeSimulator, part_of, speed
+from fakes.sweep_fake import SPEC, FakeSimulator, part_of, speed
 
 from nermo_mjx.sweep import SpecError, Sweep, read_table, run_sweep, simulating
 from nermo_mjx.sweep.replay import find_row

@@ -15,7 +15,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from command import call
-from sweep_fake import AMPLITUDES, FREQUENCIES, SPEC, FakeSimulator, speed
+from fakes.sweep_fake import AMPLITUDES, FREQUENCIES, SPEC, FakeSimulator, speed
 
 from nermo_mjx.robot import identified
 from nermo_mjx.runs import Interrupted, Watch
@@ -32,8 +32,8 @@ def reference(tmp_path_factory):
 def stop_half_way(tmp_path, number):
     """Start a sweep in a process, send it a signal in its fourth chunk; its directory, log and process."""
     out, log = tmp_path / "out", tmp_path / "log"
-    script = Path(__file__).parents[1] / "sweep_fake.py"
-    environment = os.environ | {"PYTHONPATH": str(script.parents[1])}
+    script = Path(__file__).parents[1] / "fakes" / "sweep_fake.py"
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
     process = subprocess.Popen([sys.executable, script, out, log], stdout=subprocess.PIPE, text=True, env=environment)
     waited = time.monotonic()
     while (log.read_text().count("\n") if log.exists() else 0) < 4:

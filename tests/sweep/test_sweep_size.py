@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pytest
-from sweep_fake import SPEC, FakeSimulator
+from fakes.sweep_fake import SPEC, FakeSimulator
 
 from nermo_mjx.rollout import METRICS
 from nermo_mjx.sweep import Sample, Sweep, read_table, run_sweep, sample, summarize

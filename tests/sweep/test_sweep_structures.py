@@ -12,7 +12,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from command import call, json_of
-from sweep_fake import FakeSimulator, part_of
+from fakes.sweep_fake import FakeSimulator, part_of
 
 from nermo_mjx.plotting.shown import spoken
 from nermo_mjx.runs import codes_of

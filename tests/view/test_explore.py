@@ -14,9 +14,9 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from command import call
-from explore_data import MEASURES, atlas, falling, many, sweep
+from fakes.explore_data import MEASURES, atlas, falling, many, sweep
+from fakes.sweep_fake import SPEC, FakeSimulator
 from scipy.spatial.transform import Rotation
-from sweep_fake import SPEC, FakeSimulator
 
 from nermo_mjx import Recording, Run, load_robot, show
 from nermo_mjx.cli.walk import planned_walk

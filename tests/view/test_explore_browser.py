@@ -14,8 +14,8 @@ import firefox
 import numpy as np
 import pytest
 from chromium import READY
-from explore_data import MEASURES, NAMES, atlas, falling, many, posed, sweep
-from sweep_fake import OPTIMUM, Noisy
+from fakes.explore_data import MEASURES, NAMES, atlas, falling, many, posed, sweep
+from fakes.sweep_fake import OPTIMUM, Noisy
 
 from nermo_mjx import read_table, run_sweep
 from nermo_mjx.view.explore import explore

@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 import pytest
 from command import call
-from explore_data import posed
+from fakes.explore_data import posed
 
 from nermo_mjx import Recording, load_robot, show
 from nermo_mjx.plotting.style import FOOT

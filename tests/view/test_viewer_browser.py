@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 import pytest
 from chromium import READY
-from explore_data import posed
+from fakes.explore_data import posed
 
 from nermo_mjx import Recording, show
 from nermo_mjx.view import robot_of

@@ -9,8 +9,8 @@ import mujoco
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-from sweep_fake import SPEC, FakeSimulator
 
+from fakes.sweep_fake import SPEC, FakeSimulator
 from nermo_mjx import Recording, load_robot
 from nermo_mjx.sweep import run_sweep
 from nermo_mjx.view import model_hash

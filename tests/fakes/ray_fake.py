@@ -18,10 +18,9 @@ import os
 import signal
 import sys
 
-from sweep_fake import SPEC, FakeSimulator
-from tune_fake import SPEC as TUNING
-from tune_fake import FakeProblem
-
+from fakes.sweep_fake import SPEC, FakeSimulator
+from fakes.tune_fake import SPEC as TUNING
+from fakes.tune_fake import FakeProblem
 from nermo_mjx.runs import Watch, ray_workers, stamp
 from nermo_mjx.runs.workers import TaskFailed, WorkersLost
 

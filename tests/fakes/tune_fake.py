@@ -12,8 +12,8 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import numpy as np
-from sweep_fake import HELD
 
+from fakes.sweep_fake import HELD
 from nermo_mjx.optimize import Evaluation, Tuning
 from nermo_mjx.robot import load_robot
 

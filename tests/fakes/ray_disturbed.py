@@ -6,7 +6,8 @@ With `--kill-driver` the process that writes is killed by SIGKILL after a third 
 what happened as JSON, `same` and `in_flight` among it, and ends with 1 if the tables differ or a chunk was computed
 again that was not in flight on a node, or for a driver, that was lost.
 
-Nothing but loopback is needed; to show it: unshare -n sh -c 'ip link set lo up && python tests/ray_disturbed.py OUT'.
+Only loopback is needed. To check this:
+unshare -n sh -c 'ip link set lo up && python tests/fakes/ray_disturbed.py OUT'.
 """
 
 from __future__ import annotations
