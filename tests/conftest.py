@@ -78,11 +78,6 @@ _passed: collections.Counter[str] = collections.Counter()
 LONG = pytest.StashKey[list[str]]()
 
 
-def pytest_configure(config: pytest.Config) -> None:
-    for name, what in {"fast": "needs nothing of the other marks", **tiers.NEEDS}.items():
-        config.addinivalue_line("markers", f"{name}: {what}")
-
-
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers() -> int | None:
     """For `-n auto`: one process more than there are cores, which works while others wait, and memory for them."""
@@ -94,8 +89,8 @@ def pytest_xdist_auto_num_workers() -> int | None:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    tiers.mark(items)
-    tiers.sort(items, FIRST)
+    order = {name: place for place, name in enumerate(FIRST)}
+    items.sort(key=lambda item: order.get(item.path.name, len(order)))
     config.stash[LONG] = [item.nodeid for item in items if item.get_closest_marker("long")]
 
 

@@ -22,8 +22,6 @@ STUDIES = Path(__file__).parents[1] / "docs" / "benchmarks"
 sys.path.insert(0, str(STUDIES))
 engines = importlib.import_module("engines")
 
-pytestmark = pytest.mark.draws
-
 FAILED = {"case": "throughput", "engine": "mjx", "worlds": 64, "error": "no memory"}
 
 
@@ -51,7 +49,6 @@ def test_a_measurement_that_fails_is_a_sentence(measure: Any, option: Any, messa
 
 
 @pytest.mark.release
-@pytest.mark.process
 @pytest.mark.parametrize("engine", ["c", pytest.param("mjx", marks=pytest.mark.long)])
 def test_a_walk_is_measured(engine: str) -> None:
     """A small batch: the command's figures, and those of the page, are of one walk of one model."""

@@ -39,7 +39,7 @@ def blocks(page: Path, language: str) -> list[str]:
 
 
 EXAMPLES = [
-    pytest.param(page, text, id=f"{page.relative_to(ROOT)}-{i}", marks=pytest.mark.slow if page == README else ())
+    pytest.param(page, text, id=f"{page.relative_to(ROOT)}-{i}")
     for page in TRIED
     for i, text in enumerate(blocks(page, "python"))
 ]
@@ -64,7 +64,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-@pytest.mark.process
+@pytest.mark.release
 def test_the_site_has_each_page_and_every_name_that_a_user_may_write(site: Path) -> None:
     """Pages under their own names and titles: Sphinx writes pages such as search.html itself."""
     from nermo_mjx.robot.quantity import gathered
@@ -91,7 +91,7 @@ def test_the_site_has_each_page_and_every_name_that_a_user_may_write(site: Path)
         assert re.sub(r"<[^>]+>", "", heading) == re.sub(r"[`*]", "", title[1]), page
 
 
-@pytest.mark.process
+@pytest.mark.release
 def test_a_displayed_formula_has_room(site: Path, browser: chromium.Browser) -> None:
     """Else Chromium scrolls it up and down, with arrows beside it."""
     with browser.tab() as tab:
@@ -104,7 +104,6 @@ def test_a_displayed_formula_has_room(site: Path, browser: chromium.Browser) -> 
     assert [(needed, there) for needed, there in heights if needed > there] == []
 
 
-@pytest.mark.process
 def test_recordings_of_the_pages_are_of_the_robot_that_there_is() -> None:
     paths = sorted((ROOT / "docs").rglob("walks/*/*.npz"))
     assert len(paths) > 10
@@ -125,7 +124,6 @@ def beside(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[Path], 
     return work
 
 
-@pytest.mark.process
 @pytest.mark.release
 @pytest.mark.parametrize(("page", "example"), EXAMPLES)
 def test_an_example_works(page: Path, example: str, beside: Callable[[Path], None]) -> None:
@@ -202,7 +200,6 @@ ELSEWHERE = {
 }
 
 
-@pytest.mark.compiles
 @pytest.mark.release
 @pytest.mark.parametrize("name", WITH_EXAMPLES)
 def test_the_examples_of_a_module_run(name: str) -> None:

@@ -36,8 +36,8 @@ def kernel(tmp_path_factory: pytest.TempPathFactory) -> Iterator[NotebookClient]
             yield client
 
 
+@pytest.mark.release
 @pytest.mark.usefixtures("drawing")
-@pytest.mark.slow
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_a_notebook_runs(path: Path, tmp_path: Path, kernel: NotebookClient) -> None:
     """In a folder of its own, without any name of another notebook."""

@@ -13,8 +13,6 @@ import pytest
 from nermo_mjx import runtime
 from nermo_mjx.rollout import Run, Setup, Simulator, run
 
-pytestmark = [pytest.mark.compiles, pytest.mark.process]
-
 HEIGHT = """
 import nermo_mjx, numpy as np
 from nermo_mjx import runtime

@@ -15,8 +15,6 @@ from nermo_mjx import runtime
 from nermo_mjx.cli import options
 from nermo_mjx.view import offscreen
 
-pytestmark = pytest.mark.process
-
 SETTINGS = (
     "PJRT_NPROC",
     "JAX_COMPILATION_CACHE_DIR",

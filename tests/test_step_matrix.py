@@ -25,7 +25,6 @@ profile_step = importlib.import_module("profile_step")
 MODELS = dict(step_models.installed_models())
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
     [
@@ -45,7 +44,6 @@ def test_the_gradient_is_that_of_the_differences(name: str) -> None:
     assert (found["contacts"] > 0) == (name == "mjx/quadratic_frictionloss")
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=[pytest.mark.release] * (name == "a rope")) for name in IN_THEIR_PLACE]
 )
@@ -104,7 +102,6 @@ def test_every_study_finds_what_it_imports(name: str) -> None:
 
 
 @pytest.mark.release
-@pytest.mark.slow
 def test_the_stages_of_a_profile_are_a_step() -> None:
     engine = Simulator(Setup(), "mjx").engine
 

@@ -3,56 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import pytest
 import tiers
 from conftest import LONG, pytest_xdist_auto_num_workers
 
 from nermo_mjx import runtime
-
-
-class Item:
-    """A collected test with these marks and fixtures."""
-
-    def __init__(self, *marks: str, fixturenames: tuple[str, ...] = (), path: str = "test_a.py") -> None:
-        self.marks, self.fixturenames, self.path = list(marks), fixturenames, Path(path)
-
-    def get_closest_marker(self, name: str) -> Any:
-        return name if name in self.marks else None
-
-    def add_marker(self, name: str) -> None:
-        self.marks.append(name)
-
-
-@pytest.mark.parametrize(
-    ("item", "marks"),
-    [
-        (Item(), ["fast"]),
-        (Item("parametrize"), ["parametrize", "fast"]),
-        (Item("long"), ["long"]),
-        (Item(fixturenames=("tmp_path", "simulator")), ["compiles"]),
-        (Item("slow", fixturenames=("browser",)), ["slow", "browser", "release"]),
-        (Item("cluster", "release"), ["cluster", "release"]),
-        (Item("process", fixturenames=("site",)), ["process", "release"]),
-    ],
-)
-def test_what_needs_nothing_is_fast(item: Any, marks: list[str]) -> None:
-    """A fixture that compiles, draws or opens pages marks whoever asks for it."""
-    tiers.mark([item])
-    assert item.marks == marks
-
-
-def test_the_longest_files_come_first() -> None:
-    items: list[Any] = [
-        Item(path="a"),
-        Item("slow", path="b"),
-        Item(path="c"),
-        Item(path="b"),
-        Item(path="d"),
-    ]
-    tiers.sort(items, ("d", "c"))
-    assert [item.path.name for item in items] == ["d", "c", "b", "b", "a"]
 
 
 def test_every_test_marked_long_is_in_the_record(request: pytest.FixtureRequest) -> None:

@@ -65,7 +65,6 @@ def test_a_controllers_parameter_may_not_take_a_columns_name(tmp_path: Path, nam
     refused(Sweep.from_file, f"s.yaml:1: field 'controller' has a parameter '{name}', which is", tmp_path / "s.yaml")
 
 
-@pytest.mark.compiles
 @pytest.mark.parametrize(
     ("name", "short"), [("trot", "trot"), ("walking_trot", "walking_trot"), ("lateral_walk", "lateral_walk")]
 )
@@ -129,7 +128,6 @@ CONTROLLERS = {
 }
 
 
-@pytest.mark.compiles
 @pytest.mark.parametrize("case", CONTROLLERS)
 def test_a_wrong_controller_is_refused_with_file_and_line(tmp_path: Path, case: str) -> None:
     old, new, message = CONTROLLERS[case]
@@ -139,7 +137,6 @@ def test_a_wrong_controller_is_refused_with_file_and_line(tmp_path: Path, case: 
     refused(Sweep.from_file, f"s.yaml:2: field 'controller' .*{message}", tmp_path / "s.yaml")
 
 
-@pytest.mark.compiles
 @pytest.mark.parametrize("engine", ["c", pytest.param("mjx", marks=pytest.mark.long)])
 def test_angles_that_become_nan_are_a_divergence(tmp_path: Path, engine: str) -> None:
     """Whether servos, and not only the body, lose their numbers."""
@@ -323,7 +320,6 @@ class Broker(threading.Thread):
         self.socket.close()
 
 
-@pytest.mark.process
 def test_a_broker_that_goes_away_is_noticed_and_the_password_unquoted() -> None:
     pytest.importorskip("paho.mqtt.client")
     broker = Broker(0.5)
@@ -392,7 +388,6 @@ def run_command(words: list[str], **given: Any) -> Any:
     return subprocess.run([sys.executable, "-m", "nermo_mjx", *words], text=True, check=False, **pipes | given)
 
 
-@pytest.mark.process
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full")
 @pytest.mark.parametrize(("stream", "code"), [("stdout", 1), ("stderr", 0)])
 def test_a_full_disk_under_the_log_stops_nothing(tmp_path: Path, stream: str, code: int) -> None:
@@ -445,7 +440,6 @@ def test_an_objective_that_is_nan_is_told_after_the_first_batch(tmp_path: Path, 
     assert sum(simulator.batches) <= 24, "its first batch is twice as large"
 
 
-@pytest.mark.compiles
 def test_a_dry_run_refuses_the_recording_that_the_run_refuses(tmp_path: Path) -> None:
     shared_simulator(engine="c").run({}, Run(duration=0.2), record=True).recording().save(tmp_path / "short.npz")
     (tmp_path / "text.npz").write_text("no recording")
@@ -462,7 +456,6 @@ def test_a_dry_run_refuses_the_recording_that_the_run_refuses(tmp_path: Path) ->
         refused(lambda given=tuning: tuning_forecasts(Tuning.from_dict(given)), message)
 
 
-@pytest.mark.compiles
 def test_seeds_beyond_32_bits_are_others_and_masks_are_refused() -> None:
     pytest.importorskip("gymnasium")
     from nermo_mjx.learn import Task
@@ -480,7 +473,6 @@ def test_seeds_beyond_32_bits_are_others_and_masks_are_refused() -> None:
     )
 
 
-@pytest.mark.compiles
 def test_how_strides_vary_with_the_soles_radius_has_a_command(tmp_path: Path) -> None:
     """A user's sweep: what `compare` says of strides is what pandas finds between touch-downs of the saved series."""
     (tmp_path / "sv.yaml").write_text(

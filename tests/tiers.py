@@ -1,62 +1,17 @@
-"""What a test needs is its mark; what needs nothing is `fast`; and the tests marked `long` say when they last ran."""
+"""The record of the last run of each test marked `long`."""
 
 from __future__ import annotations
 
 import datetime
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
-import pytest
-
 from nermo_mjx.version import __version__
 
-#: Mark -> what a test needs that has it. What has none of them is marked `fast`.
-NEEDS: Final = {
-    "compiles": "compiles programs of the controller or the robot, or simulates: seconds of a core",
-    "process": "starts other processes, which import JAX anew or wait for each other",
-    "cluster": "starts a Ray cluster",
-    "draws": "draws figures, pictures or videos",
-    "browser": "opens pages in a browser",
-    "slow": "compiles MJX, or takes several seconds",
-    "release": "builds the site, runs notebooks, examples, experiments, a cluster or a browser, or widens what a "
-    "shorter test of the suite shows: with -m release only",
-    "long": "takes a minute or more and resembles other tests, or needs the machine for itself: with -m long only",
-}
-#: Fixtures that bring what they need to whatever asks for them.
-OF_FIXTURES: Final = {
-    "simulator": "compiles",
-    "walks": "compiles",
-    "of_leg": "compiles",
-    "of_spine": "compiles",
-    "drawing": "draws",
-    "program": "browser",
-    "browser": "browser",
-}
-#: Marks and fixtures of the tests that are marked `release`, beside those that say so themselves.
-RELEASED: Final = {"cluster", "browser", "site", "kernel"}
 #: When each test marked `long` last passed, null if it has not yet: `pytest -m long` writes it.
 LAST_RUN: Final = Path(__file__).with_name("long.json")
-
-
-def mark(items: Iterable[pytest.Item]) -> None:
-    """Mark tests by the fixtures they ask for, and as `fast` where nothing is marked."""
-    for item in items:
-        for fixture in OF_FIXTURES.keys() & set(getattr(item, "fixturenames", ())):
-            item.add_marker(OF_FIXTURES[fixture])
-        needed = {name for name in NEEDS if item.get_closest_marker(name)} | set(getattr(item, "fixturenames", ()))
-        if needed & RELEASED and "release" not in needed:
-            item.add_marker("release")
-        if not any(item.get_closest_marker(name) for name in NEEDS):
-            item.add_marker("fast")
-
-
-def sort(items: list[pytest.Item], first: Sequence[str]) -> None:
-    """Files that take minutes come first, so that no process is left alone with one in the end."""
-    order = {name: place for place, name in enumerate(first)}
-    slow = {item.path for item in items if item.get_closest_marker("slow")}
-    items.sort(key=lambda item: (order.get(item.path.name, len(order)), item.path not in slow))
 
 
 def last_runs() -> dict[str, dict[str, Any] | None]:

@@ -56,7 +56,6 @@ def test_help_fits_80_columns_and_ends_with_an_example(command: tuple[str, ...])
     assert "  nermo-mjx " in text[text.index("Options:") :]
 
 
-@pytest.mark.process
 @pytest.mark.parametrize(
     ("script", "heavy"),
     [
@@ -169,7 +168,6 @@ def test_what_is_no_recording_or_an_old_one_is_refused_with_the_remedy(command: 
     assert sorted(tmp_path.iterdir()) == there
 
 
-@pytest.mark.process
 @pytest.mark.parametrize(
     ("variable", "command", "remedy"),
     [
@@ -206,7 +204,6 @@ def test_a_failure_is_exit_code_1_and_one_sentence(tmp_path: Path, monkeypatch: 
     assert result.stderr.startswith("nermo-mjx: stopped; ")
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("sent", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.long)])
 def test_a_stopped_sweep_says_how_to_go_on_and_goes_on(tmp_path: Path, sent: int) -> None:
     spec, out = tmp_path / "sweep.yaml", tmp_path / "out"
@@ -233,7 +230,6 @@ def test_a_stopped_sweep_says_how_to_go_on_and_goes_on(tmp_path: Path, sent: int
 # --- results
 
 
-@pytest.mark.compiles
 def test_walk_json_is_one_object_with_the_promised_fields(tmp_path: Path) -> None:
     from nermo_mjx.rollout import METRICS
 
@@ -248,7 +244,6 @@ def test_walk_json_is_one_object_with_the_promised_fields(tmp_path: Path) -> Non
     assert report["versions"]["mujoco"] == mujoco.__version__
 
 
-@pytest.mark.compiles
 def test_options_reach_the_simulation(tmp_path: Path) -> None:
     options = ("--spine", "stride_extension", "--spine-amplitude", "0.3", "--spine-phase", "0.5", "--stride", "0.8")
     more = (
@@ -292,7 +287,6 @@ def test_the_seed_decides_the_start() -> None:
     assert _shifted_start(1) == _shifted_start(1) != _shifted_start(2)
 
 
-@pytest.mark.compiles
 @pytest.mark.parametrize(
     ("options", "theory"),
     [((), r"80\.4"), (("--spine", "stride_extension"), r"101\.[5-7]"), (("--set", "duty=0.8"), r"50\.[23]")],
@@ -307,7 +301,6 @@ def test_walk_sums_up_in_millimetres_and_degrees(options: tuple[str, ...], theor
     assert (result.exit_code, result.stdout, result.stderr) == (0, "", "")
 
 
-@pytest.mark.draws
 @pytest.mark.usefixtures("drawing")
 def test_a_recorded_walk_can_be_rendered(tmp_path: Path) -> None:
     record, video = tmp_path / "walk.npz", tmp_path / "walk.gif"
@@ -324,7 +317,6 @@ def test_a_recorded_walk_can_be_rendered(tmp_path: Path) -> None:
     assert video.stat().st_size > 0
 
 
-@pytest.mark.compiles
 def test_sweep_json_and_directory(tmp_path: Path) -> None:
     spec, out = tmp_path / "sweep.yaml", tmp_path / "out"
     spec.write_text("run: {duration: 0.3, warmup: 0.1}\nvary: {frequency: [0.6, 0.9]}\nplots: false\n")
@@ -437,7 +429,6 @@ def test_identify_writes_its_result_and_a_report(tmp_path: Path) -> None:
     assert "holds an identification with other settings or by other code: choose another directory" in said
 
 
-@pytest.mark.compiles
 @pytest.mark.usefixtures("identified")
 def test_what_identify_prints_can_be_pasted(tmp_path: Path) -> None:
     text = call("identify", "--out", tmp_path, "--samples", "9", "--generations", "1").stdout

@@ -14,8 +14,6 @@ from fakes.measured import write_log
 from nermo_mjx.hardware import read_log
 from nermo_mjx.recording import Recording
 
-pytestmark = pytest.mark.compiles
-
 FAULTS = {"delay": 0.02, "quantum": np.radians(0.5), "lost": 0.02, "noise": 0.004}
 
 

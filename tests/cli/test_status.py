@@ -121,7 +121,6 @@ def test_times_are_those_of_this_machines_zone_and_name_it(
     time.tzset()
 
 
-@pytest.mark.compiles
 def test_a_tuning_counts_the_evaluations_of_its_starts(tmp_path: Path) -> None:
     tuning = Tuning.from_dict(TUNE_SPEC | {"starts": 2, "iterations": 3})
     run_tuning(tuning, tmp_path, problem=FakeProblem(tuning))
@@ -131,7 +130,6 @@ def test_a_tuning_counts_the_evaluations_of_its_starts(tmp_path: Path) -> None:
     assert f"resume   nermo-mjx tune {tmp_path}/tuning.yaml --out {tmp_path}" in status(tmp_path).stdout
 
 
-@pytest.mark.compiles
 def test_a_landscape_counts_points_also_of_an_unfinished_one(tmp_path: Path) -> None:
     tuning = Tuning.from_dict(TUNE_SPEC)
     points = run_landscape(tuning, tmp_path, problem=FakeProblem(tuning)).table.num_rows

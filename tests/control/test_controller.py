@@ -34,8 +34,6 @@ from nermo_mjx.rollout import Setup, Simulator
 #: The published robot.
 ROBOT = Geometry()
 
-pytestmark = pytest.mark.compiles
-
 #: Any masses before and behind the spine, and their places: these are of Table A.5.
 MASSES = MassModel(0.1647, 0.1053, np.array([0.0, -0.0317, -0.0270]), np.array([0.0, 0.0310, -0.0160]))
 TICKS = 300

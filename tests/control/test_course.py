@@ -158,7 +158,6 @@ def test_gradients_are_finite_and_point_left():
         assert np.isfinite(slope(jnp.asarray(place, jnp.float32), jnp.float32(0.5))).all()
 
 
-@pytest.mark.compiles
 def test_a_batch_is_its_members():
     """Leading axes broadcast, and vmap gives the same."""
     course = maze_course()

@@ -23,8 +23,6 @@ from nermo_mjx.sweep import Sweep
 #: The published robot.
 ROBOT = Geometry()
 
-pytestmark = pytest.mark.compiles
-
 PACE = Pace(*(jnp.asarray(value, jnp.float32) for value in (0.0, 1.0, 0.0, 0.8)))
 
 

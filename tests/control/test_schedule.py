@@ -18,8 +18,6 @@ from nermo_mjx.rollout.differentiable import Rollout
 from nermo_mjx.runtime import compiler_options
 from nermo_mjx.sweep import Sweep
 
-pytestmark = pytest.mark.compiles
-
 FREQUENCY, AT = 0.8, 2.0
 PAIRS = list(itertools.permutations(("trot", "walking_trot", "lateral_walk"), 2))
 SPINES = list(itertools.permutations(("none", "stride_extension", "balance"), 2))

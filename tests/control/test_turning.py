@@ -219,7 +219,6 @@ def turn_rate(params, radius, servo):
 slopes_of_turn_rate = jax.jit(jax.grad(turn_rate, argnums=(1, 2)))
 
 
-@pytest.mark.compiles
 @pytest.mark.parametrize("steering", STEERING)
 @pytest.mark.parametrize("radius", [0.05, 0.2, 0.5, 1000.0])
 def test_the_turn_rates_derivatives_are_those_of_differences(steering, radius):

@@ -106,7 +106,6 @@ def poses_of(model: mujoco.MjModel) -> list[np.ndarray]:
     return found
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("pair", PAIRS, ids="-".join)
 def test_contacts_are_those_of_c_or_it_is_said(pair: tuple[str, str]) -> None:
     model = model_of(*(GEOMS[kind] for kind in pair))
@@ -125,7 +124,6 @@ def test_contacts_are_those_of_c_or_it_is_said(pair: tuple[str, str]) -> None:
     assert turns.max() < (1e-4 if smooth else 1e-12)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("half", "other"), [(0.1, 0.1), (0.1, 0.05), (0.03, 0.2)])
 def test_parallel_capsules_of_any_lengths_collide_as_in_c(half: float, other: float) -> None:
     """Beside each other, past each other's ends, head to tail, and with a tilt around C's limit."""
@@ -144,7 +142,6 @@ def test_parallel_capsules_of_any_lengths_collide_as_in_c(half: float, other: fl
     assert max(len(in_c(data, at)) for at in poses) == 2
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["sphere", "capsule", "box", "cylinder"])
 def test_coincident_centres_have_the_normal_of_c(kind: str) -> None:
     model = model_of(GEOMS["sphere"], GEOMS[kind])
@@ -154,7 +151,6 @@ def test_coincident_centres_have_the_normal_of_c(kind: str) -> None:
         assert max(apart(ours, in_c(data, at))) < 1e-14
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["sphere", "capsule", "ellipsoid"])
 def test_a_contact_of_an_ellipsoid_has_its_derivative(kind: str) -> None:
     """In both modes, against differences of the values, which are C's; aligned, across, and at random."""

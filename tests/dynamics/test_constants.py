@@ -14,8 +14,6 @@ import pytest
 from nermo_mjx.dynamics import MassConstants, PlaceConstants
 from nermo_mjx.robot import load_robot
 
-pytestmark = pytest.mark.compiles
-
 GEOM = '<geom size=".1" pos="{} 0 0" mass="{}"/>'
 HINGES = (
     f'<worldbody><body name="one"><joint name="a" axis="0 1 0"/>{GEOM.format(0.2, 2)}<body pos=".3 0 0">'
@@ -107,7 +105,6 @@ def test_constants_of_every_model_at_hand_are_mujocos() -> None:
     assert tried > 40
 
 
-@pytest.mark.slow
 def test_constants_by_mjxs_kinematics_are_mujocos() -> None:
     """Of the models above, and with bodies elsewhere."""
     for name, xml in OWN.items():

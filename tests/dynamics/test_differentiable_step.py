@@ -19,8 +19,6 @@ from nermo_mjx.dynamics.differentiable import step
 from nermo_mjx.dynamics.mjx_import import mjx
 from nermo_mjx.runtime import compiler_options
 
-pytestmark = pytest.mark.slow
-
 _OPTION = (
     '<option timestep="0.002" tolerance="1e-14" ls_tolerance="1e-6" cone="{cone}" impratio="3" '
     'integrator="{integrator}"/>'

@@ -102,7 +102,6 @@ def _problems(kind: str) -> tuple[Layout, Callable[[Any], ConstraintProblem]]:
     return Layout(equality, dry, cones), problem
 
 
-@pytest.mark.compiles
 @pytest.mark.parametrize("kind", KINDS)
 def test_second_derivatives_of_the_rows(kind: str) -> None:
     """By every array of the problem at once."""
@@ -127,7 +126,6 @@ def _turned(numbers: Any) -> Any:
     return math.quat_to_mat(quaternion / jnp.linalg.norm(quaternion))
 
 
-@pytest.mark.compiles
 @pytest.mark.parametrize(
     ("collider", "half"),
     [
@@ -153,7 +151,6 @@ def test_second_derivatives_of_an_ellipsoids_closest_point(collider: Any, half: 
     assert max(found.values()) < 1e-6, found
 
 
-@pytest.mark.compiles
 def test_second_derivatives_of_a_tendon_inside_a_ring() -> None:
     """By both ends and the radius: of the point that it touches."""
 
@@ -214,7 +211,7 @@ MODELS = {
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=pytest.mark.slow if name == "a contact" else pytest.mark.long) for name in MODELS]
+    "name", [pytest.param(name, marks=() if name == "a contact" else pytest.mark.long) for name in MODELS]
 )
 def test_second_derivatives_of_a_step(name: str) -> None:
     """By positions and velocities along some directions."""
@@ -236,7 +233,6 @@ def test_second_derivatives_of_a_step(name: str) -> None:
 
 
 @pytest.mark.release
-@pytest.mark.slow
 def test_second_derivatives_of_several_steps() -> None:
     """Of where a sphere comes to that slides and rolls, in a loop, whose body JAX linearizes on its own."""
     model = mujoco.MjModel.from_xml_string(f"<mujoco>{SLIDING}</mujoco>")

@@ -17,8 +17,6 @@ from nermo_mjx.physics import Variation
 from nermo_mjx.robot import ModelParameters, load_robot
 from nermo_mjx.robot.quantity import replace_quantities
 
-pytestmark = pytest.mark.compiles
-
 #: Ends of the declared ranges of the soles' contact; friction and tail as well.
 ENDS = {
     "contact.friction": (0.05, 5.0),

@@ -15,8 +15,6 @@ from nermo_mjx.dynamics import rows, tree
 from nermo_mjx.dynamics.jacobians import point_jacobian, with_point_jacobians
 from nermo_mjx.robot import load_robot
 
-pytestmark = pytest.mark.compiles
-
 #: Several joints on a body, off-centre anchors, turned frames, branches, a free body with children, a slide on a turned
 #: parent, a body without mass, one that is led, with a child.
 ALL_JOINTS = """

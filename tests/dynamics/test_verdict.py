@@ -14,8 +14,6 @@ from nermo_mjx.dynamics import solver, step, step_with_verdict
 from nermo_mjx.dynamics.mjx_import import mjx
 from nermo_mjx.runtime import compiler_options
 
-pytestmark = pytest.mark.slow
-
 #: A light finger of two links on a body, in stiff contacts.
 FINGER = """<mujoco><option timestep=".002" cone="elliptic" impratio="100"/><default><geom solref=".004 1"
 solimp=".99 .9999 .0001" friction="1 .01 .001" condim="4"/></default><worldbody><geom type="plane" size="3 3 .1"/>

@@ -10,8 +10,6 @@ from nermo_mjx.experiments import balance
 from nermo_mjx.experiments.cases import Settings
 from nermo_mjx.robot import LIMBS, ParameterError, load_robot
 
-pytestmark = pytest.mark.compiles
-
 GRAVITY = 9.81
 #: Published, simulation: (leg, sbc) -> passed.
 PUBLISHED = {(leg, sbc): sbc or leg.startswith("front") for leg in LIMBS for sbc in (False, True)}

@@ -46,7 +46,6 @@ def settings(where=None):
 
 
 @pytest.mark.release
-@pytest.mark.compiles
 def test_a_policy_that_does_nothing_walks_as_the_published_controller_and_another_does_not(files, monkeypatch):
     """Every case with its own gait, frequency, stride and spine: as without a policy, where its actions are zero."""
     chosen = (walks._line("trot", 0.8, spine=True), walks._line("lateral_walk", 0.5, spine=False))
@@ -60,7 +59,6 @@ def test_a_policy_that_does_nothing_walks_as_the_published_controller_and_anothe
 
 
 @pytest.mark.release
-@pytest.mark.compiles
 def test_full_lock_is_left_out_for_a_policy_that_needs_a_path(files, monkeypatch):
     """Circles are walked, and full lock by a policy that observes no path."""
     chosen = tuple(walks._turn("trot", 0.67, radius, "leg") for radius in (0.5, walks.FULL_LOCK))
@@ -72,7 +70,6 @@ def test_full_lock_is_left_out_for_a_policy_that_needs_a_path(files, monkeypatch
     assert walks.walk_turns(settings(files["blind"])).columns["radius"].tolist() == [0.5, walks.FULL_LOCK]
 
 
-@pytest.mark.compiles
 def test_another_controller_is_another_setting_and_its_copy_is_kept(files, tmp_path, monkeypatch):
     for name in ("maze", "balance"):
         walks = EXPERIMENTS[name].walks
@@ -101,7 +98,6 @@ def test_a_controller_with_parameters_of_its_own_is_refused_in_one_sentence(tmp_
         ReplacementPolicy.of(f"{own}:Own")
 
 
-@pytest.mark.compiles
 def test_a_controller_travels_to_other_machines(files):
     """Workers get it with the settings, without its file."""
     there = pickle.loads(pickle.dumps(settings(files["some"])))

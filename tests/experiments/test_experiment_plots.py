@@ -21,8 +21,6 @@ from nermo_mjx.plotting.style import STYLE
 from nermo_mjx.recording import Recording
 from nermo_mjx.robot import LIMBS
 
-pytestmark = pytest.mark.draws
-
 PHASES = {"stand": [0.0, 1.0], "shift": [1.0, 2.0], "lift": [2.0, 3.0], "swing": [3.0, 6.0]}
 EXPERIMENTS = ("straight-line", "turning", "balance", "maze")
 UNIT = re.compile(r"\[(deg|mm|mm/s|N|s|Hz|1)\]$")

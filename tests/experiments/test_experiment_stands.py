@@ -64,7 +64,6 @@ def test_speed_and_coupling_are_those_of_the_kinematics(of_leg, pair, routing):
     assert of_leg.mean("coupling", **case) == pytest.approx(LEGS[pair].knee_direction * knee[0], abs=0.02)
 
 
-@pytest.mark.compiles
 @pytest.mark.parametrize("routing", ROUTINGS)
 @pytest.mark.parametrize("pair", PAIRS)
 def test_force_is_that_of_virtual_work(pair, routing):
@@ -107,7 +106,6 @@ def test_the_load_case_holds_and_so_does_what_the_thesis_says_of_the_routings(bo
         assert set(outcome.columns) <= set(outcome.about)
 
 
-@pytest.mark.draws
 def test_both_stands_are_drawn(of_leg, of_spine):
     """A bar for each routing of each pair of legs, and for each plane, in four panels."""
     for outcome, bars in ((of_leg, 2 * len(ROUTINGS)), (of_spine, len(stands.PLANES))):

@@ -18,7 +18,7 @@ from nermo_mjx.experiments.measures import ProfileOutcome
 from nermo_mjx.experiments.run import EXPERIMENTS
 from nermo_mjx.rollout import Run, Setup, Simulator
 
-pytestmark = [pytest.mark.slow, pytest.mark.release, pytest.mark.usefixtures("shared_simulators")]
+pytestmark = [pytest.mark.release, pytest.mark.usefixtures("shared_simulators")]
 FREQUENCIES = (0.5, 0.67, 0.8)
 #: Frequencies and radii of the quarter circles that are walked with `-m long` only.
 LONG_TURNS = ((0.5, 0.5), (0.5, 1.0), (0.67, 1.0), (0.8, 1.0))

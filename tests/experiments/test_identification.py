@@ -31,8 +31,6 @@ from nermo_mjx.runs.job import SILENT
 from nermo_mjx.runs.workers import LocalWorkers, WorkersLost
 from nermo_mjx.sweep import simulating
 
-pytestmark = pytest.mark.draws
-
 NAMES = list(TARGETS)
 
 
@@ -69,7 +67,6 @@ def test_what_is_free_is_the_bodys_within_allowed_bounds_and_never_the_soles(pro
         assert each.name.startswith("contact.") == (each.kind == "uncertain")
 
 
-@pytest.mark.compiles
 def test_bodies_that_were_identified_have_the_objective_of_their_walks():
     """Of the ensemble that comes with the package: real walks, as near as last bits of another compiler let them."""
     parameters, bodies = free_parameters("as_published"), identified.bodies()

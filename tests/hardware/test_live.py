@@ -17,8 +17,6 @@ from nermo_mjx.hardware import connected, send_table
 from nermo_mjx.hardware.live import SendError
 from nermo_mjx.robot import LIMBS, ParameterError
 
-pytestmark = pytest.mark.compiles
-
 ORDER = [f"{limb}_{servo}" for limb in LIMBS for servo in ("hip", "knee")]
 
 

@@ -25,8 +25,6 @@ from nermo_mjx.robot.parameters import servo_range
 #: The published robot.
 ROBOT = Geometry()
 
-pytestmark = pytest.mark.compiles
-
 #: The balancing spine jumps where a leg switches, so that no tick may fall on a switch but for its rounding.
 GAITS = [
     (Setup(gait="trot", spine="stride_extension"), {"frequency": 0.8, "spine.phase": -0.5}),

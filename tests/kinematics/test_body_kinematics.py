@@ -22,8 +22,6 @@ from nermo_mjx.robot.parameters import BODY, LIMBS, SPINE
 #: The published robot.
 ROBOT = Geometry()
 
-pytestmark = pytest.mark.compiles
-
 FRONT_COM, REAR_COM = (0.0, -0.0317, -0.0270), (0.0, 0.0310, -0.0160)
 MASSES = MassModel(0.1647, 0.1053, np.array(FRONT_COM), np.array(REAR_COM))
 #: Feet (y, z) of the walking stance (Table A.7), of the balance test's stance, and in the middle of a lateral gait.

@@ -26,8 +26,6 @@ from nermo_mjx.robot.parameters import FRONT_LEG, IDLER_RADIUS, REAR_LEG, ROUTIN
 #: The published robot.
 ROBOT = Geometry()
 
-pytestmark = pytest.mark.compiles
-
 GEOMETRIES = [pytest.param(FRONT_LEG, id="front"), pytest.param(REAR_LEG, id="rear")]
 #: Hip angles of the tests [rad]: well beyond the robot's +-0.7.
 HIP = 1.5

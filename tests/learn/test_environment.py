@@ -73,7 +73,6 @@ def sensors(**given) -> Sensors:
     return Sensors(**(zero | given))
 
 
-@pytest.mark.compiles
 def test_without_an_action_the_published_controller_walks(environment):
     """As far, and with as much work, as in a run of it: every world with the frequency, friction and mass drawn."""
     state = environment.reset(5)
@@ -90,7 +89,6 @@ def test_without_an_action_the_published_controller_walks(environment):
     assert len(set(values["frequency"])) == 3
 
 
-@pytest.mark.compiles
 def test_a_world_does_not_depend_on_the_others_nor_on_the_number_of_threads(states):
     """Bit for bit, over the beginning of a second episode."""
     for few, many in zip(states, walked(Environment(SETUP, worlds=40, task=TASK, threads=2)), strict=True):
@@ -99,7 +97,6 @@ def test_a_world_does_not_depend_on_the_others_nor_on_the_number_of_threads(stat
         np.testing.assert_array_equal(few.reward, many.reward[:3])
 
 
-@pytest.mark.compiles
 def test_an_episode_is_cut_off_when_its_time_is_over_and_the_next_one_begins(states):
     cut = [step for step, state in enumerate(states) if state.truncated.any()]
     assert cut == [20]
@@ -114,7 +111,6 @@ def test_an_episode_is_cut_off_when_its_time_is_over_and_the_next_one_begins(sta
     np.testing.assert_allclose(end.final_observation[:, -9:], actions(19, 3), rtol=1e-6)
 
 
-@pytest.mark.compiles
 def test_episodes_begin_with_a_gait_whose_feet_and_limbs_have_parameters():
     """As every controller's, they are arrays: what neither file nor draw changes were plain numbers, and refused."""
     setup = Setup(physics="fast", trajectory="free", spine="stride_extension+harmonics")
@@ -125,7 +121,6 @@ def test_episodes_begin_with_a_gait_whose_feet_and_limbs_have_parameters():
     assert qpos.shape == (robot.model.nq,)
 
 
-@pytest.mark.compiles
 def test_staggered_worlds_do_not_end_their_episodes_together():
     """The first ends after a share of the duration that differs between worlds, and all later ones last it out."""
     environment = Environment(SETUP, worlds=12, task=TASK, staggered=True)
@@ -140,7 +135,6 @@ def test_staggered_worlds_do_not_end_their_episodes_together():
     np.testing.assert_array_equal(np.sum(ends, axis=0), 2)
 
 
-@pytest.mark.compiles
 @pytest.mark.parametrize("staggered", [True, False])
 def test_mjx_staggers_the_first_episodes_and_no_later_ones(staggered):
     """How long they are to last; steps that wait for their ends would compile physics for a minute."""
@@ -162,7 +156,6 @@ def test_mjx_staggers_the_first_episodes_and_no_later_ones(staggered):
         np.testing.assert_array_equal(first, whole)
 
 
-@pytest.mark.compiles
 def test_rewards_are_the_weighted_terms_and_terms_sum_to_what_an_episode_measures(states):
     episode = states[1:21]
     for name, measured in (("progress", "distance"), ("work", "servo_work")):
@@ -174,7 +167,6 @@ def test_rewards_are_the_weighted_terms_and_terms_sum_to_what_an_episode_measure
     assert (state.terms["height"] > 0.04).all()
 
 
-@pytest.mark.compiles
 def test_what_falls_ends_its_episode_with_that_sentence_and_stands_up_again(environment):
     """A robot that is laid on its side, between two that walk."""
     height = environment.privileged_names.index("height")
@@ -191,7 +183,6 @@ def test_what_falls_ends_its_episode_with_that_sentence_and_stands_up_again(envi
     np.testing.assert_allclose(after.episode["duration"], [0.02, 0.01, 0.02], rtol=1e-5)
 
 
-@pytest.mark.compiles
 def test_a_policy_sees_the_servos_currents():
     """By the data sheet: 8 mA at rest, 0.8 A at the stall torque of 0.157 N m, whichever way it acts."""
     observer = Observer(("motor_current",), (), (), False, False, delayed=0, noisy=False, dt=0.01)
@@ -201,7 +192,6 @@ def test_a_policy_sees_the_servos_currents():
     assert all(name.endswith("_motor_current") for name in observer.names)
 
 
-@pytest.mark.compiles
 def test_readings_come_late_and_with_noise_of_the_given_size():
     """Three ticks late, and a quarter of a tick more: straight between the readings of those two ticks."""
     observer = Observer(("gyro", "action"), (), ("a",), False, False, delayed=4, noisy=False, dt=0.01)
@@ -231,7 +221,6 @@ def test_a_policy_can_be_told_how_its_path_bends():
     assert nowhere.told(told._replace(path=None), sensors()).shape == (0,)
 
 
-@pytest.mark.compiles
 def test_actions_move_servo_targets_or_parameters_by_their_ranges():
     base = published_controller("stride_extension", "open_loop")
     servo, home = leg_servos(jnp.array([[0.0, -0.045]] * 4)), leg_servos(jnp.array([[0.01, -0.04]] * 4))
@@ -253,7 +242,6 @@ def test_actions_move_servo_targets_or_parameters_by_their_ranges():
     np.testing.assert_allclose(acting.cycle_rate(batch), [0.67, 1.67], rtol=1e-6)
 
 
-@pytest.mark.compiles
 def test_a_step_refuses_actions_of_another_shape_and_states_that_are_gone(environment):
     old = environment.reset(0)
     with pytest.raises(ParameterError, match=r"expected \(3, 9\)"):

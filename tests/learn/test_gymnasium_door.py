@@ -10,8 +10,6 @@ import numpy as np
 import pytest
 
 gymnasium = pytest.importorskip("gymnasium")
-pytestmark = pytest.mark.compiles
-
 from nermo_mjx import ParameterError, Setup  # noqa: E402
 from nermo_mjx.learn import Environment, Task  # noqa: E402
 

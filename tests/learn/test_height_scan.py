@@ -110,7 +110,6 @@ def test_a_walk_observes_bit_for_bit_what_a_training_does(trained, monkeypatch):
 
 
 @pytest.mark.release
-@pytest.mark.compiles
 def test_a_policy_that_sees_the_stairs_walks_in_a_simulator_as_in_its_environment(trained, tmp_path):
     """From its file, without noise; a flat floor is another walk, so heights count."""
     own = {"terrain.height": 0.012, "start.yaw": 0.05}

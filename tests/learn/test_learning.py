@@ -23,7 +23,6 @@ from nermo_mjx.learn.experience import (
     scanned,
 )
 
-pytestmark = pytest.mark.compiles
 QUICK = PPO(hidden=(16, 16))
 
 

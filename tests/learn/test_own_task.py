@@ -162,7 +162,6 @@ def speeds(key, steps):
     return {"command.speed": 0.1 + 0.1 * jnp.clip(steps / 100, 0.0, 1.0), "sensing.delay": 0.015}
 
 
-@pytest.mark.compiles
 def test_own_functions_give_what_those_of_the_package_give():
     """Beside those of the package that are the same, with their delay; what the sampler draws depends on the steps."""
     task = Task(
@@ -198,7 +197,6 @@ def rougher(key, steps):
 
 
 @pytest.mark.release
-@pytest.mark.compiles
 def test_a_curriculum_raises_the_ground():
     """What the critic sees of it ahead: nothing at first, planks of one and of two centimetres later."""
     setup = Setup(scene="planks", physics="fast")
@@ -218,7 +216,6 @@ def always(sensors):
     return sensors.position[2] > -1.0
 
 
-@pytest.mark.compiles
 def test_an_own_termination_fails_the_episode_and_the_walk_of_an_evaluation(tmp_path, monkeypatch):
     environment = Environment(SETUP, worlds=2, task=Task(terminations=(always,), rewards={"failed": -2.0}))
     state = environment.reset(0)
@@ -237,7 +234,6 @@ def test_an_own_termination_fails_the_episode_and_the_walk_of_an_evaluation(tmp_
         assert table["success"].to_pylist() == [bool(share)] * 2
 
 
-@pytest.mark.compiles
 def test_a_training_with_own_code_is_resumed_and_its_directory_can_be_moved(tmp_path, done):
     """Killed in its second section: the same bits. The copy is the code that counts, and changed code is refused."""
     assert set(done.history.names) >= {"term.bending", "term.speed"}
@@ -265,7 +261,6 @@ def test_a_training_with_own_code_is_resumed_and_its_directory_can_be_moved(tmp_
     assert 0.05 <= drawn.min() < 0.08
 
 
-@pytest.mark.compiles
 def test_a_policy_with_an_own_observation_says_what_it_needs(tmp_path, done):
     """Its file runs no code: whoever wants to use it names the code, and it must be that of the training."""
     code = done.out / "own_task.py"
@@ -297,7 +292,6 @@ def test_a_policy_with_an_own_observation_says_what_it_needs(tmp_path, done):
     assert Sweep.from_text(sweep.to_yaml()) == sweep
 
 
-@pytest.mark.compiles
 @pytest.mark.parametrize("module", [False, True])
 def test_what_only_reads_runs_no_own_code_of_a_training(tmp_path, monkeypatch, done, module):
     """Status, plot and page of a stranger's directory."""

@@ -41,7 +41,6 @@ def way(recording) -> float:
     return float(np.linalg.norm(recording.qpos[-1, :2] - recording.qpos[0, :2]))
 
 
-@pytest.mark.compiles
 def test_zero_is_the_controller_alone_and_obeys_a_command(training):
     drawn = {name: float(each[0]) for name, each in unseen_bodies(training, training.task, Draws(1, UNSEEN)).items()}
     slow, fast = (played_task(training, "zero", seconds=4.0, values={"command.speed": each}) for each in (0.05, 0.15))
@@ -54,7 +53,6 @@ def test_zero_is_the_controller_alone_and_obeys_a_command(training):
     np.testing.assert_allclose(walk.qpos, alone.qpos, atol=1e-5)
 
 
-@pytest.mark.compiles
 def test_random_actions_are_drawn_anew_and_are_the_same_in_every_run(training):
     one, again = (played_task(training, "random", scene="planks", values={"terrain.height": 0.003}) for _ in range(2))
     np.testing.assert_array_equal(one.qpos, again.qpos)
@@ -107,7 +105,6 @@ def at_work(tmp_path_factory, training):
 
 @pytest.mark.release
 @pytest.mark.usefixtures("drawing")
-@pytest.mark.compiles
 def test_a_video_shows_the_policy_of_each_checkpoint(at_work):
     videos = sorted(at_work.glob("videos/*"))
     assert [each.name for each in videos] == ["000000000008.mp4", "000000000016.mp4"]
@@ -117,7 +114,6 @@ def test_a_video_shows_the_policy_of_each_checkpoint(at_work):
 
 
 @pytest.mark.usefixtures("drawing")
-@pytest.mark.compiles
 def test_a_page_follows_a_training_until_it_has_ended(at_work, tmp_path, monkeypatch):
     """A page for each checkpoint in one file, which a browser loads anew until the training is complete."""
     status, pages = training_status(at_work), []

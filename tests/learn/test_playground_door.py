@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 
 pytest.importorskip("mujoco_playground")
-pytestmark = pytest.mark.compiles
 
-from mujoco_playground import registry  # noqa: E402
+from mujoco_playground import registry
 
-from nermo_mjx import ParameterError  # noqa: E402
-from nermo_mjx.learn import playground_door  # noqa: E402
+from nermo_mjx import ParameterError
+from nermo_mjx.learn import playground_door
 
 
 def test_the_registry_has_it_with_what_may_be_overridden():

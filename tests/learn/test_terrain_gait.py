@@ -15,7 +15,6 @@ import pytest
 from nermo_mjx import Run, Setup, Simulator
 from nermo_mjx.learn.spec import Training
 
-pytestmark = pytest.mark.compiles
 ROOT = Path(__file__).parents[2]
 FOLDER = ROOT / "docs" / "howto" / "terrain"
 

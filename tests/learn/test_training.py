@@ -38,7 +38,6 @@ from nermo_mjx.runs.job import Watch
 from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.view.trained import trained
 
-pytestmark = pytest.mark.compiles
 SHIPPED = sorted((Path(__file__).parents[2] / "sweeps").glob("train_*.yaml"))
 #: Two sections of three iterations, and one of a single one, of a point mass.
 SPEC = {

@@ -36,7 +36,7 @@ from nermo_mjx.robot.quantity import values_of
 from nermo_mjx.rollout import Run, Setup, Simulator
 from nermo_mjx.sweep import Sweep
 
-pytestmark = [pytest.mark.compiles, pytest.mark.usefixtures("shared_simulators")]
+pytestmark = pytest.mark.usefixtures("shared_simulators")
 
 
 @pytest.fixture(scope="module")
@@ -555,7 +555,6 @@ def test_a_file_that_exists_is_never_replaced(tmp_path, running):
     assert all(path.read_text() == "mine" for path in (*kept.values(), tmp_path / "f.npz"))
 
 
-@pytest.mark.process
 @pytest.mark.parametrize(
     "number",
     [signal.SIGKILL, *(pytest.param(each, marks=pytest.mark.release) for each in (signal.SIGHUP, signal.SIGUSR1))],
@@ -589,7 +588,7 @@ def test_a_drive_outlives_every_signal(number, tmp_path):
     assert again.metadata["driven"]["commands"][0][1]["set"] == {"stride": 0.8}
 
 
-@pytest.mark.browser
+@pytest.mark.release
 @pytest.mark.parametrize("module", [chromium, firefox], ids=["chromium", "firefox"])
 def test_the_robot_follows_keys_gamepad_and_hand(drive, module):
     running = drive.driving

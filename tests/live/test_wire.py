@@ -44,7 +44,7 @@ from nermo_mjx.recording import RecordingError
 from nermo_mjx.robot import ParameterError, load_robot
 from nermo_mjx.trust import TELL
 
-pytestmark = [pytest.mark.compiles, pytest.mark.usefixtures("shared_simulators")]
+pytestmark = pytest.mark.usefixtures("shared_simulators")
 
 #: A message of the author's simulation: eight leg servos, tail, neck, head and spine, four feet, and the IMU's place,
 #: quaternion, velocity, acceleration and turning.

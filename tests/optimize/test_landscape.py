@@ -15,8 +15,6 @@ from nermo_mjx.runs.job import SILENT, Watch
 from nermo_mjx.runs.rows import part_files
 from nermo_mjx.sweep import SpecError
 
-pytestmark = pytest.mark.draws
-
 TUNING = Tuning.from_dict(SPEC)
 #: Height of a stair, and stairs over the bounds of the amplitude.
 STAIR, STAIRS = 0.01, 50

@@ -92,7 +92,6 @@ def test_wrong_files_get_their_sentence(change, message):
         Search.from_dict(data)
 
 
-@pytest.mark.compiles
 def test_a_metric_of_ones_own_is_aimed_at_measured_and_limited(tmp_path):
     """In all three places; where no file gives it, its name is refused."""
     (tmp_path / "own.py").write_text(
@@ -120,8 +119,6 @@ def test_a_search_reads_back_as_itself(spec):
 
 
 @pytest.mark.usefixtures("shared_simulators")
-@pytest.mark.compiles
-@pytest.mark.draws
 def test_the_command_searches_keeps_and_draws(tmp_path):
     """A search of two runs of a fifth of a second each, on MuJoCo C, as a user gives it; status and plot know it."""
     path, out = tmp_path / "search.yaml", tmp_path / "out"
@@ -163,7 +160,6 @@ def test_the_command_searches_keeps_and_draws(tmp_path):
     assert "4 evaluations per batch" in call("search", path, "--out", out, "--engine", "c", "--dry-run")
 
 
-@pytest.mark.draws
 @pytest.mark.parametrize(("spec", "names"), [(FRONT, ("front", "hypervolume")), (ATLAS, ("atlas", "coverage"))])
 def test_fronts_and_atlases_are_drawn(spec, names, tmp_path):
     result = run_search(spec | {"plots": True, "budget": 40}, tmp_path / "out", simulator=FakeSimulator())

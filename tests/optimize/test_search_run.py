@@ -102,7 +102,6 @@ def test_a_front_has_no_point_that_another_one_beats(tmp_path):
     assert result.best["row"] in [point["row"] for point in front]
 
 
-@pytest.mark.draws
 def test_an_atlas_has_the_best_of_each_cell(tmp_path):
     """Cells and their best from the table by hand, one row after the other."""
     result = run_search(ATLAS, tmp_path / "out", simulator=FakeSimulator())
@@ -238,7 +237,6 @@ def test_a_search_that_is_stopped_goes_on_with_the_same_numbers(spec, tmp_path):
     assert numbers(tmp_path / "out") == numbers(tmp_path / "whole")
 
 
-@pytest.mark.process
 def test_a_kill_at_any_moment_loses_a_batch_at_most(tmp_path):
     """SIGKILL at two moments of one search; the last process ends with the numbers of a search without kills."""
     out, log = tmp_path / "out", tmp_path / "log"

@@ -47,7 +47,6 @@ def fakes(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
 # --- tune
 
 
-@pytest.mark.compiles
 def test_tune_json_is_one_object_in_si_units(fakes: dict[str, Any], spec: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     result = json_of("tune", spec, "--out", out)
@@ -61,7 +60,6 @@ def test_tune_json_is_one_object_in_si_units(fakes: dict[str, Any], spec: Path, 
     assert len(fakes["problems"]) == 1
 
 
-@pytest.mark.draws
 def test_options_stand_for_fields_of_the_file(fakes: dict[str, Any], spec: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     spec.write_text(spec.read_text().replace("plots: false", "plots: true"))
@@ -75,7 +73,6 @@ def test_options_stand_for_fields_of_the_file(fakes: dict[str, Any], spec: Path,
     assert fakes["walker"].batches == [(272, False)]
 
 
-@pytest.mark.compiles
 def test_tune_prints_start_and_best_as_people_read_them(fakes: dict[str, Any], spec: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     result = call("tune", spec, "--out", out)
@@ -108,7 +105,6 @@ def test_the_change_of_an_angle_is_the_shorter_way_round(name: str, change: floa
     assert jobs._shortest(Tuning.from_dict(SPEC), name, change) == pytest.approx(shown, abs=1e-5)
 
 
-@pytest.mark.compiles
 def test_a_start_that_falls_is_said_so(fakes: dict[str, Any], spec: Path, tmp_path: Path) -> None:
     fakes["options"] = {"falls": lambda points: points[:, 0] < 0.06}
     result = call("tune", spec, "--out", tmp_path / "out", "--starts", "4")
@@ -138,7 +134,6 @@ def test_failures_and_wrong_use_have_their_exit_codes(fakes: dict[str, Any], spe
     assert "choose other starts or bounds" in fell.stderr
 
 
-@pytest.mark.draws
 def test_what_could_not_be_made_is_a_sentence_and_no_failure(
     fakes: dict[str, Any], spec: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -156,7 +151,6 @@ def test_what_could_not_be_made_is_a_sentence_and_no_failure(
 # --- landscape
 
 
-@pytest.mark.draws
 def test_landscape_prints_a_table_sentences_and_places(fakes: dict[str, Any], spec: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     result = call("landscape", spec, "--out", out)
@@ -174,7 +168,6 @@ def test_landscape_prints_a_table_sentences_and_places(fakes: dict[str, Any], sp
     assert (quiet.exit_code, quiet.stdout, quiet.stderr) == (0, "", "")
 
 
-@pytest.mark.compiles
 @pytest.mark.parametrize("name", ["tune", "landscape"])
 def test_other_code_is_wrong_use_until_it_is_accepted(
     fakes: dict[str, Any], spec: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str

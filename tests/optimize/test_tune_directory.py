@@ -23,8 +23,6 @@ from nermo_mjx.runs import DirectoryError, Interrupted, OtherCode, Watch, codes_
 from nermo_mjx.runs.checkpoints import KEPT
 from nermo_mjx.runs.files import WrongDirectory
 
-pytestmark = pytest.mark.compiles
-
 FEW = {"starts": 1, "iterations": 1}
 #: A tuning that compares with a recording.
 COMPARED = SPEC | FEW | {"objective": [{"minimize": "trajectory_error"}]}

@@ -77,7 +77,6 @@ def test_a_point_counts_as_fallen_if_a_neighbour_falls():
     assert found.evaluate(np.array([[0.1, 0.0], [0.199, 0.0]]), True).ok.tolist() == [True, False]
 
 
-@pytest.mark.compiles
 def test_differences_tune_to_the_closed_form(tmp_path: Path) -> None:
     """With the same optimizer as by gradient; best.json and history have the same form."""
     spec = DIFFERENCES | {"iterations": 30}
@@ -88,7 +87,6 @@ def test_differences_tune_to_the_closed_form(tmp_path: Path) -> None:
     assert [code.engine for code in codes_of(tmp_path / "out").values()] == ["c"]
 
 
-@pytest.mark.compiles
 def test_generations_tune_to_the_closed_form(tmp_path: Path) -> None:
     """The first point is the given one; there are no gradients, and each generation is a row a point."""
     found, tuning = problem(CMA)
@@ -101,7 +99,6 @@ def test_generations_tune_to_the_closed_form(tmp_path: Path) -> None:
     assert result.best["objective"] == pytest.approx(min(result.history.column("objective").to_pylist()))
 
 
-@pytest.mark.compiles
 def test_falls_cost_a_generation_nothing_but_themselves(tmp_path: Path) -> None:
     """Where the best would fall, the best that does not is found."""
     found, _ = problem(CMA, falls_above=0.2)
@@ -128,7 +125,6 @@ def test_each_method_says_its_cost_before(monkeypatch: pytest.MonkeyPatch, tmp_p
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.compiles
 @pytest.mark.parametrize("spec", [CMA, DIFFERENCES], ids=["cma", "differences"])
 def test_a_stopped_tuning_ends_with_the_same_numbers(spec, tmp_path: Path) -> None:
     tuning = Tuning.from_dict(spec)

@@ -22,7 +22,6 @@ def walk(optimizer, steps=12):
     return np.stack(path)
 
 
-@pytest.mark.compiles
 def test_every_optimizer_with_gradients_alone_is_offered():
     """All of optax that has a learning rate is known by name; what works from gradients alone is accepted."""
     refused = {"lbfgs", "noisy_sgd"}

@@ -21,8 +21,6 @@ from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.runs import Interrupted
 from nermo_mjx.runs.rows import part_files
 
-pytestmark = pytest.mark.draws
-
 #: A start that walks over the bound of the circle.
 ROUND = {
     "tune": SPEC["tune"] | {"spine.phase": {"bounds": [-3.14159, 3.14159], "start": 3.0, "periodic": True}},

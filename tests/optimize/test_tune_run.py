@@ -23,8 +23,6 @@ from nermo_mjx.runs.job import SILENT, Interrupted, Watch
 from nermo_mjx.runs.workers import TaskFailed, WorkersLost
 from nermo_mjx.sweep import DirectoryError, Sweep, run_sweep
 
-pytestmark = pytest.mark.compiles
-
 #: Tunings by each method: what changes in `SPEC`, where None leaves a field out.
 METHODS = {
     "gradient": {},

@@ -13,8 +13,6 @@ from nermo_mjx.optimize.spec import Tuning
 from nermo_mjx.rollout import Run
 from nermo_mjx.runs import Watch
 
-pytestmark = pytest.mark.compiles
-
 #: The same program as the one in notebooks/03_gradient_tuning.ipynb, so that one of them finds it compiled.
 SPEC = {
     "gait": "trot",

@@ -19,8 +19,6 @@ from nermo_mjx.physics.c_engine import CEngine
 from nermo_mjx.physics.engine import FIRST, NOWHERE, SECOND, choose_devices
 from nermo_mjx.robot import ParameterError
 
-pytestmark = pytest.mark.process
-
 
 def test_one_device_divides_nothing():
     """Where there is one device, a function stays as it is and arrays keep their length."""
@@ -102,7 +100,6 @@ def four_devices(tmp_path_factory) -> dict[str, Any]:
 
 
 @pytest.mark.release
-@pytest.mark.slow
 def test_four_devices_give_what_one_gives(four_devices):
     """Five worlds on four devices: the loop's state and the recording have five, with the numbers of one device."""
     assert four_devices["devices"] == [1, 4]
@@ -114,7 +111,6 @@ def test_four_devices_give_what_one_gives(four_devices):
 
 
 @pytest.mark.release
-@pytest.mark.slow
 def test_no_device_waits_for_another(four_devices):
     """The program holds no communication; left to JAX's automatic partition it would."""
     assert four_devices["collectives"] == []

@@ -16,8 +16,6 @@ from fakes.composites import IN_THEIR_PLACE, mjcf
 from nermo_mjx import ParameterError
 from nermo_mjx.physics import trajectory
 
-pytestmark = pytest.mark.compiles
-
 FREE = '<body pos="0 0 {z}" euler="10 20 30"><freejoint/><geom type="{kind}" size=".1 .08 .06" mass=".5"/></body>'
 CHAIN = """<body pos="0 0 1"><joint name="a" axis="0 1 0" damping=".1" {a}/>
   <geom type="capsule" size=".03" fromto="0 0 0 .3 0 0"/>

@@ -83,7 +83,6 @@ def test_warp_computes_in_single_precision_only(machine):
 
 
 @installed
-@pytest.mark.slow
 def test_warp_swings_as_mjx_does():
     """With a stop, a contact and a field that differs between worlds; 60 steps in float32."""
     traces = []
@@ -98,7 +97,6 @@ def test_warp_swings_as_mjx_does():
 
 
 @installed
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("fault", "sentence"), [(0.1, "of 3 walks are not where MuJoCo C has them"), (np.nan, "nan m away")]
 )
@@ -140,7 +138,6 @@ def test_warp_has_room_for_all_contacts_and_rows(simulator):
 
 
 @installed
-@pytest.mark.slow
 def test_warp_follows_c_from_the_same_state_with_the_same_controls(simulator):
     """200 steps of the robot, each world with its own friction and mass, stay within 1e-5 of C."""
     sim = simulator(spine="stride_extension")

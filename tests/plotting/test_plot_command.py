@@ -27,7 +27,6 @@ from nermo_mjx.runs import RunDirectory, Written
 from nermo_mjx.runs.directory import hold
 from nermo_mjx.sweep import run_sweep
 
-pytestmark = pytest.mark.draws
 plot = functools.partial(call, "plot")
 
 

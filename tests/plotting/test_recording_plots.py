@@ -35,8 +35,6 @@ from nermo_mjx.view.recorded import spans
 #: The published robot.
 ROBOT = Geometry()
 
-pytestmark = pytest.mark.draws
-
 
 def drawn_of(recording: Recording, folder: Path, formats: Sequence[str] = FORMATS) -> tuple[list[Path], list[str]]:
     """The files of a recording's figures, and the notes on those that there are not."""

@@ -28,8 +28,6 @@ from nermo_mjx.sweep.plots import (
 )
 from nermo_mjx.sweep.table import Columns
 
-pytestmark = pytest.mark.draws
-
 PARAMETERS = {"frequency": ("Hz", 0.4, 1.2), "spine.phase": ("rad", -3.0, 3.0), "contact.friction": ("1", 0.5, 2.0)}
 
 

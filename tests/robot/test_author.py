@@ -29,8 +29,6 @@ from nermo_mjx.robot.parameters import FRONT_LEG, REAR_LEG
 from nermo_mjx.rollout import Run, Setup, Simulator
 from nermo_mjx.rollout.run import START_SPREAD
 
-pytestmark = pytest.mark.compiles
-
 DATA = Path(__file__).parents[1] / "data"
 STREAM = pd.read_csv(DATA / "author_servo_stream.csv", comment="#")
 CYCLE = pd.read_csv(DATA / "author_servo_cycle.csv", comment="#")

@@ -17,8 +17,6 @@ from nermo_mjx.physics.variation import compile_model
 from nermo_mjx.robot import LIMBS, ModelParameters, ParameterError, Sensors, load_robot
 from nermo_mjx.rollout import Run, Setup, Simulator, electrical
 
-pytestmark = pytest.mark.compiles
-
 
 def test_the_speed_is_smooth_where_a_tuner_looks():
     """Along the phase of the trot the speed is within a micrometre per second of a parabola, over 1 % of its range.

@@ -13,7 +13,6 @@ from nermo_mjx.robot import LIMBS
 from nermo_mjx.robot.quantity import gathered
 from nermo_mjx.rollout.setup import all_parameters
 
-pytestmark = [pytest.mark.compiles, pytest.mark.slow]
 #: Choices that together read every parameter, with those of the scenes' terrain.
 ALL = {
     "spine": "stride_extension+balance+harmonics",

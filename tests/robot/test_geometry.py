@@ -61,7 +61,6 @@ def at_rest(of: Geometry) -> jax.Array:
     return leg.forward_kinematics(leg.four_legs(of), jnp.zeros((4, 2)), "type3").knee_angle
 
 
-@pytest.mark.compiles
 @pytest.mark.parametrize("end", ["low", "high"])
 @pytest.mark.parametrize("name", ALL)
 def test_a_number_moves_the_model_and_the_kinematics_alike(name, end):
@@ -128,7 +127,6 @@ def test_links_are_drawn_as_long_as_they_are():
     np.testing.assert_allclose(shift[:, 0], [-0.005, 0.005], atol=1e-4)
 
 
-@pytest.mark.compiles
 @pytest.mark.parametrize(
     ("tail", "names"),
     [
@@ -152,7 +150,6 @@ def test_a_world_of_a_batch_is_the_robot_assembled_with_its_geometry(tail, names
         np.testing.assert_allclose(varied, wanted, rtol=1e-9, atol=atol, err_msg=name)
 
 
-@pytest.mark.slow
 def test_constants_and_their_derivatives_are_those_of_assembled_models():
     """What MuJoCo derives from places, and slopes of all fields, against models compiled a little on either side."""
     robot, names = load_robot(), ("spine.segment", "tail.length")
@@ -232,7 +229,6 @@ def test_a_world_with_the_published_numbers_is_the_published_robot(simulator):
 
 
 @pytest.mark.release
-@pytest.mark.compiles
 def test_the_balance_knows_where_other_robots_have_their_mass():
     """The controller's two masses are those of the robot assembled with the geometry, to a micrometre."""
     robot, of = load_robot(), geometry(**OTHER)

@@ -84,7 +84,6 @@ def test_the_same_joint_angles_put_the_hip_where_mujoco_has_it(robot):
             np.testing.assert_allclose(seen_from_torso(data, foot), feet[place], atol=1e-6)
 
 
-@pytest.mark.compiles
 def test_a_world_of_its_own_geometry_has_its_hips_where_the_kinematics_say(robot):
     """Longer segments, a smaller pulley and a wider hip: hip axis within 1e-6 m, and no tendon slack or tight."""
     values = {"geometry.spine.segment": 0.018, "geometry.spine.pulley_radius": 0.0055, "geometry.hip.x": 0.045}

@@ -18,8 +18,6 @@ from nermo_mjx.rollout.run import DEPTH
 from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.sweep import Sweep
 
-pytestmark = pytest.mark.compiles
-
 PLANE = "<geom name='floor' type='plane' size='0 0 0.1' pos='0 0 {height}'/>"
 #: A walled yard: a floor half a metre up, a step on it, a bench of two boxes on a body, and a lawn to look at.
 YARD = """

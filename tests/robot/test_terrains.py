@@ -40,7 +40,6 @@ def ray_height(model: mujoco.MjModel, data: mujoco.MjData, scene: str, x: float,
         height -= 1e-6
 
 
-@pytest.mark.compiles
 @pytest.mark.parametrize("scene", GROUNDS)
 def test_the_height_of_a_shape_is_that_of_the_model_with_its_fields(scene):
     """At 150 places about the way, of a shape that is not the compiled one: what a batch's worlds are told is there."""
@@ -56,7 +55,6 @@ def test_the_height_of_a_shape_is_that_of_the_model_with_its_fields(scene):
     assert np.abs(heights - before).max() > 1e-3
 
 
-@pytest.mark.compiles
 def test_terrains_have_the_sizes_of_the_published_ones():
     """Height along the middle of the way, by default."""
     ahead = np.arange(0.0, 2.0, 0.005) + 0.0025
@@ -80,7 +78,6 @@ def test_terrains_have_the_sizes_of_the_published_ones():
     assert 0.0 <= profile["rough"].min() < profile["rough"].max() <= 0.01 + 1e-7
 
 
-@pytest.mark.compiles
 def test_the_spiral_stair_rises_along_its_circle_and_gates_alternate():
     angle = (BEGIN + 0.15 * (np.arange(15) + 0.5)) / 0.5
     heights = load_robot(scene="spiral_stairs").terrain.height(0.5 * (1 - np.cos(angle)), -0.5 * np.sin(angle))
@@ -92,7 +89,6 @@ def test_the_spiral_stair_rises_along_its_circle_and_gates_alternate():
     np.testing.assert_allclose((left + right)[:2] / 2, gates(TerrainShape(**TERRAINS["slalom"].defaults))[0])
 
 
-@pytest.mark.compiles
 @pytest.mark.parametrize("scene", TERRAINS)
 def test_a_world_of_a_batch_stands_on_its_own_ground(scene):
     """Dropped ahead of the start, two worlds of a batch end where the robot does in a model of each alone."""
@@ -116,7 +112,6 @@ def test_a_world_of_a_batch_stands_on_its_own_ground(scene):
     assert np.abs(qpos[0] - qpos[1]).max() > 1e-4
 
 
-@pytest.mark.compiles
 def test_an_environment_draws_a_ground_for_each_episode():
     task = Task(randomize={"terrain.height": (0.0, 0.02), "terrain.shift": (-0.3, -0.2)}, episode_length=0.05)
     environment = Environment(Setup(scene="planks", physics="fast"), worlds=2, task=task)
@@ -176,7 +171,6 @@ def from_above(model: mujoco.MjModel, x: float, y: float) -> float:
     return 5.0 - distance if distance >= 0 else -np.inf
 
 
-@pytest.mark.compiles
 @pytest.mark.parametrize("kind", SURFACES)
 def test_the_height_is_where_a_ray_from_above_meets_the_ground(kind):
     """At 200 places in and beside it; beside all of it the height is one that nothing of it is below."""
@@ -192,7 +186,6 @@ def test_the_height_is_where_a_ray_from_above_meets_the_ground(kind):
     assert (heights[~hit] <= rays[hit].min()).all()
 
 
-@pytest.mark.compiles
 def test_the_height_has_the_slope_of_the_ground():
     """On a plane turned by 0.2 rad about y, downhill along x."""
     model = compiled("<geom type='plane' size='9 9 1' euler='0 11.459156 0'/>")

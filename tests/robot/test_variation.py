@@ -26,8 +26,6 @@ from nermo_mjx.robot.parameters import FOOT_RADIUS
 from nermo_mjx.robot.quantity import quantities, replace_quantities
 from nermo_mjx.rollout import Setup, Simulator
 
-pytestmark = pytest.mark.compiles
-
 ALL = {name: float(about.default) for name, about in quantities(ModelParameters)}
 #: A value for every parameter that is not the default, all different.
 OTHER = {name: (value or 0.5) * (0.6 + 0.03 * i) for i, (name, value) in enumerate(ALL.items())}
@@ -291,7 +289,6 @@ def test_no_constant_that_mjx_reads_is_left_out():
     assert physical == {"body_mass", "body_inertia", *DERIVED_FIELDS}
 
 
-@pytest.mark.compiles
 def test_a_slope_turns_gravity_in_mjx_and_has_a_derivative():
     """A ball in free fall: after one step its velocity, and its derivatives along size, slope and direction."""
     ball = mujoco.MjModel.from_xml_string(

@@ -14,8 +14,6 @@ from nermo_mjx.robot import load_robot
 from nermo_mjx.rollout import Run, Setup
 from nermo_mjx.rollout.differentiable import Rollout
 
-pytestmark = pytest.mark.compiles
-
 ONE_CYCLE = Run(cycles=1, warmup_cycles=0)
 
 

@@ -19,8 +19,6 @@ from nermo_mjx.robot import LIMBS, ModelParameters, Sensors
 from nermo_mjx.rollout import METRICS, electrical, metrics
 from nermo_mjx.rollout.setup import Window
 
-pytestmark = pytest.mark.compiles
-
 STEPS, DT, RATE, MASS, SERVOS = 5, 0.01, 1.0, 0.27, 10
 #: Of the IMU over the mat [m].
 HEIGHT = 0.063

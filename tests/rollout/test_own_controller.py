@@ -29,8 +29,6 @@ from nermo_mjx.sweep import Sweep, run_sweep
 from nermo_mjx.sweep.spec import Sample
 from nermo_mjx.sweep.store import simulated_seconds
 
-pytestmark = pytest.mark.compiles
-
 EXAMPLES = Path(__file__).parents[2] / "docs" / "howto" / "controllers"
 BOUND = f"{EXAMPLES / 'bound.py'}:Bound"
 SHORT = Run(duration=0.5, warmup=0.1)

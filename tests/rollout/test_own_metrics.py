@@ -89,7 +89,6 @@ def reduced(readings: np.ndarray, begin: float, end: float) -> dict[str, float]:
 # --- reductions
 
 
-@pytest.mark.compiles
 def test_reductions_are_those_of_numpy() -> None:
     """Over whole ticks, in both of which readings stand for the step before them: NumPy over the same readings."""
     random = np.random.default_rng(0).normal(size=(12, STEPS)).astype(np.float32)
@@ -110,7 +109,6 @@ def test_reductions_are_those_of_numpy() -> None:
     assert found == pytest.approx({name: float(value) for name, value in expected.items()}, rel=1e-5, abs=1e-6)
 
 
-@pytest.mark.compiles
 def test_a_metric_of_a_stride_is_reduced_from_touch_down_to_touch_down() -> None:
     """Mean, deviation and coefficient of variation over the strides of the foot that is named, by NumPy."""
     ticks, period, stance = 401, 100, 60
@@ -144,7 +142,6 @@ def test_a_metric_of_a_stride_is_reduced_from_touch_down_to_touch_down() -> None
             assert float(found[f"{reduce}_{across}"]) == pytest.approx(value, rel=2e-3), (reduce, across)
 
 
-@pytest.mark.compiles
 def test_a_metric_is_continuous_where_the_measuring_begins_and_ends() -> None:
     """Of a yaw rate that grows by 1 rad/s a second: the extremes are the values at both ends of any window."""
     ramp = (DT * np.arange(-1, 11)[:, None] + DT * np.arange(1, STEPS + 1) / STEPS).astype(np.float32)
@@ -154,12 +151,10 @@ def test_a_metric_is_continuous_where_the_measuring_begins_and_ends() -> None:
         assert found["range"] == pytest.approx(end - begin, abs=4e-6)
 
 
-@pytest.mark.compiles
 def test_what_was_never_measured_is_not_a_number() -> None:
     assert all(math.isnan(value) for value in reduced(np.ones((3, STEPS)), 1.0, 2.0).values())
 
 
-@pytest.mark.compiles
 def test_what_is_not_measured_does_no_harm_to_value_and_slope() -> None:
     """The root of a force has no slope at zero, which it reads before the first tick and where numbers are lost."""
     root = own("mean", lambda sensors: jnp.sqrt(sensors.foot_force[0]))
@@ -184,7 +179,6 @@ def test_what_is_not_measured_does_no_harm_to_value_and_slope() -> None:
 # --- in a simulator
 
 
-@pytest.mark.compiles
 def test_a_simulator_measures_what_its_recording_shows(shake: Path) -> None:
     """The readings of a tick's end, of a signal that five steps hardly change; other metrics keep their last bit."""
     run = Run(duration=0.4, warmup=0.1)
@@ -218,7 +212,6 @@ def test_a_metric_of_ones_own_has_the_derivative_of_the_engine_c(shake: Path) ->
     assert float(slope) == pytest.approx((high - low) / (2 * eps), rel=1e-3)
 
 
-@pytest.mark.compiles
 @pytest.mark.usefixtures("shared_simulators")
 def test_a_walk_prints_its_own_metrics(shake: Path) -> None:
     words = ["walk", "--engine", "c", "--duration", "0.1", "--warmup", "0.02", "--metrics", str(shake)]
@@ -270,7 +263,6 @@ def test_the_directory_keeps_the_file_and_its_content_counts(shake: Path, tmp_pa
     assert Sweep.from_file(out / "sweep.yaml").digest() == digest
 
 
-@pytest.mark.draws
 def test_summary_and_figures_know_which_side_is_better(shake: Path, tmp_path: Path) -> None:
     """Of what shakes less is better, and of what has no side the highest is marked, and not called the best."""
     spec = {**SWEEP, "metrics": str(shake), "vary": {"frequency": [0.7, 0.8, 0.9]}}
@@ -331,7 +323,6 @@ WRONG = {
 }
 
 
-@pytest.mark.compiles
 @pytest.mark.parametrize("case", WRONG)
 def test_a_function_that_is_none_is_refused_before_the_sweep_starts(tmp_path: Path, case: str) -> None:
     body, message = WRONG[case]

@@ -17,8 +17,6 @@ from nermo_mjx.robot import load_robot
 from nermo_mjx.rollout import Setup
 from nermo_mjx.rollout.loop import ClosedLoop
 
-pytestmark = pytest.mark.compiles
-
 SENSORS = """
 <mujoco><worldbody><geom type="plane" size="1 1 1"/><body pos="0 0 .04"><freejoint/><geom name="ball" size=".05"/>
 <site name="s" pos="0.01 0 0"/></body></worldbody>

@@ -18,8 +18,6 @@ import pytest
 from nermo_mjx import ParameterError, Rollout, Run, Setup
 from nermo_mjx.rollout.differentiable import WIDTH
 
-pytestmark = pytest.mark.compiles
-
 NAMES = ("spine.amplitude", "spine.phase")
 POINT = np.array([0.2, -0.5])
 SHORT = Run(duration=0.3, warmup=0.1)
@@ -84,7 +82,6 @@ def twelve_points() -> list[dict[str, float]]:
 
 
 @pytest.mark.release
-@pytest.mark.slow
 def test_three_widths_give_the_same_derivative_at_twelve_points(long_walk: Rollout) -> None:
     """The widest of them, ten times that of `Rollout`, at eleven: beside a jump it is no derivative."""
     for i, values in enumerate(twelve_points()):
@@ -94,7 +91,6 @@ def test_three_widths_give_the_same_derivative_at_twelve_points(long_walk: Rollo
         assert (apart[2] < 1e-4) == (i != JUMP), i
 
 
-@pytest.mark.slow
 def test_a_jump_within_the_width_is_told(long_walk: Rollout) -> None:
     """By the spread of two widths, and by a warning."""
     values = twelve_points()[JUMP]
@@ -111,7 +107,6 @@ def test_a_jump_within_the_width_is_told(long_walk: Rollout) -> None:
 
 
 @pytest.mark.release
-@pytest.mark.slow
 def test_three_widths_give_the_same_derivative_by_ten_numbers_of_the_body_at_four_points(long_walk: Rollout) -> None:
     random = np.random.default_rng(1)
     for amplitude, phase in zip(random.uniform(0.05, 0.35, 4), random.uniform(-3, 3, 4), strict=True):
@@ -293,7 +288,6 @@ print(float(slope(0.2)) == float(found[0]))
 """
 
 
-@pytest.mark.process
 @pytest.mark.parametrize("threads", ["1", pytest.param("2", marks=pytest.mark.release)])
 def test_it_works_where_the_user_started_jax_first(threads: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """With asynchronous dispatch, as in a notebook, and as few threads as there can be: no deadlock."""

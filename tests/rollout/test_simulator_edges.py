@@ -19,8 +19,6 @@ from nermo_mjx.robot.quantity import quantities, replace_quantities
 from nermo_mjx.rollout import Run, Setup, Simulator, all_parameters
 from nermo_mjx.rollout.setup import without_presettings
 
-pytestmark = pytest.mark.compiles
-
 #: A servo chatters if its torque jumps by more than this share of its limit from one step to the next, while the robot
 #: stands still and nothing is asked of it.
 CHATTER = 0.05

@@ -13,7 +13,7 @@ from nermo_mjx.rollout import Run, Setup, Simulator
 from nermo_mjx.rollout.differentiable import Rollout
 from nermo_mjx.runtime import compiler_options
 
-pytestmark = [pytest.mark.slow, pytest.mark.release]
+pytestmark = pytest.mark.release
 
 #: One number of each kind: spine, gait, a stiffness, a mass, friction, contact, servos. At 0.8 Hz a cycle ends with a
 #: tick, and the measured way has a kink; at 0.81 Hz a step of the pilot has one, and C's differences hang on their

@@ -29,8 +29,6 @@ CLOCK = "wall_seconds"
 
 
 @pytest.mark.long
-@pytest.mark.process
-@pytest.mark.compiles
 def test_forty_kills_leave_the_tables_as_they_were(tmp_path: Path) -> None:
     done = subprocess.run(
         [sys.executable, __file__, str(tmp_path)],

@@ -30,7 +30,7 @@ from nermo_mjx.runs.workers import LocalWorkers, WorkersLost
 from nermo_mjx.sweep import read_table, run_sweep
 from nermo_mjx.version import __version__
 
-pytestmark = pytest.mark.cluster
+pytestmark = pytest.mark.release
 
 FAKE = Path(__file__).parents[1] / "fakes" / "ray_fake.py"
 WALKS = {"vary": {"frequency": {"linspace": [0.7, 1.2, 7]}}, "run": {"cycles": 2, "warmup_cycles": 1}, "plots": False}

@@ -163,7 +163,6 @@ def directories(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[str, Pa
     return request.param, tmp_path / "a", tmp_path / "b", log
 
 
-@pytest.mark.draws
 def test_no_code_of_a_directory_is_run(directories: tuple[str, Path, Path, Path]) -> None:
     """Yet units, sides, meanings, the section `compare`, and how many runs there will be are known."""
     own, a, b, log = directories
@@ -821,7 +820,6 @@ def test_a_policy_names_no_code(named: dict[str, str], tmp_path: Path, canary: P
     assert not canary.exists()
 
 
-@pytest.mark.draws
 def test_a_recording_names_no_code(tmp_path: Path, canary: Path) -> None:
     recording = Recording.load(RECORDED)
     setup = dict(recording.metadata["setup"] or {}) | {"controller": "own.py:stiff", "metrics": ["own.py"]}
@@ -856,7 +854,6 @@ def told(recording: Recording, driven: Any = None, **setup: Any) -> Recording:
     return dataclasses.replace(recording, metadata=about)
 
 
-@pytest.mark.compiles
 @pytest.mark.parametrize("named", ["own.py:stiff", "{0}/own.py:stiff", "own:stiff", "own.under:stiff"])
 @pytest.mark.parametrize("form", ["npz", "jsonl"])
 def test_replay_runs_no_code_that_a_drive_names(named: str, form: str, driven: Any, tmp_path: Path, canary: Path):
@@ -876,7 +873,6 @@ def test_replay_runs_no_code_that_a_drive_names(named: str, form: str, driven: A
     assert not canary.exists()
 
 
-@pytest.mark.compiles
 def test_a_drive_by_a_controller_of_ones_own_is_made_again_with_it(tmp_path: Path, canary: Path) -> None:
     driving = Driving(Setup(controller="own.py:stiff"))
     for _ in range(3):
@@ -916,7 +912,6 @@ MALFORMED: dict[str, dict[str, Any]] = {
 }
 
 
-@pytest.mark.compiles
 @pytest.mark.usefixtures("shared_simulators")
 @pytest.mark.parametrize("name", MALFORMED)
 def test_a_malformed_drive_ends_in_a_sentence(name: str, driven: Recording, tmp_path: Path) -> None:

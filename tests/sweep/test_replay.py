@@ -25,7 +25,7 @@ from nermo_mjx.sweep import replay as module
 from nermo_mjx.sweep.replay import agreement, find_row, replay_row
 from nermo_mjx.view import Recording
 
-pytestmark = [pytest.mark.compiles, pytest.mark.usefixtures("shared_simulators")]
+pytestmark = pytest.mark.usefixtures("shared_simulators")
 
 call, json_of = (functools.partial(each, "replay") for each in (command.call, command.json_of))
 #: Eight rows in chunks of 3, 3 and 2, so that the last chunk's batch is padded. With so heavy a rear and 1.2 Hz, the

@@ -173,7 +173,6 @@ def test_the_design_begins_as_a_smaller_one_and_changes_one_parameter_at_a_time(
     assert Sweep.from_text(pairs.to_yaml()).digest() == pairs.digest() != sweep.digest()
 
 
-@pytest.mark.draws
 def test_the_command_writes_what_plot_and_status_know(out: Path, tmp_path: Path) -> None:
     """JSON, a table for people, and figures that come out the same."""
     assert json_of("sensitivity", out, "--out", tmp_path / "report")["indices"][0]["parameter"] == "frequency"

@@ -28,8 +28,6 @@ from nermo_mjx.sweep import (
     run_sweep,
 )
 
-pytestmark = pytest.mark.process
-
 
 @pytest.fixture(scope="module")
 def reference(tmp_path_factory):
@@ -57,7 +55,6 @@ def goes_on(out, reference, at_most):
 # --- what other programs rely on
 
 
-@pytest.mark.draws
 def test_the_directory_holds_what_other_programs_rely_on(done):
     """Files, and in each column its unit, its meaning and its role; readers of Parquet need no other program."""
     pandas = pytest.importorskip("pandas")

@@ -143,7 +143,6 @@ def test_a_full_disk_is_seen_before_the_work(tmp_path: Path, monkeypatch: pytest
     assert not list((tmp_path / "results").iterdir())
 
 
-@pytest.mark.compiles
 def test_what_a_simulator_saves_is_its_recording_at_a_rate() -> None:
     """Worlds of two lengths, one a quarter of the control rate, blocks that begin between two samples."""
     saving = Saving(("front_left_foot_velocity", "spine_ctrl", "qvel_root_z", "yaw", "speed"), 100 / 3)
@@ -232,7 +231,6 @@ KEPT: dict[str, Any] = {
 }
 
 
-@pytest.mark.compiles
 def test_kept_rows_are_recorded_once_and_again_if_they_are_lost(tmp_path: Path) -> None:
     """When the table is complete, by whichever command asks; `keep` may be another one then."""
     told: list[str] = []
@@ -254,7 +252,6 @@ def test_kept_rows_are_recorded_once_and_again_if_they_are_lost(tmp_path: Path) 
     assert file.with_name(f"{file.name}.aside-1").read_bytes() == b"damaged"
 
 
-@pytest.mark.compiles
 def test_a_stopped_sweep_records_what_is_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     spec, done = {**KEPT, "keep": {"best": 3}}, []
 
@@ -275,7 +272,6 @@ def test_a_stopped_sweep_records_what_is_missing(tmp_path: Path, monkeypatch: py
     assert (file.stat().st_mtime_ns, len(list((tmp_path / "recordings").iterdir()))) == (first, 3)
 
 
-@pytest.mark.compiles
 def test_a_replay_that_gives_other_numbers_says_so(tmp_path: Path) -> None:
     """A table in closed form is not what the robot does."""
     told: list[str] = []

@@ -14,8 +14,6 @@ from nermo_mjx.plotting.style import STYLE
 from nermo_mjx.sweep import Results, run_sweep
 from nermo_mjx.sweep.plots import figures_of_results
 
-pytestmark = pytest.mark.draws
-
 
 def plots_of(spec, out, simulator=None):
     return run_sweep(spec, out, simulator=simulator or FakeSimulator()).plots

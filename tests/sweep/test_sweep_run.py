@@ -45,7 +45,6 @@ def stop_half_way(tmp_path, number):
     return out, process.returncode, printed
 
 
-@pytest.mark.process
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
 def test_a_stopped_sweep_goes_on_and_gives_the_same_table(tmp_path, reference, number):
     """Killed in its fourth chunk, a sweep keeps the first two; only of the third the writing may not be over."""
@@ -263,10 +262,8 @@ def test_each_run_has_a_body_and_the_table_says_which(tmp_path):
     np.testing.assert_allclose(slower, speed(whole.column("frequency").to_numpy()), atol=1e-6)
 
 
-#: Of 1,280 runs, compared in 32 groups.
-LARGEST = "sagittal_spine"
 SWEEPS = [
-    pytest.param(path, id=path.stem, marks=[pytest.mark.slow] * (path.stem == LARGEST))
+    pytest.param(path, id=path.stem)
     for path in sorted(Path(__file__).parents[2].glob("sweeps/*.yaml"))
     if not re.search("^(tune|objective|pareto|task):", path.read_text(), re.MULTILINE)
 ]
@@ -289,7 +286,6 @@ def test_the_sweeps_of_the_repository_run(tmp_path, path):
         assert read_table(tmp_path).num_rows == sweep.variants
 
 
-@pytest.mark.draws
 def test_figures_go_into_a_directory_that_is_named_from_here(tmp_path, monkeypatch):
     """As the README's command names it: `--out runs/quickstart`."""
     monkeypatch.chdir(tmp_path)

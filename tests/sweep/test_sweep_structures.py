@@ -252,7 +252,6 @@ def test_the_authors_codes_of_gaits_are_accepted_and_shown_nowhere(tmp_path):
     assert "roll_std" not in shown
 
 
-@pytest.mark.draws
 def test_figures_put_structures_side_by_side(tmp_path):
     """A line and a panel for each; one without the parameter is a level line; two axes may be any columns."""
     run_sweep(SPEC, tmp_path, simulator=FakeSimulator())
@@ -286,7 +285,6 @@ def test_figures_put_structures_side_by_side(tmp_path):
 
 
 @pytest.mark.release
-@pytest.mark.compiles
 def test_on_the_engine_c_an_extended_directory_is_that_of_one_go_bit_for_bit(tmp_path):
     """Real walks: another gait, another frequency and a repeat are added; one row alone replays to the last bit."""
     small = {

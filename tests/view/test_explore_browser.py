@@ -20,7 +20,7 @@ from fakes.sweep_fake import OPTIMUM, Noisy
 from nermo_mjx import read_table, run_sweep
 from nermo_mjx.view.explore import explore
 
-pytestmark = pytest.mark.browser
+pytestmark = pytest.mark.release
 RECORDED = (3, 20)
 SELECTED = "(explorer.chart.chosen < 0 ? null : explorer.table.rows[explorer.chart.chosen])"
 COUNT = "explorer.filters.places.length"

@@ -17,8 +17,6 @@ from nermo_mjx.robot import ParameterError
 from nermo_mjx.view import RecordingError, play, robot_of, write_keyframes
 from nermo_mjx.view.playing import set_sample
 
-pytestmark = pytest.mark.compiles
-
 
 @pytest.fixture(scope="module")
 def recording(walks) -> Recording:

@@ -19,8 +19,6 @@ from nermo_mjx.view import Recording, RecordingError, VideoError, offscreen, ren
 from nermo_mjx.view.camera import INSIDE, OUTSIDE, draw_support, is_inside, smooth_path, support_polygon
 from nermo_mjx.view.video import Pane, frame_samples, write_video
 
-pytestmark = pytest.mark.draws
-
 SCENE = """
 <mujoco>
   <asset><texture name='c' type='2d' builtin='checker' width='64' height='64' rgb1='1 1 1' rgb2='.2 .2 .2'/>

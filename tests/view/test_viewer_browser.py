@@ -16,6 +16,8 @@ from nermo_mjx import Recording, show
 from nermo_mjx.view import robot_of
 from nermo_mjx.view.recorded import motion_of
 
+pytestmark = pytest.mark.release
+
 #: What must be within reach in any window.
 CONTROLS = ["play", "scrub", "speed", "loop", "plots-toggle", "help", "canvas", "plot-list", "view"]
 #: The last change has been drawn as well as stills are.
