@@ -1,14 +1,19 @@
-"""A command as users type it, run in this process; errors that are not for users are raised."""
+"""Calls as users make them: commands, in this process or another one, and calls that are refused with one message."""
 
 from __future__ import annotations
 
 import json
+import re
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
+import pytest
 from click.testing import CliRunner, Result
 
 from nermo_mjx.cli import main
+from nermo_mjx.robot.quantity import ParameterError
 
 
 def call(*arguments: str | Path) -> Result:
@@ -30,3 +35,16 @@ def json_of(*arguments: str | Path) -> dict[str, Any]:
     value = json.loads(result.stdout, parse_constant=no_constant)
     assert isinstance(value, dict)
     return value
+
+
+def run_command(words: list[str], **given: Any) -> Any:
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    return subprocess.run([sys.executable, "-m", "nermo_mjx", *words], text=True, check=False, **pipes | given)
+
+
+def refused(act: Any, message: str, *given: Any) -> None:
+    with pytest.raises(ParameterError) as error:
+        act(*given)
+    said = str(error.value)
+    assert re.search(message, said), said
+    assert "\n" not in said

@@ -227,6 +227,21 @@ def walks(simulator):
     return run
 
 
+@pytest.fixture
+def canary(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The file that is there when the stranger's code was run; it is also in the way of a careless import."""
+    from fakes.strangers import CANARY
+
+    from nermo_mjx.control import protocol
+
+    log = tmp_path / "run by mistake"
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    protocol._imported.cache_clear()
+    (tmp_path / "own.py").write_text(CANARY.format(log=str(log)))
+    return log
+
+
 COMPILED = "/jax/core/compile/backend_compile_duration"
 
 

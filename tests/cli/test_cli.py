@@ -26,8 +26,10 @@ from fakes.experiment_fake import Fake, pretend
 from nermo_mjx import Recording, load_robot
 from nermo_mjx.cli import choices, main
 from nermo_mjx.progress import COMPILING, ProgressBar, duration
+from nermo_mjx.rollout import Setup
 from nermo_mjx.runs import RunDirectory
 from nermo_mjx.runs.files import plain_json
+from nermo_mjx.sweep import Sweep
 from nermo_mjx.sweep.simulating import Simulated, SweepSimulator
 from nermo_mjx.version import __version__
 
@@ -534,3 +536,15 @@ def test_the_pace_leaves_compilation_out(monkeypatch: pytest.MonkeyPatch, second
     progress.share(0.1, 1, 10)
     progress.share(0.2, 2, 10)
     assert stream.getvalue().splitlines()[-1] == f"tune: 20%, 2 of 10 evaluations, {told}"
+
+
+@pytest.mark.parametrize(
+    ("name", "short"), [("trot", "trot"), ("walking_trot", "walking_trot"), ("lateral_walk", "lateral_walk")]
+)
+def test_gaits_have_the_names_of_the_field(name: str, short: str) -> None:
+    assert Setup(gait=name) == Setup(gait=short)
+    assert Sweep.from_dict({"gait": name, "vary": {"frequency": [0.6]}}).setup.gait == short
+    refused(Sweep.from_dict, f"field 'gait' lists {short} twice", {"vary": {"gait": [name, short]}})
+    done = call("walk", "--gait", name, "--cycles", "0.1", "--warmup", "0")
+    assert done.exit_code == 0, done.output
+    assert f"{name.replace('_', ' ')} at 0.67 Hz" in done.output

@@ -12,6 +12,7 @@
 | `ray_fake` | a program: small jobs on Ray clusters of this machine | runs |
 | `search_fake` | a simulator in closed form for searches; also a program to be killed | optimize, runs |
 | `special_states` | small models at rest, at limits, aligned or coincident; also a program | dynamics |
+| `strangers` | code that leaves a trace if it runs, special files, and limits of time and memory | files, trust |
 | `sweep_fake` | a simulator in closed form for sweeps; also a program to be killed | sweep, plotting, runs, view |
 | `swinging` | a driven pendulum that touches the ground, as robot and loop of an engine | physics |
 | `tune_fake` | a tuning problem in closed form; also a program to be killed | optimize, plotting, runs |

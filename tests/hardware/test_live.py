@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import json
+import re
+import socket
 import sys
 import threading
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 import pytest
-from command import json_of
+from command import json_of, run_command
 from fakes import wires
 
 from nermo_mjx import Setup, servo_table
@@ -156,3 +159,80 @@ def test_the_command_sends_and_says_how_it_went(broker) -> None:
     send = ("--send", f"mqtt://127.0.0.1:{broker}", "--seconds", "0.19")
     sent = json_of("servos", "--channels", "published", *send)["sent"]
     assert sent["messages"] + sent["skipped"] == 6
+
+
+class Broker(threading.Thread):
+    """Answers, takes messages for a while, and is gone."""
+
+    def __init__(self, life: float) -> None:
+        super().__init__(daemon=True)
+        self.socket, self.life, self.got = socket.create_server(("127.0.0.1", 0)), life, b""
+        self.port = self.socket.getsockname()[1]
+        self.start()
+
+    def run(self) -> None:
+        peer, _ = self.socket.accept()
+        self.got = peer.recv(1024)
+        peer.sendall(bytes([0x20, 2, 0, 0]))
+        peer.settimeout(self.life)
+        gone = threading.Timer(self.life, lambda: peer.shutdown(socket.SHUT_RDWR))
+        gone.start()
+        while peer.recv(4096):
+            pass
+        peer.close()
+        self.socket.close()
+
+
+def test_a_broker_that_goes_away_is_noticed_and_the_password_unquoted() -> None:
+    pytest.importorskip("paho.mqtt.client")
+    broker = Broker(0.5)
+    url = f"mqtt://us%40er:p%2Fss@127.0.0.1:{broker.port}"
+    done = run_command(["servos", "--channels", "published", "--seconds", "2", "--send", url])
+    assert done.returncode == 1, done.stderr
+    sent, lost = map(int, re.search(r"broker is gone: (\d+) messages were sent, (\d+) were not", done.stderr).groups())
+    assert sent > 3
+    assert lost > 20
+    assert b"us@er\x00\x04p/ss" in broker.got
+
+
+def test_a_bridge_that_goes_away_is_noticed() -> None:
+    from websockets.sync.server import serve
+
+    def leave(peer: Any) -> None:
+        for _ in range(6):
+            peer.recv()
+
+    with serve(leave, "127.0.0.1", 0) as server:
+        thread = threading.Thread(target=server.serve_forever)
+        thread.start()
+        address = f"ws://127.0.0.1:{server.socket.getsockname()[1]}"
+        with (
+            pytest.raises(ParameterError, match=r"server is gone: \d+ messages were sent, \d+ were not"),
+            connected(address) as send,
+        ):
+            send_table(servo_table(channels="published"), send, 2.0)
+        server.shutdown()
+        thread.join(10)
+
+
+@pytest.mark.parametrize("scheme", ["mqtt", "ws"])
+@pytest.mark.parametrize(
+    "address",
+    [
+        "u:s3cret@h:99999",
+        "u:s3cret/x@h",
+        "u:s3#cret@h",
+        ":s3cret@h",
+        "u:x@s3cret@h:0",
+        "u:s3cret@[::1",
+        "u:s3cret@127.0.0.1:9",
+        "s3cret@127.0.0.1:9",
+    ],
+)
+def test_no_password_is_repeated(scheme: str, address: str) -> None:
+    pytest.importorskip("paho.mqtt.client")
+    for url in (f"{scheme}://{address}", f"{scheme}s://{address}", address):
+        with pytest.raises(ParameterError) as error:
+            connected(url).__enter__()
+        assert "s3" not in str(error.value)
+        assert "cret" not in str(error.value)

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command import refused
 
 gymnasium = pytest.importorskip("gymnasium")
 from nermo_mjx import ParameterError, Setup  # noqa: E402
@@ -169,3 +170,18 @@ def test_stable_baselines_takes_its_form(door):
     assert (infos[0]["terminal_observation"] != observation[0]).any()
     env.seed(4)
     np.testing.assert_array_equal(env.reset(), first)
+
+
+def test_seeds_beyond_32_bits_are_others_and_masks_are_refused() -> None:
+    from nermo_mjx.learn.gymnasium_door import NermoVectorEnv
+
+    task = Task(episode_length=0.1, randomize={"start.phase": (0.0, 1.0)})
+    env = NermoVectorEnv(setup=Setup(physics="fast"), worlds=2, task=task)
+    first, second = (env.reset(seed=seed)[0] for seed in (0, 2**32))
+    assert (first != second).any()
+    np.testing.assert_array_equal(first, env.reset(seed=np.int64(0))[0])
+    for seed in (2**64, -1, 0.5, "1", [], [-1]):
+        refused(lambda given=seed: env.reset(seed=given), "seed (is .*from 0 to 2.64|has [01] entr)")
+    refused(
+        lambda: env.reset(options={"reset_mask": np.array([True, False])}), "options has reset_mask: none are known"
+    )

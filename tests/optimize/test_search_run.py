@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -258,3 +259,23 @@ def test_a_kill_at_any_moment_loses_a_batch_at_most(tmp_path):
     run_search(SPEED, out, simulator=(rest := FakeSimulator()))
     assert sum(rest.batches) == 120 - stored
     assert numbers(out) == numbers(tmp_path / "whole")
+
+
+@pytest.mark.parametrize(
+    "aim",
+    [
+        {"objective": {"minimize": "turning_radius"}},
+        {"pareto": [{"maximize": "speed"}, {"minimize": "turning_radius"}]},
+    ],
+)
+def test_an_objective_that_is_nan_is_told_after_the_first_batch(tmp_path: Path, aim: Any) -> None:
+    class Straight(FakeSimulator):
+        def run(self, *given: Any, **named: Any) -> Any:
+            result = super().run(*given, **named)
+            result.metrics["turning_radius"] = np.full(len(result.status), np.nan)
+            return result
+
+    simulator = Straight()
+    with pytest.raises(JobFailed, match=r"turning_radius has no number in all .* the first batch .*NaN if straight"):
+        run_search(WALK | aim | {"budget": 120, "batch": 12}, tmp_path, simulator=simulator)
+    assert sum(simulator.batches) <= 24, "its first batch is twice as large"

@@ -5,8 +5,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command import refused
+from conftest import shared_simulator
 
 from nermo_mjx.optimize import Tuning, run_tuning
+from nermo_mjx.optimize.run import tuning_forecasts
+from nermo_mjx.rollout import Run
 from nermo_mjx.sweep import SpecError
 
 GOOD = """\
@@ -250,3 +254,19 @@ def test_the_tunings_of_the_repository_are_valid(path):
     """Every shipped tuning file is read, and reads back from its resolved form."""
     tuning = Tuning.from_file(path)
     assert Tuning.from_text(tuning.to_yaml()) == tuning
+
+
+def test_a_dry_run_refuses_the_recording_that_the_run_refuses(tmp_path: Path) -> None:
+    shared_simulator(engine="c").run({}, Run(duration=0.2), record=True).recording().save(tmp_path / "short.npz")
+    (tmp_path / "text.npz").write_text("no recording")
+    for name, message in (
+        ("short.npz", "expected all of the run, from its start to 1 s"),
+        ("text.npz", "recording is"),
+    ):
+        tuning = {
+            "objective": [{"minimize": "trajectory_error"}],
+            "recording": str(tmp_path / name),
+            "run": {"duration": 1.0},
+            "tune": {"stride": {"bounds": [0.5, 1.0]}},
+        }
+        refused(lambda given=tuning: tuning_forecasts(Tuning.from_dict(given)), message)

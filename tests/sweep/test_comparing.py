@@ -570,3 +570,27 @@ def test_a_comparison_changes_no_row(tmp_path: Path) -> None:
     for name, spec in {"with": asked, "without": RANDOM}.items():
         run_sweep(spec, tmp_path / name, simulator=FakeSimulator())
     assert read_table(tmp_path / "with").equals(read_table(tmp_path / "without"))
+
+
+def test_how_strides_vary_with_the_soles_radius_has_a_command(tmp_path: Path) -> None:
+    """A user's sweep: what `compare` says of strides is what pandas finds between touch-downs of the saved series."""
+    (tmp_path / "sv.yaml").write_text(
+        "gait: trot\nspine: stride_extension\nrun: {cycles: 8, warmup_cycles: 2}\nset: {frequency: 0.8}\n"
+        "vary: {geometry.foot.radius: [0.002, 0.004]}\n"
+        "save: {sensors: [foot_position, foot_force], rate: 100}\nplots: false\n"
+    )
+    out = tmp_path / "sv"
+    assert call("sweep", tmp_path / "sv.yaml", "--out", out).exit_code == 0
+    series = pq.read_table(out / "series").to_pandas()
+    expected = []
+    for _, walk in series[series.time > 2.5].groupby("row"):
+        on = (walk.rear_left_foot_force > 0.02).to_numpy()
+        places = walk.rear_left_foot_position_y.to_numpy()[np.flatnonzero(on[1:] & ~on[:-1]) + 1]
+        lengths = -np.diff(places)
+        expected.append(lengths[lengths > 0.02].mean())
+    told = json_of("compare", out, "--by", "geometry.foot.radius", "--metric", "stride_length")
+    line = told["metrics"]["stride_length"]
+    assert [line["base_mean"], line["other_mean"]] == pytest.approx(expected, rel=0.01)
+    shown = call("compare", out, "--by", "geometry.foot.radius", "--metric", "stride_length_cv", "--all").output
+    assert re.search(r"stride_length_cv\s+1\s+0\.00\d+\s+0\.00\d+", shown), shown
+    assert "which tells no noise; give repeats" in shown

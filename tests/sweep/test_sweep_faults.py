@@ -27,6 +27,7 @@ from nermo_mjx.sweep import (
     read_table,
     run_sweep,
 )
+from nermo_mjx.sweep.table import RECORD, SweepRecord
 
 
 @pytest.fixture(scope="module")
@@ -362,3 +363,18 @@ def test_a_shard_that_died_before_it_summed_up_does_so_when_it_is_run_again(tmp_
     assert {k: v for k, v in result.summary.items() if k not in times} == {
         k: v for k, v in whole.items() if k not in times
     }
+
+
+RECORD_OF_THREE = {"rows": 3, "fields": {"set": {}}, "labelled": [], "parameters": {}, "comparison": None}
+
+
+WRONG = ({"rows": "3"}, {"fields": {}}, {"parameters": 1})
+
+
+@pytest.mark.parametrize(
+    "text", ["", "[]", "{", "null", '{"rows": 3}', "[" * 5000, *(json.dumps(RECORD_OF_THREE | each) for each in WRONG)]
+)
+def test_a_damaged_record_is_one_sentence(tmp_path: Path, text: str) -> None:
+    (tmp_path / RECORD).write_text(text)
+    with pytest.raises(DirectoryError, match=r"sweep.json is damaged: run nermo-mjx sweep .* again"):
+        SweepRecord.of_directory(tmp_path)

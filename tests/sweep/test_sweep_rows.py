@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import datetime
+import decimal
 import shutil
+import time
+from pathlib import Path
+from typing import Any
 
 import duckdb
 import numpy as np
@@ -10,11 +15,14 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
-from command import call
+from command import call, refused
 from fakes.sweep_fake import SPEC, FakeSimulator, part_of, speed
 
+from nermo_mjx.files import FileError
+from nermo_mjx.specs.reading import read_mapping
 from nermo_mjx.sweep import SpecError, Sweep, read_table, run_sweep, simulating
 from nermo_mjx.sweep.replay import find_row
+from nermo_mjx.sweep.structures import read_row_table
 
 LIST = [
     {"gait": "trot", "spine": "none", "frequency": 0.8},
@@ -182,3 +190,54 @@ def test_a_table_that_lost_what_its_columns_are_is_refused(tmp_path):
     (tmp_path / "torn.parquet").write_bytes(b"PAR1")
     with pytest.raises(SpecError, match="cannot be read as Parquet"):
         Sweep.from_rows(tmp_path / "torn.parquet")
+
+
+def test_a_name_of_any_length_is_refused_at_once(tmp_path: Path) -> None:
+    path = tmp_path / "rows.parquet"
+    pq.write_table(pa.table({"spine.amplitude" * 20_000: [0.1]}), path)
+    began = time.process_time()
+    with pytest.raises(FileError, match="is not a parameter") as refused:
+        read_row_table(read_mapping({}), str(path))
+    assert time.process_time() - began < 5.0
+    assert len(str(refused.value)) < 1000
+
+
+@pytest.mark.parametrize(
+    ("column", "message"),
+    [
+        ({"gait": [datetime.date(2020, 1, 1)]}, "row 0: field 'gait' is date .*expected a name"),
+        ({"gait": [decimal.Decimal("1.0")]}, "'gait' is Decimal"),
+        ({"gait": [b"trot"]}, "'gait' is bytes b'trot': expected a name"),
+        ({"gait": [["trot"]]}, "'gait' is the list .*: expected a name"),
+        ({"frequency": [True]}, "'frequency' is the truth value true: expected a number"),
+        ({"frequency": [b"0.8"]}, "'frequency' is bytes b'0.8': expected a number"),
+        ({"frequency": [datetime.datetime(2020, 1, 1)]}, "'frequency' is datetime .*expected a number"),
+        ({"frequency": [datetime.timedelta(1)]}, "'frequency' is timedelta"),
+    ],
+)
+def test_columns_of_other_types_are_refused(tmp_path: Path, column: Any, message: str) -> None:
+    pq.write_table(pa.table(column), tmp_path / "rows.parquet")
+    refused(Sweep.from_rows, message, tmp_path / "rows.parquet")
+
+
+def test_decimals_are_numbers_and_a_column_twice_is_not(tmp_path: Path) -> None:
+    pq.write_table(pa.table({"frequency": [decimal.Decimal("0.8"), None]}), tmp_path / "a.parquet")
+    assert Sweep.from_rows(tmp_path / "a.parquet").rows.values["frequency"].tolist() == [0.8, 0.67]
+    twice = pa.Table.from_arrays([pa.array([1.0]), pa.array([2.0])], names=["frequency", "frequency"])
+    pq.write_table(twice, tmp_path / "b.parquet")
+    refused(Sweep.from_rows, "column 'frequency' stands twice", tmp_path / "b.parquet")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("frequency;stride\n0,8;1,0\n", "rows.csv:1: columns are separated by ';': allowed is ','"),
+        ("frequency\tstride\n0.8\t1\n", r"rows.csv:1: columns are separated by '\\t'"),
+        ("frequency|stride\n", r"rows.csv:1: columns are separated by '\|'"),
+        ("frequency,stride\n0,8,1,0\n", "rows.csv:2: has 4 values, .*decimal comma"),
+        ('frequency\n"0,8"\n', "rows.csv:2: .* is the text '0,8': expected a number with a point"),
+    ],
+)
+def test_semicolons_and_decimal_commas_are_named(tmp_path: Path, text: str, message: str) -> None:
+    (tmp_path / "rows.csv").write_text(text)
+    refused(Sweep.from_rows, message, tmp_path / "rows.csv")

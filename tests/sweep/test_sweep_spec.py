@@ -2,8 +2,11 @@
 
 import numpy as np
 import pytest
+from command import refused
 
+from nermo_mjx import all_metrics, all_parameters
 from nermo_mjx.robot.quantity import ParameterError
+from nermo_mjx.rollout.setup import TAKEN
 from nermo_mjx.sweep import SpecError, Sweep, run_sweep
 
 GOOD = """\
@@ -287,3 +290,15 @@ def test_way_points_are_read():
 def test_wrong_way_points_are_refused(pilot, sentence):
     with pytest.raises(SpecError, match=sentence):
         Sweep.from_dict({"pilot": pilot, "vary": {"duty": [0.5]}})
+
+
+def test_no_parameter_has_the_name_of_another_column() -> None:
+    names = set(all_parameters())
+    assert not names & (set(all_metrics()) | TAKEN)
+    assert "commanded_speed" in names
+    for form in (
+        {"vary": {"speed": [0.05, 0.1]}},
+        {"rows": [{"speed": 0.1}]},
+        {"randomize": {"speed": {"uniform": [0, 1]}}},
+    ):
+        refused(Sweep.from_dict, "field 'speed' is a (metric, and not a parameter|column of results)", form)
