@@ -24,6 +24,7 @@ from nermo_mjx.recording import Recording
 from nermo_mjx.robot import ParameterError
 from nermo_mjx.rollout import own_metrics
 from nermo_mjx.sweep import DirectoryError, merge_sweeps, read_table, run_sweep
+from nermo_mjx.sweep.table import meta
 
 #: The file that says what a directory is for, by kind.
 ROOT = Path(__file__).parents[1]
