@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
-from click.core import ParameterSource
 
 from nermo_mjx.cli import options
 from nermo_mjx.cli.choices import EXPERIMENT_PROFILES, EXPERIMENTS
@@ -710,70 +709,11 @@ def _counted(summary: dict[str, Any]) -> str:
     type=FileKind(".csv", ".parquet"),
 )
 @options.text("--model", "FILE.xml", "The MJCF of another robot.", type=FileKind(".xml"))
-@options.text("--free", "KINDS", "With --log: kinds of parameters, separated by commas; by default all but play.")
-@options.text("--range", "NAME=LOW:HIGH", "With --log: range of a parameter or kind; repeatable.", multiple=True)
-@number("--generations", "Generations of 24 bodies of CMA-ES, for the best.", click.IntRange(1), default=10)
-@number("--samples", "Bodies that are tried for the ensemble.", click.IntRange(8), default=256)
-@number("--tolerance", "Largest objective of a body of the ensemble.", options.POSITIVE, default=0.5)
+@options.text("--free", "KINDS", "Kinds of parameters, separated by commas; by default all but play.")
+@options.text("--range", "NAME=LOW:HIGH", "Range of a parameter or kind; repeatable.", multiple=True)
 @number("--seed", "Seed of all searches.", click.IntRange(0), default=0)
-@options.choice_option("--profile", ("exact", "as_published"), "Set-up of the walks.")
 @options.robot
-@options.engine
-@options.workers
-def identify_command(out: Path, **how: Any) -> Output:
-    """Identify a robot's body from its logs, or from the published speeds.
-
-    With --log, fits a model that is driven by the logged commands to what the
-    robot measured, and says which parameters the log determines, which only
-    together, whether this kind of model explains it, and what to measure next.
-    The model is Nermo, or with --model any MJCF.
-
-    Without, fits servo gain and damping, and damping of the joints, within
-    physical bounds to the published speeds on the straight line, and nothing
-    else. Then samples an ensemble of bodies that also fit, with the friction
-    of soles and tail free as well. --workers ray distributes its batches over
-    a cluster's machines, which need no access to DIR.
-
-    The same command resumes either. Bodies are in ensemble.csv: `--body DIR`
-    of other jobs is the best, `randomize: {from: DIR}` draws one.
-
-    Examples:
-      nermo-mjx identify --log robot.csv --channels robot.yaml --out runs/mine
-      nermo-mjx identify --log a.csv --channels a.yaml --model arm.xml --out arm
-      nermo-mjx identify --out runs/identified
-      nermo-mjx identify --samples 8 --generations 2 --out runs/look
-    """
-    own = {name: how.pop(name) for name in ("log", "channels", "check", "model", "free", "range", "robot")}
-    context = click.get_current_context()
-    typed = [name for name in context.params if context.get_parameter_source(name) is ParameterSource.COMMANDLINE]
-    if own["log"]:
-        for name in typed:
-            if name in how and name != "seed":
-                raise WrongUse(f"--{name.replace('_', '-')} is for the published speeds: it does not go with --log.")
-        if own["model"] and "robot" in typed:
-            raise WrongUse("--model is another robot: give it, or --robot.")
-        return _identify_log(out, seed=how["seed"], **own)
-    given = [f"--{name}" for name in own if name in typed]
-    if given:
-        raise WrongUse(f"{given[0]} is for logs: give --log FILE.")
-    from nermo_mjx.experiments.identification import TARGET_HEADINGS, run_identification, target_rows
-    from nermo_mjx.experiments.log_report import HEADINGS, estimate_rows
-
-    with _working("", how) as given_how:
-        found, content = run_identification(out, **given_how)
-
-    def show() -> None:
-        print_table("Published speeds", TARGET_HEADINGS, target_rows(found))
-        print_table("Parameters", HEADINGS, estimate_rows(found))
-        for sentence in content["sentences"]:
-            click.echo(sentence)
-        print_places(out, report="report.html", body="ensemble.csv")
-        click.echo(f"Options of experiment and walk:\n  {content['options']}")
-
-    return Output({"out": out, **content}, show)
-
-
-def _identify_log(
+def identify_command(
     out: Path,
     *,
     log: tuple[Path, ...],
@@ -785,6 +725,28 @@ def _identify_log(
     robot: str,
     seed: int,
 ) -> Output:
+    """Identify a robot's body from its logs.
+
+    Fits a model that is driven by the logged commands to what the robot
+    measured, and says which parameters the log determines, which only
+    together, whether this kind of model explains it, and what to measure next.
+    The model is Nermo, or with --model any MJCF.
+
+    The same command resumes an identification. The file ensemble.csv contains
+    robot instances: `--body DIR` of other jobs uses the best one,
+    `randomize: {from: DIR}` samples one for each run.
+
+    Examples:
+      nermo-mjx identify --log robot.csv --channels robot.yaml --out runs/mine
+      nermo-mjx identify --log a.csv --channels a.yaml --model arm.xml --out arm
+    """
+    if not log:
+        raise WrongUse(
+            "identify needs --log FILE, a log of the robot. The result of the identification from published speeds "
+            "is part of the package: randomize: {from: identified}."
+        )
+    if model and "robot" in options.given():
+        raise WrongUse("--model is another robot: give it, or --robot.")
     from nermo_mjx.experiments import log_identification, log_report, log_twin
     from nermo_mjx.files import MOST_FILE, read_bytes
     from nermo_mjx.hardware.log import read_log
