@@ -196,7 +196,6 @@ ELSEWHERE = {
     "render",
     "run_experiment",
     "run_experiments",
-    "run_landscape",
     "run_tuning",
     "show",
 }

@@ -33,7 +33,7 @@ from nermo_mjx.progress import ProgressBar, Stages, duration, is_given
 if TYPE_CHECKING:
     from nermo_mjx.experiments.run import ExperimentsResult
     from nermo_mjx.learn.run import TrainingResult
-    from nermo_mjx.optimize import LandscapeResult, Search, SearchResult, Tuning, TuningResult
+    from nermo_mjx.optimize import Search, SearchResult, Tuning, TuningResult
     from nermo_mjx.runs.job import Forecast, Progress
     from nermo_mjx.sweep import SweepResult
 
@@ -496,41 +496,6 @@ def _shortest(tuning: Tuning, name: str, change: float) -> float:
         return change
     period = float(tuning.bounds.high[place] - tuning.bounds.low[place])
     return change - period * round(change / period)
-
-
-@command("landscape")
-@options.out
-@_spec
-@options.best_body
-@options.accept_new_code
-def landscape_command(spec: Path, out: Path, body: str | None, **how: Any) -> Output:
-    """Measure whether the gradients of a tuning file can be trusted.
-
-    Follows a line along each tuned parameter through the given start, and
-    compares exact slopes of the objective with secants of five widths.
-    Writes all points, measures, and a figure for each parameter to DIR.
-
-    Examples:
-      nermo-mjx landscape sweeps/tune_speed.yaml --out runs/landscape
-    """
-    from nermo_mjx.optimize import Tuning, run_landscape
-
-    with _working("walks", how) as given:
-        result = run_landscape(Tuning.from_file(spec, body), out, **given)
-    content = _content(result, "out", "evaluated") | result.content
-    return Output(content, lambda: _print_landscape(result))
-
-
-def _print_landscape(result: LandscapeResult) -> None:
-    from nermo_mjx.optimize.landscape import HEADINGS, rows_of, sentences
-
-    content = result.content
-    print_table("Exact slopes beside secants", HEADINGS, rows_of(content))
-    for sentence in sentences(content):
-        click.echo(sentence)
-    kept = "" if result.evaluated else ", kept from before"
-    click.echo(f"\n{content['evaluations']} walks with gradients in {duration(content['wall_seconds'])}{kept}")
-    print_places(result.out, measures="landscape.json", plots="plots", table="landscape.parquet")
 
 
 @command("train")

@@ -111,13 +111,6 @@ def _another(path: Path, kind: str, apart: Sequence[str]) -> WrongDirectory:
     )
 
 
-def refuse_another(path: Path, kind: str, holds: str, wanted: Tuning) -> None:
-    """Raise `WrongDirectory` if a directory was begun for another tuning than is wanted; see `_begun`."""
-    begun = _begun(path, kind, holds, read_stored)
-    if begun and (apart := changes(begun.decisive(), wanted.decisive())):
-        raise _another(path, kind, apart)
-
-
 # ---
 # The history of a tuning: one row per iteration and start; in each column's metadata its unit, meaning and role.
 #
@@ -326,7 +319,9 @@ class TuningDirectory:
             stack.enter_context(self.held)
             # Until an iteration is stored, another tuning may take the directory over.
             if any(path.name.isdecimal() for path in (self.out / "checkpoints").glob("*")):
-                refuse_another(self.out / TUNING, "tuning", "checkpoints", self.tuning)
+                begun = _begun(self.out / TUNING, "tuning", "checkpoints", read_stored)
+                if begun and (apart := changes(begun.decisive(), self.tuning.decisive())):
+                    raise _another(self.out / TUNING, "tuning", apart)
             stack.enter_context(self._checkpoints)
             self._stack = stack.pop_all()
         return self

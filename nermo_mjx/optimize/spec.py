@@ -319,7 +319,7 @@ _KNOWN_METRICS: Final[Any] = {"properties": {aim: {"enum": [*OBJECTIVE_METRICS]}
 
 
 class TuningFile(WalkFields):
-    """A file for `nermo-mjx tune` and `nermo-mjx landscape`."""
+    """A file for `nermo-mjx tune`."""
 
     model_config = ConfigDict(
         use_attribute_docstrings=True,

@@ -19,10 +19,9 @@ from tune_fake import FakeProblem
 
 from nermo_mjx.experiments import log_report, plots
 from nermo_mjx.experiments.run import run_experiments
-from nermo_mjx.optimize import Tuning, run_landscape, run_tuning
+from nermo_mjx.optimize import Tuning, run_tuning
 from nermo_mjx.runs import Interrupted, RunDirectory, codes_of, session, stamp
 from nermo_mjx.runs.code import local_time
-from nermo_mjx.runs.rows import part_files
 from nermo_mjx.sweep import run_sweep
 
 status = functools.partial(call, "status")
@@ -129,19 +128,6 @@ def test_a_tuning_counts_the_evaluations_of_its_starts(tmp_path: Path) -> None:
     assert f"resume   nermo-mjx tune {tmp_path}/tuning.yaml --out {tmp_path}" in status(tmp_path).stdout
 
 
-@pytest.mark.compiles
-def test_a_landscape_counts_points_also_of_an_unfinished_one(tmp_path: Path) -> None:
-    tuning = Tuning.from_dict(TUNE_SPEC)
-    points = run_landscape(tuning, tmp_path, problem=FakeProblem(tuning)).table.num_rows
-    assert known(said(tmp_path)) == ("landscape", points, points, True)
-    assert "session  20" in status(tmp_path).stdout
-    (tmp_path / "landscape.parquet").unlink()
-    assert known(said(tmp_path)) == ("landscape", points, points, False)
-    for part in part_files(tmp_path):
-        part.unlink()
-    assert known(said(tmp_path)) == ("landscape", points, 0, False)
-
-
 @pytest.fixture
 def fakes(monkeypatch: pytest.MonkeyPatch) -> dict[str, Fake]:
     """Experiments that simulate and draw nothing."""
@@ -208,7 +194,9 @@ def test_what_is_no_directory_of_results_is_refused_in_a_sentence(tmp_path: Path
         assert result.exit_code == 2
         assert sentence in result.stderr
     (tmp_path / "run.json").write_text('{"kind": "census"}')
-    assert "holds a census, which this version of nermo-mjx does not know" in status(tmp_path).stderr
+    assert "holds a census, which this release does not open: use the release that made it" in status(tmp_path).stderr
+    (tmp_path / "run.json").write_text('{"kind": "landscape"}')
+    assert "holds a landscape, which this release does not open" in status(tmp_path).stderr, "of an earlier release"
     (tmp_path / "run.json").write_text('{"kind": ')
     result = status(tmp_path)
     assert result.exit_code == 1

@@ -1,4 +1,4 @@
-"""`nermo-mjx tune` and `landscape`, as a user and as a script meet them."""
+"""`nermo-mjx tune`, as a user and as a script meet them."""
 
 from __future__ import annotations
 
@@ -38,7 +38,6 @@ def fakes(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
         return made["problems"][-1]
 
     monkeypatch.setattr("nermo_mjx.optimize.run.WalkProblem", problem)
-    monkeypatch.setattr("nermo_mjx.optimize.landscape.WalkProblem", problem)
     monkeypatch.setattr("nermo_mjx.optimize.run.Simulator", lambda *_: made["walker"])
     monkeypatch.setattr("nermo_mjx.optimize.run.pace_here", lambda _: 100.0)
     return made
@@ -153,42 +152,19 @@ def test_what_could_not_be_made_is_a_sentence_and_no_failure(
     assert fakes["walker"].batches == [], "nothing walks for a video that cannot be"
 
 
-# --- landscape
-
-
-@pytest.mark.draws
-def test_landscape_prints_a_table_sentences_and_places(fakes: dict[str, Any], spec: Path, tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    result = call("landscape", spec, "--out", out)
-    assert result.exit_code == 0
-    assert re.search(r"^spine\.phase +0\.36 deg +0\.1 % +9 ", result.stdout, re.MULTILINE)
-    assert "spine.amplitude: exact gradients can be followed." in result.stdout
-    for name in ("landscape.json", "plots", "landscape.parquet"):
-        assert (out / name).exists()
-        assert str(out / name) in result.stdout
-    assert re.search(r"^landscape: 100%, (\d+) of \1 walks", result.stderr, re.MULTILINE)
-    kept = json_of("landscape", spec, "--out", out)
-    assert kept["evaluated"] == 0
-    assert kept["parameters"] == json.loads((out / "landscape.json").read_text())["parameters"]
-    quiet = call("landscape", spec, "--out", out, "--quiet")
-    assert (quiet.exit_code, quiet.stdout, quiet.stderr) == (0, "", "")
-
-
 @pytest.mark.compiles
-@pytest.mark.parametrize("name", ["tune", "landscape"])
 def test_other_code_is_wrong_use_until_it_is_accepted(
-    fakes: dict[str, Any], spec: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+    fakes: dict[str, Any], spec: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """One sentence and exit code 2; with --accept-new-code it goes on."""
     out = tmp_path / "out"
     fakes["options"] = {"stop_at": 1}
-    assert call(name, spec, "--out", out).exit_code == 1
+    assert call("tune", spec, "--out", out).exit_code == 1
     fakes["options"] = {}
-    module = {"tune": "nermo_mjx.optimize.run", "landscape": "nermo_mjx.optimize.landscape"}[name]
     here = stamp("another model", "c")
-    monkeypatch.setattr(f"{module}.stamp", lambda *_: here)
-    refused = call(name, spec, "--out", out)
+    monkeypatch.setattr("nermo_mjx.optimize.run.stamp", lambda *_: here)
+    refused = call("tune", spec, "--out", out)
     assert (refused.exit_code, refused.stdout) == (2, "")
     assert re.search(rf"^nermo-mjx: {out} was made by other code: model \w+, not another model; ", refused.stderr, re.M)
-    assert call(name, spec, "--out", out, "--accept-new-code").exit_code == 0
+    assert call("tune", spec, "--out", out, "--accept-new-code").exit_code == 0
     assert here.id in codes_of(out)

@@ -54,7 +54,7 @@ def jobs() -> dict[str, Callable[[Path], pa.Table]]:
 
     from nermo_mjx.experiments import plots
     from nermo_mjx.experiments.run import EXPERIMENTS, run_experiments
-    from nermo_mjx.optimize import Tuning, read_history, run_landscape, run_search, run_tuning
+    from nermo_mjx.optimize import Tuning, read_history, run_search, run_tuning
     from nermo_mjx.sweep import merge_sweeps, read_table, run_sweep
 
     name = next(iter(EXPERIMENTS))
@@ -80,10 +80,6 @@ def jobs() -> dict[str, Callable[[Path], pa.Table]]:
         run_tuning(wanted, out, problem=FakeProblem(wanted))
         return read_history(out).drop([CLOCK])
 
-    def landscape(out: Path) -> pa.Table:
-        wanted = Tuning.from_dict(TUNE)
-        return run_landscape(wanted, out, problem=FakeProblem(wanted)).table
-
     def experiments(out: Path) -> pa.Table:
         outcome = run_experiments([name], out, engine="c", video=False).results[0].outcome
         return pa.table({key: pa.array(column.tolist()) for key, column in outcome.columns.items()})
@@ -93,7 +89,6 @@ def jobs() -> dict[str, Callable[[Path], pa.Table]]:
         "merge": merge,
         "search": search,
         "tuning": tuning,
-        "landscape": landscape,
         "experiments": experiments,
     }
 

@@ -86,7 +86,6 @@ GOOD = [
     ("sweep", "sample: {sobol: 64}\nrandomize: {repeats: 2, from: identified, mass.front: {normal: [0.16, 0.01]}}"),
     ("tune", "optimizer: sgd\nmethod: {differences: {scheme: forward}}\nvideo: true"),
     ("tune", "optimizer: {name: adam, learning_rate: {cosine: {init_value: 0.1, decay_steps: 20}}, b1: 0.8}"),
-    ("landscape", "run: {duration: 3, warmup: 1}\nset: {contact.friction: 1.2}"),
 ]
 
 
@@ -171,10 +170,6 @@ def test_every_parameter_is_offered_with_meaning_unit_default_and_range(schemas)
         assert section["additionalProperties"] is False
 
 
-def test_the_landscape_reads_a_tuning_file(schemas):
-    assert schemas["landscape"] == schemas["tune"]
-
-
 def test_the_command_writes_a_file(tmp_path):
     """It prints only its name then, and with --quiet nothing; its folder is made."""
     out = tmp_path / "new" / "sweep.schema.json"
@@ -190,7 +185,7 @@ def test_the_command_writes_a_file(tmp_path):
 def test_an_unknown_kind_is_wrong_use():
     ran = call("schema", "sweeps")
     assert ran.exit_code == 2
-    assert "'sweep', 'search', 'tune', 'landscape', 'train', 'servos'" in ran.output
+    assert "'sweep', 'search', 'tune', 'train', 'servos'" in ran.output
 
 
 ODD = [None, True, 0, -1, 2.5, float("nan"), float("inf"), 10**400, "", "x", [], [1], ["a"], [[1, 2]], [{}], {}]
