@@ -385,25 +385,24 @@ def _print_search(result: SearchResult) -> None:
 @number("--starts", "Number of points tuned in parallel, overriding the file.", click.IntRange(1, 100_000))
 @options.best_body
 @_seed
-@click.option("--video/--no-video", default=None, help="Render start and best regardless of the file.")
 @flag("--dry-run", "Estimate the cost of each method on this machine; write nothing.")
 @_on_workers
 def tune_command(spec: Path, out: Path, body: str | None, dry_run: bool, **how: Any) -> Output:
     """Tune the parameters that a tuning file names.
 
-    The file's method says how: by exact gradients, by finite differences, or
-    by CMA-ES. The cost of each on this machine is printed before it starts.
+    The file's method says how: by exact gradients, or by finite differences.
+    The cost of each on this machine is printed before it starts.
 
     Writes the best point, the history of all iterations, a sweep file with
-    the tuned values, checkpoints, plots and, on demand, a video to DIR. After
-    Ctrl-C or a crash, run the same command again: it resumes, and ends with
-    the same numbers. More iterations extend a completed tuning.
+    the tuned values, checkpoints and plots to DIR. After Ctrl-C or a crash,
+    run the same command again: it resumes, and ends with the same numbers.
+    More iterations extend a completed tuning.
 
     --workers ray distributes the starts over a cluster's machines, which need
     no access to DIR.
 
     Examples:
-      nermo-mjx tune sweeps/tune_speed.yaml --out runs/tuned --video
+      nermo-mjx tune sweeps/tune_speed.yaml --out runs/tuned
       nermo-mjx tune sweeps/tune_speed.yaml --out runs/tuned --iterations 80
       nermo-mjx tune sweeps/tune_roll.yaml --starts 8 --out runs/roll
       nermo-mjx tune sweeps/tune_roll.yaml --out runs/roll --dry-run
@@ -412,9 +411,7 @@ def tune_command(spec: Path, out: Path, body: str | None, dry_run: bool, **how: 
     from nermo_mjx.optimize.run import tuning_forecasts
 
     tuning = Tuning.from_file(spec, body)
-    if how["starts"] is not None and tuning.method.name == "cma":
-        raise WrongUse("--starts is not used by the method cma: give method: {cma: {population: N}} in the file.")
-    tuning = dataclasses.replace(tuning, **_fields(how, "iterations", "starts", "seed", "video"))
+    tuning = dataclasses.replace(tuning, **_fields(how, "iterations", "starts", "seed"))
     # A resumed tuning keeps the method with which it started.
     begins = not (is_given("as_json") or is_given("quiet") or (out / "history.parquet").exists())
     costs = tuning_forecasts(tuning) if dry_run or begins else []
@@ -427,10 +424,10 @@ def tune_command(spec: Path, out: Path, body: str | None, dry_run: bool, **how: 
     details = functools.partial(_tuning_so_far, tuning)
     with _working("evaluations", how, compiles=lambda what: what in ("tune", "landscape"), details=details) as given:
         result = run_tuning(tuning, out, **given)
-        for note in result.pictures.notes:
+        for note in result.notes:
             given["watch"].warn(note)
-    content = _content(result, "out", "iterations_run", "start", "best")
-    return Output(content | _content(result.pictures, "plots", "video", "notes"), lambda: _print_tuning(result))
+    content = _content(result, "out", "iterations_run", "start", "best", "plots", "notes")
+    return Output(content, lambda: _print_tuning(result))
 
 
 def _tuning_so_far(tuning: Tuning, done: Progress) -> str:
@@ -468,7 +465,7 @@ def _print_tuning(result: TuningResult) -> None:
     if not result.start["ok"]:
         click.echo("From the given start, the robot did not complete the walk.")
     places = {"best": "best.json", "history": "history.parquet", "sweep": "tuned.yaml"}
-    print_places(result.out, **places, plots=result.pictures.plots and "plots", video=result.pictures.video)
+    print_places(result.out, **places, plots=result.plots and "plots")
 
 
 def _tuning_rows(result: TuningResult) -> Iterator[list[str]]:

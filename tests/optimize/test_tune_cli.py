@@ -50,11 +50,11 @@ def fakes(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
 def test_tune_json_is_one_object_in_si_units(fakes: dict[str, Any], spec: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     result = json_of("tune", spec, "--out", out)
-    assert set(result) == {"out", "iterations_run", "start", "best", "plots", "video", "notes"}
+    assert set(result) == {"out", "iterations_run", "start", "best", "plots", "notes"}
     assert result["best"] == json.loads((out / "best.json").read_text())
     assert result["start"]["parameters"]["spine.phase"] == pytest.approx(2.5)
     assert result["start"]["metrics"]["speed"] == pytest.approx(float(speed(0.05, 2.5)))
-    assert (result["iterations_run"], result["plots"], result["video"], result["notes"]) == (7, [], None, [])
+    assert (result["iterations_run"], result["plots"], result["notes"]) == (7, [], [])
     again = json_of("tune", spec, "--out", out)
     assert (again["iterations_run"], again["best"]) == (0, result["best"])
     assert len(fakes["problems"]) == 1
@@ -64,10 +64,10 @@ def test_tune_json_is_one_object_in_si_units(fakes: dict[str, Any], spec: Path, 
 def test_options_stand_for_fields_of_the_file(fakes: dict[str, Any], spec: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     spec.write_text(spec.read_text().replace("plots: false", "plots: true"))
-    options = ("--iterations", "2", "--starts", "3", "--seed", "8", "--no-video")
+    options = ("--iterations", "2", "--starts", "3", "--seed", "8")
     result = json_of("tune", spec, "--out", out, *options)
     tuning = Tuning.from_file(out / "tuning.yaml")
-    assert (tuning.iterations, tuning.starts, tuning.seed, tuning.plots, tuning.video) == (2, 3, 8, True, False)
+    assert (tuning.iterations, tuning.starts, tuning.seed, tuning.plots) == (2, 3, 8, True)
     assert [Path(path).name for path in result["plots"]] == [
         f"{name}.{form}" for name in ("objective", "parameters", "gradients", "path") for form in ("png", "svg")
     ]
@@ -137,19 +137,26 @@ def test_failures_and_wrong_use_have_their_exit_codes(fakes: dict[str, Any], spe
     assert "choose other starts or bounds" in fell.stderr
 
 
-@pytest.mark.draws
-def test_what_could_not_be_made_is_a_sentence_and_no_failure(
-    fakes: dict[str, Any], spec: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    for name in ("MUJOCO_GL", "DISPLAY", "WAYLAND_DISPLAY"):
-        monkeypatch.delenv(name, raising=False)
-    monkeypatch.setattr("nermo_mjx.view.offscreen._headless_backend", lambda: None)
-    result = call("tune", spec, "--out", tmp_path / "out", "--video")
+@pytest.mark.compiles
+@pytest.mark.usefixtures("fakes")
+def test_a_directory_of_a_removed_method_names_its_replacement(spec: Path, tmp_path: Path) -> None:
+    """A tuning by CMA-ES, which an earlier release began: one sentence each, and nothing changes."""
+    out = tmp_path / "out"
+    assert call("tune", spec, "--out", out).exit_code == 0
+    stored = out / "tuning.yaml"
+    stored.write_text(stored.read_text() + "video: false\n")
+    assert call("plot", out).exit_code == 0, "of an earlier release, by gradient"
+    stored.write_text(stored.read_text() + "method: {cma: {population: 16}}\n")
+    before = stored.read_bytes(), (out / "best.json").read_bytes()
+    for command in (("tune", spec, "--out", out), ("tune", stored, "--out", out), ("plot", out)):
+        result = call(*command)
+        assert (result.exit_code, result.stdout) == (2, ""), result.stderr
+        assert "field 'method' is 'cma', which was removed: run nermo-mjx search with method: cma" in result.stderr
+        assert result.stderr.count("\n") == 1
+    result = call("status", out)
     assert result.exit_code == 0
-    assert "There is no video. No rendering library was found" in result.stderr
-    assert "apt-get install libosmesa6" in result.stderr
-    assert "video" not in result.stdout
-    assert fakes["walker"].batches == [], "nothing walks for a video that cannot be"
+    assert "run nermo-mjx search with method: cma" in result.stdout
+    assert (stored.read_bytes(), (out / "best.json").read_bytes()) == before
 
 
 @pytest.mark.compiles

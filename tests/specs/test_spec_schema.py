@@ -84,7 +84,7 @@ GOOD = [
     ("sweep", "pilot: {straight: }"),
     ("sweep", "sample: grid\nchunk: 16\nplots: false\nspine: stride_extension+balance\nseed: 3"),
     ("sweep", "sample: {sobol: 64}\nrandomize: {repeats: 2, from: identified, mass.front: {normal: [0.16, 0.01]}}"),
-    ("tune", "optimizer: sgd\nmethod: {differences: {scheme: forward}}\nvideo: true"),
+    ("tune", "optimizer: sgd\nmethod: {differences: {scheme: forward}}"),
     ("tune", "optimizer: {name: adam, learning_rate: {cosine: {init_value: 0.1, decay_steps: 20}}, b1: 0.8}"),
 ]
 
@@ -203,7 +203,7 @@ def test_no_odd_value_leads_to_anything_but_a_sentence():
     from nermo_mjx.learn import PPO, Modulation, Residual, Task
     from nermo_mjx.learn.spec import EvaluationSpec, TrainingFile
     from nermo_mjx.optimize.objective import ObjectiveTerm
-    from nermo_mjx.optimize.spec import CmaMe, Differences, Generations, Limit, SearchFile, Tuned, TuningFile
+    from nermo_mjx.optimize.spec import CmaMe, Differences, Limit, SearchFile, Tuned, TuningFile
     from nermo_mjx.specs.fields import read
     from nermo_mjx.specs.reading import SpecError, read_mapping
 
@@ -223,7 +223,6 @@ def test_no_odd_value_leads_to_anything_but_a_sentence():
         Modulation: (TrainingFile, lambda given: {"task": {"action": {"modulation": given}}}),
         ObjectiveTerm: (TuningFile, lambda given: {"objective": [given]}),
         Tuned: (TuningFile, lambda given: {"tune": {"duty": given}}),
-        Generations: (TuningFile, lambda given: {"method": {"cma": given}}),
         Differences: (TuningFile, lambda given: {"method": {"differences": given}}),
         Limit: (SearchFile, lambda given: {"subject_to": {"speed": given}}),
         CmaMe: (SearchFile, lambda given: {"method": {"cma_me": given}}),
