@@ -23,7 +23,6 @@ if TYPE_CHECKING:
         Tuning,
         TuningResult,
         read_history,
-        run_landscape,
         run_search,
         run_tuning,
     )
@@ -42,7 +41,7 @@ _HOMES = {
     "nermo_mjx.control": "Controller ControllerLike control_parameters leg_servos published_controller",
     "nermo_mjx.experiments.run": "run_experiment run_experiments",
     "nermo_mjx.hardware": "ServoTable servo_table",
-    "nermo_mjx.optimize": "Search SearchResult Tuning TuningResult read_history run_landscape run_search run_tuning",
+    "nermo_mjx.optimize": "Search SearchResult Tuning TuningResult read_history run_search run_tuning",
     "nermo_mjx.physics": "make_engine",
     "nermo_mjx.robot": "LIMBS SERVOS ParameterError Robot RobotConfig Sensors ServoAngles load_robot",
     "nermo_mjx.robot.quantity": "parameter_tree quantity",
@@ -64,11 +63,17 @@ __all__ += ["Sensors", "ServoAngles", "ServoTable", "Setup", "Simulator", "Sweep
 __all__ += ["TuningResult", "__version__", "all_metrics", "all_parameters", "compare", "compiler_options"]
 __all__ += ["control_parameters", "kinematics", "leg_servos", "load_robot", "make_engine", "merge_sweeps", "metric"]
 __all__ += ["parameter_tree", "published_controller", "quantity", "read_history", "read_table", "render"]
-__all__ += ["run_experiment", "run_experiments", "run_landscape", "run_search", "run_sweep", "run_tuning"]
+__all__ += ["run_experiment", "run_experiments", "run_search", "run_sweep", "run_tuning"]
 __all__ += ["sensitivity", "servo_table", "show"]
 
 
+#: Names of earlier releases, and what replaces them.
+_REMOVED = {"run_landscape": "docs/answers/landscape.py compares the slopes of a tuning with secants"}
+
+
 def __getattr__(name: str) -> Any:
+    if name in _REMOVED:  # of an AttributeError, `from nermo_mjx import ...` would hide the message
+        raise ImportError(f"nermo_mjx.{name} was removed: {_REMOVED[name]}.")
     if name == "kinematics":
         return importlib.import_module("nermo_mjx.kinematics")
     if name not in _HOME_OF:

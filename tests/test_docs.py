@@ -194,7 +194,6 @@ ELSEWHERE = {
     "render",
     "run_experiment",
     "run_experiments",
-    "run_landscape",
     "run_tuning",
     "show",
 }

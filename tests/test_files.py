@@ -200,10 +200,7 @@ def kinds_of_files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[
     measured = {"metrics": "own.py", "plots": False}
     run_sweep(write_json(top / "a.yaml", SWEEP | measured), sweep := top / "sweep", chunk=18, simulator=Measuring())
     run_search(write_json(top / "b.yaml", SEARCH), search := top / "search", simulator=FakeSearched())
-    landscape, identified = top / "landscape", top / "identified"
-    for folder in (landscape / "batches", identified):
-        folder.mkdir(parents=True)
-    np.savez(landscape / "batches" / "a-5-000000.npz", value=np.zeros(5))
+    (identified := top / "identified").mkdir()
     columns = {
         name: np.array(["exact", "as_built"] if name in ("profile", "gait", "status") else [0.5, 0.8]) for name in ABOUT
     }
@@ -247,7 +244,6 @@ def kinds_of_files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[
         ),
         "recording": (Path(shutil.copyfile(RECORDED, top / "walk.npz")), arrays, whole(top / "walk.npz")),
         "policy": (Path(shutil.copyfile(POLICY, top / "policy.npz")), arrays, lambda: load_policy(top / "policy.npz")),
-        "batch of a landscape": (landscape / "batches" / "a-5-000000.npz", arrays, kind("landscape", landscape)),
         "run.json": (sweep / "run.json", text, lambda: (read_record(sweep), codes_of(sweep), last_command(sweep))),
         "sweep.json": (sweep / "sweep.json", text, lambda: two_tables(sweep, search)),
         "metrics.json": (sweep / "metrics.json", text, lambda: own_metrics.load_metrics(str(sweep / "metrics.py"))),

@@ -11,7 +11,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from conftest import shared_simulator
-from fakes.learn_toy import PointMass
 
 from nermo_mjx import ParameterError, Rollout, Run, Setup, servo_table
 from nermo_mjx.bench import run_bench
@@ -22,7 +21,6 @@ from nermo_mjx.control.schedule import Switch
 from nermo_mjx.hardware import connected
 from nermo_mjx.kinematics import leg
 from nermo_mjx.learn import Environment, Modulation, Residual, Task, Term, Training
-from nermo_mjx.learn.algorithms import ShortHorizon
 from nermo_mjx.learn.task import chosen_terms
 from nermo_mjx.physics import resolve_engine
 from nermo_mjx.physics.engine import choose_devices
@@ -255,7 +253,9 @@ REFUSED: dict[Callable[[Any], Any], list[tuple[Any, str]]] = {
         ({"randomize": {"contact.friction": [1.6, 1.0]}}, "the low end is not below the high one"),
         ({"randomize": {"contact.frictio": [1.0, 1.6]}}, "did you mean 'contact.friction'"),
         ({"worlds": 3, "algorithm": {"ppo": {"horizon": 5}}}, "4 minibatches, .* choose a number that divides 15"),
-        ({"algorithm": "dqn"}, "field 'algorithm' is 'dqn': expected ppo or short_horizon"),
+        ({"algorithm": "dqn"}, "field 'algorithm' is 'dqn': expected ppo as a name"),
+        ({"algorithm": "short_horizon"}, "field 'algorithm' is 'short_horizon', which was removed: use ppo."),
+        ({"algorithm": {"short_horizon": {"horizon": 8}}}, "is 'short_horizon', which was removed: use ppo."),
         ({"vary": {"frequency": [1.0]}}, "is no field of a training: .* stands under 'randomize'"),
         ({"schedule": [{"at": 1.5, "gait": "lateral_walk"}]}, "field 'schedule' is of a walk, not of a training"),
         ({"evaluate": {"scenes": ["moon"]}}, "moon"),
@@ -341,7 +341,6 @@ REFUSED: dict[Callable[[Any], Any], list[tuple[Any, str]]] = {
     lambda term: chosen_terms({"work": 1.0, term: 1.0}, ()): [
         (Term("work", "J", "another", lambda m: m.speed), "two terms of one name"),
     ],
-    ShortHorizon().iteration: [(PointMass(4, pure=False), "engine has no derivative: .* needs the engine mjx")],
 }
 
 

@@ -35,7 +35,6 @@ SPECS: dict[str, tuple[str, dict[str, Any]]] = {
     "sweep": ("sweep.yaml", SWEEP),
     "search": ("search.yaml", SEARCH),
     "tuning": ("tuning.yaml", TUNE),
-    "landscape": ("tuning.yaml", TUNE),
     "training": ("training.yaml", {"worlds": 64, "steps": 10_000}),
 }
 

@@ -20,7 +20,6 @@ CALLS: dict[str, tuple[Any, str]] = {
     "sweep": (lambda value: nermo_mjx.run_sweep(value, "out"), "sweep"),
     "tuning": (lambda value: nermo_mjx.run_tuning(value, "out"), "tuning"),
     "search": (lambda value: nermo_mjx.run_search(value, "out"), "search"),
-    "landscape": (lambda value: nermo_mjx.run_landscape(value, "out"), "tuning"),
     "out": (lambda value: nermo_mjx.run_sweep(SWEEP, value), "out"),
     "experiment": (lambda value: nermo_mjx.run_experiment(value, "out"), "experiment"),
     "Simulator": (Simulator, "setup"),

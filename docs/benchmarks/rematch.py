@@ -15,14 +15,16 @@ import numpy as np
 from scipy.optimize import minimize
 
 from nermo_mjx import Rollout, Simulator, Tuning
-from nermo_mjx.optimize.methods import initial_state
+from nermo_mjx.optimize.methods import Tuner, initial_state, strategy
 from nermo_mjx.optimize.objective import from_unconstrained, slope, to_unconstrained
 from nermo_mjx.optimize.problems import WalkProblem
-from nermo_mjx.optimize.run import tuner_of, verified
+from nermo_mjx.optimize.run import verified
 
 SECONDS = 40.0
 SECANTS = {"differences": {"scheme": "forward", "step": 0.02}}
-METHODS = {"exact": "gradient", "secants": SECANTS, "secants, L-BFGS": SECANTS, "CMA-ES": {"cma": {"sigma": 0.5}}}
+METHODS = {"exact": "gradient", "secants": SECANTS, "secants, L-BFGS": SECANTS, "CMA-ES": SECANTS}
+#: Initial standard deviation of CMA-ES, in unbounded coordinates, and points of a generation.
+SIGMA, POPULATION = 0.5, 16
 FEET = ("foot.front", "foot.rear", "foot.front_left", "foot.front_right", "foot.rear_left", "foot.rear_right")
 #: Parameters in the order in which they are added, and how far each is searched on either side of the published gait.
 REACH = {"spine.harmonics.cos1": 0.4, "spine.harmonics.sin1": 0.4}
@@ -77,10 +79,29 @@ def search(tuning, method):
             best[:] = value.min(), np.asarray(points, float)[value.argmin()]
         return found
 
-    state, tuner = initial_state(tuning), tuner_of(tuning, problem)
-    tuner.step(state)
+    def generations():
+        """CMA-ES, whose first point is the given one. A fallen point counts as worse than all others."""
+        start = np.asarray(to_unconstrained(tuning.bounds, tuning.start_points()[0]), float)
+        found = strategy(start, SIGMA, POPULATION, np.random.default_rng(tuning.seed))
+        points = np.array([start, *found.ask()[1:]])
+        while True:
+            at = problem.evaluate(from_unconstrained(tuning.bounds, points), False)
+            known = np.asarray(at.value, float)[np.asarray(at.ok)]
+            worst = known.max() + max(np.ptp(known), 1.0) if len(known) else 0.0
+            found.tell(points.tolist(), np.where(at.ok, at.value, worst).tolist())
+            yield
+            points = np.array(found.ask())
+
+    def steps():
+        """Steps of the tuning."""
+        state, tuner = initial_state(tuning), Tuner(tuning, problem)
+        while True:
+            state, _ = tuner.step(state)
+            yield
+
+    begun = generations if method == "CMA-ES" else steps
+    next(begun())
     limit, problem.evaluate = spent() + SECONDS, counted
-    state, tuner = initial_state(tuning), tuner_of(tuning, problem)
 
     def loss(u):
         if spent() > limit:
@@ -93,8 +114,9 @@ def search(tuning, method):
         with contextlib.suppress(StopIteration):
             minimize(loss, to_unconstrained(tuning.bounds, tuning.start_points()[0]), jac=True, method="L-BFGS-B")
     else:
-        while spent() < limit:
-            state, _ = tuner.step(state)
+        for _ in begun():
+            if spent() >= limit:
+                break
     return best[1], walks[0]
 
 

@@ -62,7 +62,6 @@ _KINDS: Final = (
     Kind("search", "a search", "optimize.figures:search_figures", "optimize.directory:search_status", False, _COLUMNS),
     Kind("tuning", "a tuning", "optimize.figures:tuning_figures", "optimize.directory:tuning_status"),
     Kind("training", "a training", "learn.plots:training_figures", "learn.directory:training_status"),
-    Kind("landscape", "a landscape", "optimize.landscape:landscape_figures", "optimize.landscape:landscape_status"),
     Kind("experiments", "published experiments", "experiments.run:images", "experiments.run:experiments_status", True),
     *(
         Kind(name, f"an {name}", f"{_IDENTIFIED}:kept_figures", f"{_IDENTIFIED}:identification_status")
@@ -98,7 +97,9 @@ def kind_of_directory(path: Path) -> Kind:
         *most, last = (kind.called for kind in KINDS.values())
         raise WrongUse(f"{path} is not a results directory: it contains neither {', '.join(most)} nor {last}.")
     if name not in KINDS:
-        raise WrongUse(f"{path} holds a {name}, which this version of nermo-mjx does not know.")
+        raise WrongUse(
+            f"{path} holds a {name}, which this release does not open: use the release that made it, named in run.json."
+        )
     return KINDS[name]
 
 
@@ -107,9 +108,9 @@ def kind_of_directory(path: Path) -> Kind:
 def status_command(path: Path) -> Output:
     """Show what DIR contains, its progress, what made it, and how to resume.
 
-    DIR is the directory of a sweep, a search, a tuning, a training, a
-    landscape, experiments or an identification, of this release or an earlier
-    one, finished or in progress. It is only read.
+    DIR is the directory of a sweep, a search, a tuning, a training,
+    experiments or an identification, of this release or an earlier one,
+    finished or in progress. It is only read.
 
     Examples:
       nermo-mjx status runs/quickstart
@@ -164,9 +165,9 @@ def _worked(sessions: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, str]]:
 def plot_command(path: Path, out: Path | None, form: str | None, **chosen: str | None) -> Output:
     """Redraw the figures of PATH from its tables; nothing is simulated.
 
-    PATH is the directory of a sweep, a search, a tuning, a training, a
-    landscape or experiments, or a recording FILE.npz: gait diagram,
-    orientation, foot paths, servo angles, path over the ground.
+    PATH is the directory of a sweep, a search, a tuning, a training or
+    experiments, or a recording FILE.npz: gait diagram, orientation, foot
+    paths, servo angles, path over the ground.
 
     --x, --y and --color choose columns of a table: two parameters of a grid
     give a heat map, two metrics with a better direction a Pareto front, other

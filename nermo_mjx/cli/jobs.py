@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
-from click.core import ParameterSource
 
 from nermo_mjx.cli import options
 from nermo_mjx.cli.choices import EXPERIMENT_PROFILES, EXPERIMENTS
@@ -34,7 +33,7 @@ from nermo_mjx.progress import ProgressBar, Stages, duration, is_given
 if TYPE_CHECKING:
     from nermo_mjx.experiments.run import ExperimentsResult
     from nermo_mjx.learn.run import TrainingResult
-    from nermo_mjx.optimize import LandscapeResult, Search, SearchResult, Tuning, TuningResult
+    from nermo_mjx.optimize import Search, SearchResult, Tuning, TuningResult
     from nermo_mjx.runs.job import Forecast, Progress
     from nermo_mjx.sweep import SweepResult
 
@@ -386,25 +385,24 @@ def _print_search(result: SearchResult) -> None:
 @number("--starts", "Number of points tuned in parallel, overriding the file.", click.IntRange(1, 100_000))
 @options.best_body
 @_seed
-@click.option("--video/--no-video", default=None, help="Render start and best regardless of the file.")
 @flag("--dry-run", "Estimate the cost of each method on this machine; write nothing.")
 @_on_workers
 def tune_command(spec: Path, out: Path, body: str | None, dry_run: bool, **how: Any) -> Output:
     """Tune the parameters that a tuning file names.
 
-    The file's method says how: by exact gradients, by finite differences, or
-    by CMA-ES. The cost of each on this machine is printed before it starts.
+    The file's method says how: by exact gradients, or by finite differences.
+    The cost of each on this machine is printed before it starts.
 
     Writes the best point, the history of all iterations, a sweep file with
-    the tuned values, checkpoints, plots and, on demand, a video to DIR. After
-    Ctrl-C or a crash, run the same command again: it resumes, and ends with
-    the same numbers. More iterations extend a completed tuning.
+    the tuned values, checkpoints and plots to DIR. After Ctrl-C or a crash,
+    run the same command again: it resumes, and ends with the same numbers.
+    More iterations extend a completed tuning.
 
     --workers ray distributes the starts over a cluster's machines, which need
     no access to DIR.
 
     Examples:
-      nermo-mjx tune sweeps/tune_speed.yaml --out runs/tuned --video
+      nermo-mjx tune sweeps/tune_speed.yaml --out runs/tuned
       nermo-mjx tune sweeps/tune_speed.yaml --out runs/tuned --iterations 80
       nermo-mjx tune sweeps/tune_roll.yaml --starts 8 --out runs/roll
       nermo-mjx tune sweeps/tune_roll.yaml --out runs/roll --dry-run
@@ -413,9 +411,7 @@ def tune_command(spec: Path, out: Path, body: str | None, dry_run: bool, **how: 
     from nermo_mjx.optimize.run import tuning_forecasts
 
     tuning = Tuning.from_file(spec, body)
-    if how["starts"] is not None and tuning.method.name == "cma":
-        raise WrongUse("--starts is not used by the method cma: give method: {cma: {population: N}} in the file.")
-    tuning = dataclasses.replace(tuning, **_fields(how, "iterations", "starts", "seed", "video"))
+    tuning = dataclasses.replace(tuning, **_fields(how, "iterations", "starts", "seed"))
     # A resumed tuning keeps the method with which it started.
     begins = not (is_given("as_json") or is_given("quiet") or (out / "history.parquet").exists())
     costs = tuning_forecasts(tuning) if dry_run or begins else []
@@ -428,10 +424,10 @@ def tune_command(spec: Path, out: Path, body: str | None, dry_run: bool, **how: 
     details = functools.partial(_tuning_so_far, tuning)
     with _working("evaluations", how, compiles=lambda what: what in ("tune", "landscape"), details=details) as given:
         result = run_tuning(tuning, out, **given)
-        for note in result.pictures.notes:
+        for note in result.notes:
             given["watch"].warn(note)
-    content = _content(result, "out", "iterations_run", "start", "best")
-    return Output(content | _content(result.pictures, "plots", "video", "notes"), lambda: _print_tuning(result))
+    content = _content(result, "out", "iterations_run", "start", "best", "plots", "notes")
+    return Output(content, lambda: _print_tuning(result))
 
 
 def _tuning_so_far(tuning: Tuning, done: Progress) -> str:
@@ -469,7 +465,7 @@ def _print_tuning(result: TuningResult) -> None:
     if not result.start["ok"]:
         click.echo("From the given start, the robot did not complete the walk.")
     places = {"best": "best.json", "history": "history.parquet", "sweep": "tuned.yaml"}
-    print_places(result.out, **places, plots=result.pictures.plots and "plots", video=result.pictures.video)
+    print_places(result.out, **places, plots=result.plots and "plots")
 
 
 def _tuning_rows(result: TuningResult) -> Iterator[list[str]]:
@@ -497,41 +493,6 @@ def _shortest(tuning: Tuning, name: str, change: float) -> float:
         return change
     period = float(tuning.bounds.high[place] - tuning.bounds.low[place])
     return change - period * round(change / period)
-
-
-@command("landscape")
-@options.out
-@_spec
-@options.best_body
-@options.accept_new_code
-def landscape_command(spec: Path, out: Path, body: str | None, **how: Any) -> Output:
-    """Measure whether the gradients of a tuning file can be trusted.
-
-    Follows a line along each tuned parameter through the given start, and
-    compares exact slopes of the objective with secants of five widths.
-    Writes all points, measures, and a figure for each parameter to DIR.
-
-    Examples:
-      nermo-mjx landscape sweeps/tune_speed.yaml --out runs/landscape
-    """
-    from nermo_mjx.optimize import Tuning, run_landscape
-
-    with _working("walks", how) as given:
-        result = run_landscape(Tuning.from_file(spec, body), out, **given)
-    content = _content(result, "out", "evaluated") | result.content
-    return Output(content, lambda: _print_landscape(result))
-
-
-def _print_landscape(result: LandscapeResult) -> None:
-    from nermo_mjx.optimize.landscape import HEADINGS, rows_of, sentences
-
-    content = result.content
-    print_table("Exact slopes beside secants", HEADINGS, rows_of(content))
-    for sentence in sentences(content):
-        click.echo(sentence)
-    kept = "" if result.evaluated else ", kept from before"
-    click.echo(f"\n{content['evaluations']} walks with gradients in {duration(content['wall_seconds'])}{kept}")
-    print_places(result.out, measures="landscape.json", plots="plots", table="landscape.parquet")
 
 
 @command("train")
@@ -710,70 +671,11 @@ def _counted(summary: dict[str, Any]) -> str:
     type=FileKind(".csv", ".parquet"),
 )
 @options.text("--model", "FILE.xml", "The MJCF of another robot.", type=FileKind(".xml"))
-@options.text("--free", "KINDS", "With --log: kinds of parameters, separated by commas; by default all but play.")
-@options.text("--range", "NAME=LOW:HIGH", "With --log: range of a parameter or kind; repeatable.", multiple=True)
-@number("--generations", "Generations of 24 bodies of CMA-ES, for the best.", click.IntRange(1), default=10)
-@number("--samples", "Bodies that are tried for the ensemble.", click.IntRange(8), default=256)
-@number("--tolerance", "Largest objective of a body of the ensemble.", options.POSITIVE, default=0.5)
+@options.text("--free", "KINDS", "Kinds of parameters, separated by commas; by default all but play.")
+@options.text("--range", "NAME=LOW:HIGH", "Range of a parameter or kind; repeatable.", multiple=True)
 @number("--seed", "Seed of all searches.", click.IntRange(0), default=0)
-@options.choice_option("--profile", ("exact", "as_published"), "Set-up of the walks.")
 @options.robot
-@options.engine
-@options.workers
-def identify_command(out: Path, **how: Any) -> Output:
-    """Identify a robot's body from its logs, or from the published speeds.
-
-    With --log, fits a model that is driven by the logged commands to what the
-    robot measured, and says which parameters the log determines, which only
-    together, whether this kind of model explains it, and what to measure next.
-    The model is Nermo, or with --model any MJCF.
-
-    Without, fits servo gain and damping, and damping of the joints, within
-    physical bounds to the published speeds on the straight line, and nothing
-    else. Then samples an ensemble of bodies that also fit, with the friction
-    of soles and tail free as well. --workers ray distributes its batches over
-    a cluster's machines, which need no access to DIR.
-
-    The same command resumes either. Bodies are in ensemble.csv: `--body DIR`
-    of other jobs is the best, `randomize: {from: DIR}` draws one.
-
-    Examples:
-      nermo-mjx identify --log robot.csv --channels robot.yaml --out runs/mine
-      nermo-mjx identify --log a.csv --channels a.yaml --model arm.xml --out arm
-      nermo-mjx identify --out runs/identified
-      nermo-mjx identify --samples 8 --generations 2 --out runs/look
-    """
-    own = {name: how.pop(name) for name in ("log", "channels", "check", "model", "free", "range", "robot")}
-    context = click.get_current_context()
-    typed = [name for name in context.params if context.get_parameter_source(name) is ParameterSource.COMMANDLINE]
-    if own["log"]:
-        for name in typed:
-            if name in how and name != "seed":
-                raise WrongUse(f"--{name.replace('_', '-')} is for the published speeds: it does not go with --log.")
-        if own["model"] and "robot" in typed:
-            raise WrongUse("--model is another robot: give it, or --robot.")
-        return _identify_log(out, seed=how["seed"], **own)
-    given = [f"--{name}" for name in own if name in typed]
-    if given:
-        raise WrongUse(f"{given[0]} is for logs: give --log FILE.")
-    from nermo_mjx.experiments.identification import TARGET_HEADINGS, run_identification, target_rows
-    from nermo_mjx.experiments.log_report import HEADINGS, estimate_rows
-
-    with _working("", how) as given_how:
-        found, content = run_identification(out, **given_how)
-
-    def show() -> None:
-        print_table("Published speeds", TARGET_HEADINGS, target_rows(found))
-        print_table("Parameters", HEADINGS, estimate_rows(found))
-        for sentence in content["sentences"]:
-            click.echo(sentence)
-        print_places(out, report="report.html", body="ensemble.csv")
-        click.echo(f"Options of experiment and walk:\n  {content['options']}")
-
-    return Output({"out": out, **content}, show)
-
-
-def _identify_log(
+def identify_command(
     out: Path,
     *,
     log: tuple[Path, ...],
@@ -785,6 +687,28 @@ def _identify_log(
     robot: str,
     seed: int,
 ) -> Output:
+    """Identify a robot's body from its logs.
+
+    Fits a model that is driven by the logged commands to what the robot
+    measured, and says which parameters the log determines, which only
+    together, whether this kind of model explains it, and what to measure next.
+    The model is Nermo, or with --model any MJCF.
+
+    The same command resumes an identification. The file ensemble.csv contains
+    robot instances: `--body DIR` of other jobs uses the best one,
+    `randomize: {from: DIR}` samples one for each run.
+
+    Examples:
+      nermo-mjx identify --log robot.csv --channels robot.yaml --out runs/mine
+      nermo-mjx identify --log a.csv --channels a.yaml --model arm.xml --out arm
+    """
+    if not log:
+        raise WrongUse(
+            "identify needs --log FILE, a log of the robot. The result of the identification from published speeds "
+            "is part of the package: randomize: {from: identified}."
+        )
+    if model and "robot" in options.given():
+        raise WrongUse("--model is another robot: give it, or --robot.")
     from nermo_mjx.experiments import log_identification, log_report, log_twin
     from nermo_mjx.files import MOST_FILE, read_bytes
     from nermo_mjx.hardware.log import read_log

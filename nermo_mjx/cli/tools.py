@@ -84,7 +84,6 @@ FILES: Final = {
     "sweep": "sweep.spec:SweepFile",
     "search": "optimize.spec:SearchFile",
     "tune": "optimize.spec:TuningFile",
-    "landscape": "optimize.spec:TuningFile",
     "train": "learn.spec:TrainingFile",
     "servos": "hardware.channels:ChannelsFile",
     "log": "hardware.log:LogFields",

@@ -10,14 +10,14 @@ import dataclasses
 import html
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final, NoReturn, Protocol
+from typing import Any, Final, NoReturn
 
 import numpy as np
 from matplotlib.figure import Figure
 from pydantic import BaseModel
 
 from nermo_mjx.experiments import determinacy
-from nermo_mjx.experiments.determinacy import Estimation, Fit, Kept, percent
+from nermo_mjx.experiments.determinacy import Estimation, Kept, percent
 from nermo_mjx.experiments.log_identification import Identification
 from nermo_mjx.experiments.log_twin import LoggedTwin, MjcfBody, NermoBody
 from nermo_mjx.hardware.log import Channel, Log
@@ -162,18 +162,7 @@ def kept_figures(out: Path) -> NoReturn:
     raise DirectoryError(f"{out / 'plots'} has the figures: only the command that made {out} draws them.")
 
 
-class Estimated(Protocol):
-    """What a report shows of any result: its fit, and values (p,) and 90 % intervals (p, 2) of the parameters."""
-
-    @property
-    def fit(self) -> Fit: ...
-    @property
-    def values(self) -> np.ndarray: ...
-    @property
-    def intervals(self) -> np.ndarray: ...
-
-
-def estimates(found: Estimated) -> dict[str, dict[str, Any]]:
+def estimates(found: Identification) -> dict[str, dict[str, Any]]:
     """What identification.json says of the parameters."""
     fit = found.fit
     return {
@@ -186,7 +175,7 @@ def estimates(found: Estimated) -> dict[str, dict[str, Any]]:
     }  # fmt: skip
 
 
-def estimate_rows(found: Estimated) -> list[list[str]]:
+def estimate_rows(found: Identification) -> list[list[str]]:
     """Rows under `HEADINGS`."""
     fit, rows, bounds = found.fit, [], found.fit.at_bound
     for i, each in enumerate(fit.space.parameters):
@@ -244,21 +233,20 @@ def write_identification(found: Identification, out: Path, command: str) -> dict
     write_figures(figures, out / "plots")
     logs = ", ".join(dict.fromkeys(Path(each.file).name for each in found.after.twin.logs))
     title = f"What {logs} says of the robot"
-    page = identification_page(title, sentences, (), found, command, figures)
+    page = identification_page(title, sentences, found, command, figures)
     replace_file(out / "report.html", page)
     return content
 
 
 def identification_page(
-    title: str, sentences: Sequence[str], parts: Sequence[str], found: Estimated, command: str, figures: Figures
+    title: str, sentences: Sequence[str], found: Identification, command: str, figures: Figures
 ) -> bytes:
-    """The page of an identification: its verdict, further parts in HTML, estimates, the command, and figures."""
+    """The page of an identification: its verdict, estimates, the command, and figures."""
     from nermo_mjx.view.trained import offline_page  # views know of experiments, too
 
     said = "".join(f"<p>{html.escape(each)}</p>" for each in sentences)
     made = [
         f"<h2>Verdict</h2>{said}",
-        *parts,
         f"<h2>Parameters</h2>{html_table(HEADINGS, estimate_rows(found))}",
         f"<h2>To make it again</h2><pre>{html.escape(command)}</pre>",
     ]
@@ -374,13 +362,13 @@ def _residuals(found: Identification) -> Figure:
     return figure
 
 
-def intervals_figure(found: Estimated, note: str = "") -> Figure:
+def intervals_figure(found: Identification) -> Figure:
     """Intervals in the ranges of the parameters."""
     space, fit = found.fit.space, found.fit
     span = space.high - space.low
     low, high = ([getattr(each, end) for each in space.parameters] for end in ("low", "high"))
     ends = (space.coordinates(np.clip(found.intervals.T, low, high)) - space.low) / span
-    figure = blank_page("90 % intervals in the ranges that were searched", 7.0, 1.2 + 0.2 * len(space), note)
+    figure = blank_page("90 % intervals in the ranges that were searched", 7.0, 1.2 + 0.2 * len(space))
     ax, y = figure.subplots(), np.arange(len(space))
     colours = [LINE if known else BAND for known in fit.determined]
     ax.hlines(y, *ends, color=colours, lw=4)

@@ -56,8 +56,6 @@ _COLUMNS: Final[dict[str, tuple[str, str, str]]] = {
     "lasted": ("return", "1", "share of these episodes that their time limit ended, and no fall"),
     "reward": ("return", "1", "mean reward of a control step"),
     "kl": ("learning", "nat", "change of the policy in the last pass over the iteration's steps"),
-    "loss": ("learning", "1", "what the actor descends"),
-    "gradient": ("learning", "1", "norm of the actor's gradient"),
     "value_loss": ("learning", "1", "half the mean squared error of the critic"),
     "explained": ("learning", "1", "share of the returns' variance that the critic explains"),
     "rate": ("learning", "1", "learning rate of the actor"),

@@ -322,14 +322,10 @@ def _act(actor: Actor, statistics: Statistics, observation: Any, noise: Array) -
 def scanned(
     environment: EnvironmentLike, actor: Actor, statistics: Statistics, state: Any, noise: Float[Array, "t n a"]
 ) -> tuple[Any, Experience]:
-    """Steps of a pure environment as one scan, differentiable in the actor.
+    """Steps of a pure environment as one scan."""
 
-    If a world's derivative is not finite at some step, the future of that step contributes nothing.
-    """
-
-    @jax.checkpoint
     def step(state: Any, noise: Array) -> tuple[Any, Experience]:
-        state, action = finite_backwards((state, _act(actor, statistics, state.observation, noise)))
+        action = _act(actor, statistics, state.observation, noise)
         after = environment.step(state, action)
         return after, Experience(
             both(state.observation, state.privileged),
@@ -344,31 +340,6 @@ def scanned(
     return jax.lax.scan(step, state, noise)
 
 
-@jax.custom_vjp
-def finite_backwards(tree: Any) -> Any:
-    """The tree; backwards, zeros for each world in which some cotangent is not finite."""
-    return tree
-
-
-def _backwards(_: None, cotangents: Any) -> tuple[Any]:
-    leaves = [each for each in jax.tree.leaves(cotangents) if _batched(each)]
-    fine = jnp.stack([jnp.isfinite(each).reshape(len(each), -1).all(axis=1) for each in leaves]).all(axis=0)
-    return (
-        jax.tree.map(
-            lambda each: jnp.where(fine.reshape(-1, *[1] * (each.ndim - 1)), each, 0.0) if _batched(each) else each,
-            cotangents,
-        ),
-    )
-
-
-def _batched(cotangent: Any) -> bool:
-    """Whether it is the cotangent of one number or more a world: integers and keys have none."""
-    return jnp.issubdtype(cotangent.dtype, jnp.floating) and cotangent.ndim > 0
-
-
-finite_backwards.defvjp(lambda tree: (tree, None), _backwards)
-
-
 #: Gradients of a network are clipped to this 2-norm.
 LONGEST_STEP = 1.0
 
@@ -380,7 +351,7 @@ class Learned:
 
     Attributes:
         actor, critic: networks; the critic also sees what is privileged.
-        target: a slow copy of the critic, if the algorithm uses one; otherwise the initial critic.
+        target: The initial critic, which checkpoints of all releases contain.
         statistics: of observation and privileged, side by side.
         optimizers: states of optax, of actor and critic.
         rate: learning rate of the actor's next step.
@@ -441,17 +412,17 @@ def beginning(environment: EnvironmentLike, seed: int, hidden: tuple[int, ...], 
     return learned
 
 
-def descent(betas: tuple[float, float] = (0.9, 0.999)) -> optax.GradientTransformation:
+def descent() -> optax.GradientTransformation:
     """Adam's direction; the learning rate comes with each step."""
-    return optax.chain(optax.clip_by_global_norm(LONGEST_STEP), optax.scale_by_adam(*betas, eps=1e-7))
+    return optax.chain(optax.clip_by_global_norm(LONGEST_STEP), optax.scale_by_adam(eps=1e-7))
 
 
-def stepped(network: Any, gradient: Any, state: Any, rate: Any, betas: tuple[float, float] = (0.9, 0.999)) -> Any:
+def stepped(network: Any, gradient: Any, state: Any, rate: Any) -> Any:
     """The network and its optimizer's state one step later.
 
     A non-finite gradient changes nothing: the step is skipped, and the optimizer is not updated.
     """
-    change, after = descent(betas).update(gradient, state)
+    change, after = descent().update(gradient, state)
     fine = jnp.isfinite(optax.global_norm(gradient))
     moved = jax.tree.map(lambda x, d: jnp.where(fine, x - rate * d, x).astype(x.dtype), network, change)
     return moved, jax.tree.map(lambda new, old: jnp.where(fine, new, old), after, state)

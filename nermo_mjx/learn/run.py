@@ -199,7 +199,7 @@ def run_training(
         from nermo_mjx.view import check_video
 
         check_video(training.setup.load().model, VIDEO.format(0))
-    name = training_engine(training, engine)
+    name = training_engine(engine)
     with (
         TrainingDirectory(out, training, name, watch.warn) as directory,
         resumable(directory.out, f"train {directory.out / SPEC}") as interruption,
@@ -237,17 +237,16 @@ def run_training(
         )
 
 
-def training_engine(training: Training, engine: str) -> str:
+def training_engine(engine: str) -> str:
     """Name of the engine on which a training runs: `c` or `mjx`.
 
     Raises:
-        ParameterError: it is another one, or has no derivative where the training needs it.
+        ParameterError: it is another one.
     """
-    name = resolve_engine(training.engine if engine == "auto" else engine)
+    name = resolve_engine(engine)
     name = "mjx" if engine == "auto" and name == "warp" else name
-    if name not in ("c", "mjx") or (training.engine == "mjx" and name == "c"):
-        allowed = "mjx, since short_horizon takes derivatives" if training.engine == "mjx" else "auto, c or mjx"
-        raise ParameterError(f"engine is {engine!r}: a training like this runs on {allowed}.")
+    if name not in ("c", "mjx"):
+        raise ParameterError(f"engine is {engine!r}: a training runs on auto, c or mjx.")
     return name
 
 
@@ -399,7 +398,7 @@ def training_forecast(training: Training, engine: str = "auto") -> Forecast:
     The counts are whole `iterations`, and control steps of all worlds in one and in all. Its pace on `mjx`, which
     compiles for minutes, is not known.
     """
-    name, wall = training_engine(training, engine), math.nan
+    name, wall = training_engine(engine), math.nan
     steps = training.iterations * training.steps_per_iteration
     said = "its pace is not known before its program is compiled, which takes minutes, once per machine"
     worlds, notes = training.environment(name), []
@@ -419,7 +418,7 @@ def training_forecast(training: Training, engine: str = "auto") -> Forecast:
     seen = worlds.observation_size + worlds.privileged_size
     units = [seen, *training.algorithm.hidden]
     weights = 2 * sum(a * b for a, b in itertools.pairwise(units))
-    # Networks, a slow copy, and two moments of Adam, in float32; and the history.
+    # Networks, the initial critic, and two moments of Adam, in float32; and the history.
     disk = KEPT * 16 * weights + 40 * 8 * training.iterations
     walks = 2 * training.evaluation.bodies  # by the policy, and by the controller alone
     evaluated = sum(walks * float(training.run.seconds(setup.cycle_rate({}))[1]) for setup, _ in training.evaluated())

@@ -13,7 +13,7 @@ from pydantic import ConfigDict, Field
 
 from nermo_mjx.control.protocol import NAMED
 from nermo_mjx.learn.acting import ACTIONS, Acting
-from nermo_mjx.learn.algorithms import PPO, ShortHorizon
+from nermo_mjx.learn.algorithms import PPO
 from nermo_mjx.learn.environment import Environment, Mixture, check_alike, check_worlds
 from nermo_mjx.learn.loop import EpisodeLoop
 from nermo_mjx.learn.observing import FORMER
@@ -124,7 +124,7 @@ def read_scenes(doc: Document, fields: Sequence[SceneFields], setup: Setup, task
 #: Fields that do not change what an iteration computes: a training may be resumed with others.
 FREE: Final = ("steps", "run", "evaluate", "plots")
 #: Ways of learning, by the name in files.
-ALGORITHMS: Final[Mapping[str, type[Spec]]] = {"ppo": PPO, "short_horizon": ShortHorizon}
+ALGORITHMS: Final[Mapping[str, type[Spec]]] = {"ppo": PPO}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -185,9 +185,15 @@ class TrainingFile(WalkFields):
     scenes: list[SceneFields] = optional(
         "instead of 'scene': several, on which one policy learns, the worlds divided among them"
     )
-    algorithm: Annotated[PPO | ShortHorizon, one_of("Algorithm", "is not a way of learning", ALGORITHMS)] = Field(
-        default_factory=PPO
-    )
+    algorithm: Annotated[
+        PPO,
+        one_of(
+            "Algorithm",
+            "is not a way of learning",
+            ALGORITHMS,
+            {"short_horizon": "which was removed: use ppo"},
+        ),
+    ] = Field(default_factory=PPO)
     """how a policy is learned"""
     worlds: Annotated[int, Whole(1, 1_000_000)] = 256
     """number of parallel worlds"""
@@ -230,7 +236,7 @@ class Training(WalkSpec, Described):
     kind: ClassVar = "training"
     task: Task
     scenes: tuple[SceneTask, ...]
-    algorithm: PPO | ShortHorizon
+    algorithm: PPO
     worlds: int
     steps: int
     checkpoint: int
@@ -263,11 +269,6 @@ class Training(WalkSpec, Described):
     def step_seconds(self) -> float:
         """Simulated seconds of a control step."""
         return self.setup.make_controller().dt * self.task.decimation
-
-    @property
-    def engine(self) -> str:
-        """The engine that it needs, or `auto`."""
-        return "auto" if isinstance(self.algorithm, PPO) else "mjx"
 
     def environment(self, engine: str) -> Environment | Mixture:
         """The worlds in which it learns, on the engine `c` or `mjx`."""

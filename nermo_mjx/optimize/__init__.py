@@ -3,19 +3,15 @@
 from nermo_mjx.optimize import run_search, run_tuning
 result = run_search("sweeps/search_speed.yaml", "runs/fast")
 result.best["parameters"], result.best["metrics"]["speed"]
-
-A landscape shows whether the gradients of a tuning can be trusted.
 """
 
 from nermo_mjx.optimize.directory import load_tuning, read_history
-from nermo_mjx.optimize.landscape import LandscapeResult, run_landscape
 from nermo_mjx.optimize.objective import Evaluation, Objective, ObjectiveTerm, Problem
 from nermo_mjx.optimize.run import SearchResult, TuningResult, run_search, run_tuning
 from nermo_mjx.optimize.spec import Search, Tuning
 
 __all__ = [
     "Evaluation",
-    "LandscapeResult",
     "Objective",
     "ObjectiveTerm",
     "Problem",
@@ -25,7 +21,6 @@ __all__ = [
     "TuningResult",
     "load_tuning",
     "read_history",
-    "run_landscape",
     "run_search",
     "run_tuning",
 ]

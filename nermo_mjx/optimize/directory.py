@@ -6,7 +6,7 @@ DIR/recording.npz     a copy of its reference recording, if any, so that the dir
 DIR/checkpoints/      Orbax checkpoints, the latest few, with state and history
 DIR/history.parquet   one row per iteration and start
 DIR/results/          the landscape behind the paths, see `nermo_mjx.runs.rows`; that of another best in DIR/former/
-DIR/best.json, DIR/tuned.yaml, DIR/plots/, DIR/video.mp4   made from the history
+DIR/best.json, DIR/tuned.yaml, DIR/plots/   made from the history
 
 A search:
 DIR/search.yaml       the resolved search, and the size of its batches
@@ -75,7 +75,6 @@ TUNING: Final = "tuning.yaml"
 SEARCH: Final = "search.yaml"
 HISTORY: Final = "history.parquet"
 RECORDING: Final = "recording.npz"
-VIDEO: Final = "video.mp4"
 BEST: Final = "best.json"
 ATLAS: Final = "atlas.parquet"
 S = TypeVar("S", Tuning, Search)
@@ -109,13 +108,6 @@ def _another(path: Path, kind: str, apart: Sequence[str]) -> WrongDirectory:
         f"{path.parent} holds another {kind}, with another {', '.join(apart[:3])}; choose another directory, or "
         f"resume with {path}."
     )
-
-
-def refuse_another(path: Path, kind: str, holds: str, wanted: Tuning) -> None:
-    """Raise `WrongDirectory` if a directory was begun for another tuning than is wanted; see `_begun`."""
-    begun = _begun(path, kind, holds, read_stored)
-    if begun and (apart := changes(begun.decisive(), wanted.decisive())):
-        raise _another(path, kind, apart)
 
 
 # ---
@@ -245,15 +237,14 @@ class TuningHistory:
     def stalled(self) -> bool:
         """Whether the last `patience` iterations gained almost nothing, at each start.
 
-        What counts is the lowest objective so far: of each start, or of all points together where they are a
-        generation. The total gain is from the first iteration with a completed walk to the best of all.
+        What counts is the lowest objective of each start so far. The total gain is from the first iteration with a
+        completed walk to the best of all.
         """
         patience = self.tuning.patience
         if len(self) <= patience:
             return False
         value = self.column("objective")
         value = np.where(np.isfinite(value), value, np.inf)
-        value = value if self.tuning.method.has_gradient else value.min(axis=1, keepdims=True)
         lowest = np.minimum.accumulate(value)
         walked = np.asarray(np.isfinite(lowest).any(axis=1))
         if not walked[-1 - patience]:
@@ -270,7 +261,7 @@ def history_columns(tuning: Tuning, metrics: Sequence[str]) -> list[HistoryColum
     value = "value that is minimized; NaN where the robot did not walk to the end"
     found = [HistoryColumn("objective", "objective", "1", value)]
     found += [HistoryColumn(name, "parameter", parameters[name].unit, parameters[name].doc) for name in tuning.names]
-    for name in tuning.names if tuning.method.has_gradient else ():
+    for name in tuning.names:
         unit = "1" if parameters[name].unit == "1" else f"1/({parameters[name].unit})"
         found.append(HistoryColumn(f"gradient.{name}", "gradient", unit, f"d objective / d {name}"))
     known = tuning.metrics | tuning.objective_metrics
@@ -326,7 +317,9 @@ class TuningDirectory:
             stack.enter_context(self.held)
             # Until an iteration is stored, another tuning may take the directory over.
             if any(path.name.isdecimal() for path in (self.out / "checkpoints").glob("*")):
-                refuse_another(self.out / TUNING, "tuning", "checkpoints", self.tuning)
+                begun = _begun(self.out / TUNING, "tuning", "checkpoints", read_stored)
+                if begun and (apart := changes(begun.decisive(), self.tuning.decisive())):
+                    raise _another(self.out / TUNING, "tuning", apart)
             stack.enter_context(self._checkpoints)
             self._stack = stack.pop_all()
         return self

@@ -1,4 +1,4 @@
-"""The figures of tunings and of searches, the landscape behind a tuning's paths, and its video."""
+"""The figures of tunings and of searches, and the landscape behind a tuning's paths."""
 
 from __future__ import annotations
 
@@ -24,7 +24,6 @@ from matplotlib.ticker import MaxNLocator
 
 from nermo_mjx.optimize.directory import (
     SEARCH,
-    VIDEO,
     Evaluations,
     TuningDirectory,
     atlas_progress,
@@ -34,7 +33,7 @@ from nermo_mjx.optimize.directory import (
 )
 from nermo_mjx.optimize.methods import cells_of, elites_of
 from nermo_mjx.optimize.objective import FURTHEST, TRAJECTORY_ERROR, ObjectiveTerm
-from nermo_mjx.optimize.spec import Generations, Measure, Search, Tuned, Tuning
+from nermo_mjx.optimize.spec import Measure, Search, Tuned, Tuning
 from nermo_mjx.plotting.charts import (
     around,
     blank,
@@ -50,7 +49,6 @@ from nermo_mjx.plotting.files import Figures, write_figures
 from nermo_mjx.plotting.shown import ShownValues, shown, spoken
 from nermo_mjx.plotting.style import BAND, BEST, COLOURS, GRID, INK, LINE, MISSING, MUTED, SERIES
 from nermo_mjx.robot.quantity import ParameterError
-from nermo_mjx.rollout import Run
 from nermo_mjx.runs import RunDirectory, stamp
 from nermo_mjx.runs.files import DirectoryError, parquet_table
 from nermo_mjx.runs.job import Progress, Watch
@@ -59,8 +57,6 @@ from nermo_mjx.specs.described import digest_of
 from nermo_mjx.sweep.plots import chosen_figure, survey_figures
 from nermo_mjx.sweep.simulating import SimulatorLike
 from nermo_mjx.sweep.table import Columns, Results, meta, profile_text, profiles_of
-from nermo_mjx.view import RecordingError, VideoError, check_video, recording_of
-from nermo_mjx.view.video import Pane, render
 
 _WIDTH: Final = 7.2
 
@@ -83,15 +79,6 @@ class Traces:
 
     tuning: Tuning
     table: pa.Table
-
-    @classmethod
-    def of(cls, tuning: Tuning, table: pa.Table) -> Traces:
-        """Of a tuning; of one by generations, the best point of each, as if it were one start."""
-        if tuning.method.has_gradient:
-            return cls(tuning, table)
-        value = table.column("objective").to_numpy(zero_copy_only=False).reshape(-1, tuning.starts)
-        best = np.where(np.isfinite(value), value, np.inf).argmin(axis=1) + tuning.starts * np.arange(len(value))
-        return cls(dataclasses.replace(tuning, starts=1), table.take(best))
 
     @property
     def starts(self) -> int:
@@ -285,9 +272,6 @@ def _column(figure: Figure, count: int) -> list[Axes]:
 
 def _what(traces: Traces) -> str:
     profile = profile_text([traces.tuning.setup.profile])
-    if isinstance(traces.tuning.method, Generations):
-        points = f"{traces.tuning.method.population} points, the best of each"
-        return f"{profile}; {len(traces.iterations)} generations of {points}"
     starts, drawn = traces.starts, len(traces.drawn())
     some = f" ({drawn} of them drawn)" if drawn < starts else ""
     return f"{profile}; {len(traces.iterations)} evaluations" + (f" of {starts:,} starts{some}" if starts > 1 else "")
@@ -597,22 +581,21 @@ def _draw_path(
 
 
 # ---
-# Which figures and video a tuning gives.
+# The figures of a tuning.
 
 
 def tuning_figures_of(tuning: Tuning, history: pa.Table, landscape: Landscape | None = None) -> Figures:
-    """The figures of a tuning: `objective`, `parameters`, `gradients` where it has some, and `path`.
+    """The figures of a tuning: `objective`, `parameters`, `gradients` and `path`.
 
     Args:
         tuning: that was run.
         history: its table, as `read_history` returns it; in some iteration the robot walked to the end.
         landscape: the objective's landscape behind the paths.
     """
-    traces = Traces.of(tuning, history)
+    traces = Traces(tuning, history)
     yield "objective", objective_figure(traces)
     yield "parameters", parameters_figure(traces)
-    if tuning.method.has_gradient:
-        yield "gradients", gradients_figure(traces)
+    yield "gradients", gradients_figure(traces)
     yield "path", path_figure(traces, landscape)
 
 
@@ -628,43 +611,30 @@ def tuning_figures(out: Path) -> Figures:
         raise DirectoryError(
             f"there is nothing to draw of {out}: the robot walked to the end at no point of this tuning."
         )
-    traces = Traces.of(tuning, history)
+    traces = Traces(tuning, history)
     best = {name: float(traces.column(name)[traces.best]) for name in tuning.names}
     landscape = stored_landscape(tuning, landscape_runs(out, tuning, best)) if has_landscape(tuning) else None
     return tuning_figures_of(tuning, history, landscape)
 
 
-@dataclasses.dataclass(frozen=True)
-class Pictures:
-    """Files made from a tuning's results.
-
-    Attributes:
-        plots: figures, as PNG and SVG.
-        video: of start and best; None if there is none.
-        notes: a sentence about each requested item that could not be made.
-    """
-
-    plots: tuple[Path, ...] = ()
-    video: Path | None = None
-    notes: tuple[str, ...] = ()
-
-
-def make_pictures(
+def make_figures(
     directory: TuningDirectory,
     simulator: Callable[[], SimulatorLike] | None,
     watch: Watch,
     history: pa.Table,
-    start: Mapping[str, Any],
     best: Mapping[str, Any],
-) -> Pictures:
-    """Make the requested figures and video; a failure of one does not affect the rest.
+) -> tuple[tuple[Path, ...], tuple[str, ...]]:
+    """Make the figures of a tuning.
 
     Args:
         directory: where they go.
-        simulator: creates the simulator for them on first use; None: nothing is simulated.
+        simulator: creates the simulator for the landscape on first use; None: nothing is simulated.
         watch: is told what is being made, and the share of it.
         history: the tuning's table.
-        start, best: the point it began with and the best one, see `nermo_mjx.optimize.directory`.
+        best: the best point, see `nermo_mjx.optimize.directory`.
+
+    Returns:
+        The files, and a sentence if there is no landscape.
     """
     tuning, out, notes = directory.tuning, directory.out, list[str]()
 
@@ -690,79 +660,7 @@ def make_pictures(
             landscape = stored_landscape(tuning, runs)
         drawing("plots")
         plots = write_figures(tuning_figures_of(tuning, history, landscape), out / "plots")
-    video = out / VIDEO if tuning.video and simulator is not None else None
-    if video is not None and simulator is not None and not video.exists():
-        try:
-            check_video(tuning.setup.load().model, video, camera=CAMERA)  # before anything walks for it
-            drawing("video")
-            render_tuning(tuning, start, best, simulator(), video, lambda share: drawing("video", share))
-        except (VideoError, RecordingError) as error:
-            video, notes = None, [*notes, f"There is no video. {error}"]
-    return Pictures(tuple(plots), video, tuple(notes))
-
-
-# ---
-# The video of a tuning: its first walk and its best one, side by side.
-
-
-#: Gait cycles to show, and their maximum duration [s].
-CYCLES, LONGEST = 2.0, 4.0
-#: Slowed down, so that the spine's timing is visible. A frame takes 0.1 s on one core without a graphics card.
-SPEED: Final = 0.5
-FPS, WIDTH, HEIGHT = 25, 480, 360
-#: From above, the bending of the spine is seen best, and the feet are still visible.
-CAMERA: Final = "high"
-
-
-def render_tuning(
-    tuning: Tuning,
-    start: Mapping[str, Any],
-    best: Mapping[str, Any],
-    simulator: SimulatorLike,
-    path: Path,
-    progress: Callable[[float], None] | None = None,
-) -> Path:
-    """Simulate the given start and the best point again, and render both after their warm-up.
-
-    Args:
-        start, best: `parameters`, `objective` and `metrics` of each; `iteration` and `start` of the best.
-        simulator: that walks them, of the tuning's setup.
-
-    Raises:
-        VideoError: this machine cannot draw or encode.
-        RecordingError: neither of them has a state that can be shown.
-    """
-    values = {name: np.full(2, value) for name, value in tuning.constants.items()}
-    values |= {name: np.array([start["parameters"][name], best["parameters"][name]]) for name in tuning.names}
-    rate = tuning.setup.cycle_rate(values)
-    begin, end = (float(np.max(each)) for each in tuning.run.seconds(rate))
-    length = min(CYCLES / float(np.min(rate)), LONGEST)
-    # Some gait cycles after the longer warm-up; a run of a cycle or two is shown from its beginning on.
-    begin = max(0.0, min(begin, end - length))
-    end = begin + min(length, end)
-    trace = simulator.run(values, Run(duration=end), record=True).trace
-    where = f", start {best['start']}" if tuning.starts > 1 else ""
-    known = tuning.parameters | tuning.objective_metrics
-
-    def caption(point: Mapping[str, Any]) -> list[str]:
-        """What the objective reads, and below it the parameters, as figures show them."""
-        lines = []
-        for part in ({name: point["metrics"][name] for name in tuning.objective.metrics}, point["parameters"]):
-            quantities = [shown(name, known[name].unit, np.asarray(value)) for name, value in part.items()]
-            numbers = [f"{float(each.values):.3g}" if np.isfinite(each.values) else "–" for each in quantities]
-            texts = zip(part, numbers, (each.unit for each in quantities), strict=True)
-            lines.append(", ".join(" ".join(text).rstrip() for text in texts))
-        return lines
-
-    titles = ("Start", f"Best, iteration {best['iteration']}{where}")
-    model = tuning.setup.load().model
-    panes = [
-        Pane(recording_of(trace, model, world=i, metadata={}).between(begin, end), title, caption(point))
-        for i, (title, point) in enumerate(zip(titles, (start, best), strict=True))
-    ]
-    report = None if progress is None else lambda done, frames: progress(done / frames)
-    look: dict[str, Any] = {"width": WIDTH, "height": HEIGHT, "camera": CAMERA}
-    return render(panes, model, path, fps=FPS, speed=SPEED, progress=report, **look)
+    return tuple(plots), tuple(notes)
 
 
 # ---

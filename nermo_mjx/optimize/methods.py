@@ -1,8 +1,8 @@
 """How points are chosen: each method is asked for points (`ask`), and told what came of them (`tell`).
 
-A method of a tuning (gradient, CMA-ES by generations) steps a `TuneState` from several starts; one of a
-search (CMA-ES with restarts, NSGA-II, CMA-ME, a Sobol sequence) has the results as its only input, so that a
-search is repeated, or resumed, by telling it the contents of its table again.
+A tuning steps a `TuneState` from several starts, along gradients. A method of a search (CMA-ES with restarts, NSGA-II,
+CMA-ME, a Sobol sequence) has the results as its only input, so that a search is repeated, or resumed, by telling it the
+contents of its table again.
 """
 
 from __future__ import annotations
@@ -25,7 +25,6 @@ from scipy.stats import qmc
 
 from nermo_mjx.optimize.objective import (
     Bounds,
-    Evaluation,
     Problem,
     confine,
     from_unconstrained,
@@ -37,7 +36,6 @@ from nermo_mjx.optimize.spec import (
     Aim,
     Cma,
     CmaMe,
-    Generations,
     Nsga2,
     Search,
     SearchMethod,
@@ -55,12 +53,10 @@ class Request:
     """Points to evaluate.
 
     Attributes:
-        points: (n, p): of a tuning parameters in their own units, of a search shares of the bounds in [0, 1].
-        gradients: of this number, from the first on, gradients are wanted, too.
+        points: Fractions of the bounds in [0, 1] (n, p).
     """
 
     points: Any
-    gradients: int = 0
 
 
 # ---
@@ -148,33 +144,18 @@ class Tuner:
 
     def step(self, state: TuneState) -> tuple[TuneState, Iterate]:
         """Evaluate the points of a state and take one step from them."""
-        request = self.ask(state)
-        return self.tell(state, self.problem.evaluate(request.points, request.gradients > 0))
-
-    def ask(self, state: TuneState) -> Request:
-        """The points of an iteration, one of each start."""
-        self._points = placed(self.bounds, state)
-        return Request(self._points, len(self._points))
-
-    def tell(self, state: TuneState, found: Evaluation) -> tuple[TuneState, Iterate]:
-        """The state after the step, and what the iteration found."""
+        points = placed(self.bounds, state)
+        found = self.problem.evaluate(points, True)
         after, ok = _advanced(self.tuning.optimizer, self.bounds, state, found.value, found.gradient, found.ok)
-        return after, _iterate(self._points, found, ok, len(found.value) * self.seconds * self.cost)
-
-
-def _iterate(points: Any, found: Evaluation, ok: Any, seconds: float) -> Iterate:
-    """What an iteration found at its points (starts, p)."""
-    points, ok, gradient = np.asarray(points, float), np.asarray(ok), np.full(np.shape(points), np.nan)
-    if found.gradient is not None:
-        gradient[ok] = np.asarray(found.gradient, float)[ok]
-    return Iterate(
-        points=points,
-        value=np.where(ok, np.asarray(found.value, float), np.nan),
-        ok=ok,
-        gradient=gradient,
-        metrics={name: np.asarray(column, float) for name, column in found.metrics.items()},
-        simulated_seconds=seconds,
-    )
+        ok = np.asarray(ok)
+        return after, Iterate(
+            points=np.asarray(points, float),
+            value=np.where(ok, np.asarray(found.value, float), np.nan),
+            ok=ok,
+            gradient=np.where(ok[:, None], np.asarray(found.gradient, float), np.nan),
+            metrics={name: np.asarray(column, float) for name, column in found.metrics.items()},
+            simulated_seconds=len(ok) * self.seconds * self.cost,
+        )
 
 
 @jax.jit
@@ -354,7 +335,7 @@ def elites_of(aim: Aim, scores: Scores) -> tuple[np.ndarray, np.ndarray]:
 
 
 # ---
-# CMA-ES: as the steps of a tuning, whose iteration is a generation; and with restarts, for one objective of a search.
+# CMA-ES with restarts, for one objective of a search.
 
 
 def strategy(start: np.ndarray, sigma: float, population: int, rng: np.random.Generator, **options: Any) -> Any:
@@ -377,56 +358,6 @@ def strategy(start: np.ndarray, sigma: float, population: int, rng: np.random.Ge
         "maxiter": math.inf,
     }
     return cma.CMAEvolutionStrategy(start, sigma, common | options)
-
-
-class GenerationTuner(Tuner):
-    """Steps a tuning by generations.
-
-    The points of the population replace the starts: the first point of the first generation is the given one.
-    A point whose walk is not completed counts as worse than all others. Coordinates are those of
-    `nermo_mjx.optimize.objective`.
-    """
-
-    def __init__(self, tuning: Tuning, problem: Problem, values: np.ndarray) -> None:
-        """
-        Args:
-            values: objectives of the generations so far (iterations, starts), which are replayed.
-        """
-        super().__init__(tuning, problem)
-        assert isinstance(tuning.method, Generations)
-        given = jnp.array([each.start for each in tuning.tuned], float)
-        self._given = np.asarray(to_unconstrained(tuning.bounds, given), float)
-        rng = np.random.default_rng(tuning.seed)
-        self._strategy = strategy(self._given, tuning.method.sigma, tuning.starts, rng)
-        self._points, self._first = np.empty((0, len(tuning.names))), True
-        for value in values:
-            self._next()
-            self._rank(value)
-
-    def ask(self, state: TuneState) -> Request:
-        """A generation."""
-        self._next()
-        return Request(from_unconstrained(self.bounds, jnp.asarray(self._points, state.u.dtype)))
-
-    def tell(self, state: TuneState, found: Evaluation) -> tuple[TuneState, Iterate]:
-        u = jnp.asarray(self._points, state.u.dtype)
-        ok = np.asarray(found.ok) & np.isfinite(np.asarray(found.value))
-        value = np.where(ok, np.asarray(found.value, float), np.nan)
-        self._rank(value)
-        better = jnp.asarray(np.where(ok, value, np.inf) < np.asarray(state.best_value))
-        after = state.after(u, state.optimizer, better, u, jnp.asarray(value, state.best_value.dtype))
-        return after, _iterate(from_unconstrained(self.bounds, u), found, ok, len(value) * self.seconds)
-
-    def _next(self) -> None:
-        self._points = np.array(self._strategy.ask())
-        if self._first:
-            self._points[0] = self._given
-        self._first = False
-
-    def _rank(self, value: np.ndarray) -> None:
-        known = value[np.isfinite(value)]
-        worst = known.max() + max(np.ptp(known), 1.0) if len(known) else 0.0
-        self._strategy.tell(self._points.tolist(), np.where(np.isfinite(value), value, worst).tolist())
 
 
 class Searcher(Protocol):

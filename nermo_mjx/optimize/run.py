@@ -19,16 +19,14 @@ from nermo_mjx.optimize.directory import (
     BEST,
     SEARCH,
     TUNING,
-    VIDEO,
     Batches,
     TuningDirectory,
     TuningHistory,
     keep_recordings,
     publish,
 )
-from nermo_mjx.optimize.figures import Pictures, make_pictures, search_figures_of
+from nermo_mjx.optimize.figures import make_figures, search_figures_of
 from nermo_mjx.optimize.methods import (
-    GenerationTuner,
     Scores,
     Space,
     Tuner,
@@ -44,7 +42,7 @@ from nermo_mjx.optimize.problems import (
     WalkProblem,
     load_reference,
 )
-from nermo_mjx.optimize.spec import TUNING_METHODS, Generations, Search, Tuning
+from nermo_mjx.optimize.spec import TUNING_METHODS, Search, Tuning
 from nermo_mjx.physics import resolve_engine
 from nermo_mjx.plotting.files import write_figures
 from nermo_mjx.progress import shows_progress
@@ -81,7 +79,8 @@ class TuningResult:
         history: the history's table (`nermo_mjx.optimize.directory`).
         state: after the last iteration.
         iterations_run: evaluations that this call made.
-        pictures: figures and video that were made of it, and notes on what could not be made.
+        plots: Files of the figures.
+        notes: A sentence about each result that could not be made.
     """
 
     out: Path
@@ -91,7 +90,8 @@ class TuningResult:
     history: pa.Table
     state: TuneState
     iterations_run: int
-    pictures: Pictures
+    plots: tuple[Path, ...]
+    notes: tuple[str, ...]
 
 
 @shows_progress("tuning", "evaluations")
@@ -106,7 +106,7 @@ def run_tuning(
     accept_new_code: bool = False,
     workers: Workers | None = None,
 ) -> TuningResult:
-    """Tune parameters by gradient, or by another method, into a directory, or resume what it contains.
+    """Tune parameters by gradient or finite differences into a directory, or resume what it contains.
 
     A tuning evaluates its starts `iterations` + 1 times, the last time where its last step led, or stops when nothing
     more is gained (`TuningHistory.stalled`); every evaluation is one batch. After each, the
@@ -118,8 +118,8 @@ def run_tuning(
         spec: a `Tuning`, a dict with the fields of a tuning file, or the path of one.
         out: the directory; see `nermo_mjx.optimize.directory`.
         problem: replaces the simulation of the tuning (`nermo_mjx.optimize.problems.WalkProblem`).
-        simulator: replaces `Simulator(tuning.setup, "c")`, which verifies start and best, and walks what pictures show:
-            the landscape behind the paths, and the video. None of this happens if only `problem` is given.
+        simulator: replaces `Simulator(tuning.setup, "c")`, which verifies start and best, and simulates the landscape
+            behind the paths. None of this happens if only `problem` is given.
         watch: is told the progress before the first evaluation and after each, what is drawn at the end, and what is
             moved aside.
         progress: whether it is shown where somebody looks, if there is no watch.
@@ -149,11 +149,10 @@ def run_tuning(
         report()
         if goes_on:
             shared = SharedProblem(tuning, problem or WalkProblem(tuning), workers or LocalWorkers())
-            tuner = tuner_of(tuning, shared, history)
+            tuner = Tuner(tuning, shared)
         directory.claim(history)
         if goes_on:
             directory.held.note_session(session(begun_at=resumed))
-            directory.held.set_aside("of another best point", [VIDEO], watch.warn)
         while not history.done:
             began = time.perf_counter()
             state, iterate = tuner.step(state)
@@ -175,16 +174,16 @@ def run_tuning(
         walker: Callable[[], SimulatorLike] | None = None  # nothing is simulated beside a given problem
         if simulator is not None or problem is None:
             walker = functools.cache(lambda: simulator or Simulator(directory.tuning.setup, "c"))
-        best, pictures = _publish(directory, history, walker, watch)
+        best, plots, notes = _publish(directory, history, walker, watch)
         start, table = history.start(), history.table()
         run = len(history) - resumed
-        return TuningResult(directory.out, directory.tuning, start, best, table, state, run, pictures)
+        return TuningResult(directory.out, directory.tuning, start, best, table, state, run, plots, notes)
 
 
 def _publish(
     directory: TuningDirectory, history: TuningHistory, walker: Callable[[], SimulatorLike] | None, watch: Watch
-) -> tuple[dict[str, Any], Pictures]:
-    """Write what is made of a complete history; the content of best.json, and the pictures."""
+) -> tuple[dict[str, Any], tuple[Path, ...], tuple[str, ...]]:
+    """Write what is made of a complete history; the content of best.json, files of the figures, and notes."""
     best, start, notes = directory.publish(history), history.start(), tuple[str, ...]()
     if best is None:
         raise JobFailed(
@@ -198,16 +197,8 @@ def _publish(
             directory.held.write(BEST, to_json(best))
         except ParameterError as error:
             notes = (f"Start and best are not verified: {error}",)
-    pictures = make_pictures(directory, walker, watch, history.table(), start, best)
-    return best, dataclasses.replace(pictures, notes=(*notes, *pictures.notes))
-
-
-def tuner_of(tuning: Tuning, problem: Problem, history: TuningHistory | None = None) -> Tuner:
-    """What steps a tuning, after a history so far."""
-    if not tuning.method.has_gradient:
-        values = history.column("objective") if history else np.empty((0, tuning.starts))
-        return GenerationTuner(tuning, problem, values)
-    return Tuner(tuning, problem)
+    plots, more = make_figures(directory, walker, watch, history.table(), best)
+    return best, plots, (*notes, *more)
 
 
 #: Walks of each point that is verified.
@@ -500,8 +491,7 @@ def tuning_forecasts(tuning: Tuning) -> list[Forecast]:
     here, forecasts = pace_here(tuning), []
     others = (each() for each in TUNING_METHODS.values() if not isinstance(tuning.method, each))
     for method in (tuning.method, *others):
-        engine, points = method.engine_for(len(tuning.names)), tuning.iterations + 1
-        points *= method.population if isinstance(method, Generations) else tuning.starts
+        engine, points = method.engine_for(len(tuning.names)), (tuning.iterations + 1) * tuning.starts
         walks = points * method.gradient_cost(len(tuning.names))
         wall = walks * seconds / here
         if engine != "c":

@@ -66,13 +66,9 @@ class TuningMethod(Spec):
 
     Attributes:
         name: in a file.
-        has_gradient: whether its history has gradients.
-        unread: fields of a tuning file that it does not read.
     """
 
     name: ClassVar[str]
-    has_gradient: ClassVar[bool] = True
-    unread: ClassVar[tuple[str, ...]] = ()
 
     def gradient_cost(self, parameters: int) -> float:
         """Cost of value and gradient, in runs."""
@@ -97,22 +93,10 @@ class Gradient(TuningMethod):
 
 
 @dataclasses.dataclass(frozen=True)
-class Generations(TuningMethod):
-    """CMA-ES, on MuJoCo C."""
-
-    name, has_gradient, what = "cma", False, "an option of 'cma'"
-    unread = ("optimizer", "starts")
-    sigma: Positive = 2.0
-    """first standard deviation, in coordinates u"""
-    population: Annotated[int, Whole(4, 100_000)] = 16
-    """points of a generation, which replace the starts; 16 fill two cores"""
-
-
-@dataclasses.dataclass(frozen=True)
 class Differences(TuningMethod):
     """Differences between neighbours, on MuJoCo C."""
 
-    name, unread, what = "differences", (), "an option of 'differences'"
+    name, what = "differences", "an option of 'differences'"
     scheme: Annotated[str, Choice(("central", "forward"))] = "central"
     """on which sides a slope is measured"""
     step: Positive = 0.02
@@ -173,17 +157,17 @@ class Sobol(SearchMethod):
 
 
 #: Methods by their names in files; of a search the first one for an aim is its default.
-TUNING_METHODS: Final[Mapping[str, type[TuningMethod]]] = {m.name: m for m in (Gradient, Generations, Differences)}
-#: Up to so many parameters an exact gradient takes a tuning as far as a secant, and up to so many a secant further than
-#: CMA-ES: 2, 16 and 64 have been measured (docs/benchmarks/rematch.md).
+TUNING_METHODS: Final[Mapping[str, type[TuningMethod]]] = {m.name: m for m in (Gradient, Differences)}
+#: Numbers of parameters up to which an exact gradient takes a tuning as far as a secant does, and up to which a secant
+#: takes it about as far as CMA-ES does: 2, 16 and 64 have been measured (docs/benchmarks/rematch.md).
 MOST_EXACT, MOST_SECANTS = 8, 32
 SEARCH_METHODS: Final[Mapping[str, type[SearchMethod]]] = {m.name: m for m in (Cma, Nsga2, CmaMe, Sobol)}
 
 
-def default_method(parameters: int) -> TuningMethod:
-    """What a tuning of so many parameters does if its file names no method."""
+def default_method(parameters: int) -> TuningMethod | None:
+    """The method of a tuning of so many parameters whose file names none; None if the file has to name one."""
     if parameters > MOST_SECANTS:
-        return Generations()
+        return None
     return Gradient() if parameters <= MOST_EXACT else Differences(scheme="forward")
 
 
@@ -311,15 +295,17 @@ class OptimizerFields(Fields):
 
 #: A run counted in gait cycles may not grow longer than this where the frequency is tuned [s].
 LONGEST_RUN: Final = 120.0
+#: What replaces CMA-ES in a tuning.
+_SEARCH: Final = "run nermo-mjx search with method: cma"
 #: Fields that do not change what an iteration computes: a tuning may be resumed with others.
-_FREE_OF_TUNING: Final = ("iterations", "patience", "plots", "video")
+_FREE_OF_TUNING: Final = ("iterations", "patience", "plots")
 #: Fields that a tuning has as they stand in its file.
-_PLAIN: Final = ("starts", "iterations", "patience", "seed", "plots", "video")
+_PLAIN: Final = ("starts", "iterations", "patience", "seed", "plots")
 _KNOWN_METRICS: Final[Any] = {"properties": {aim: {"enum": [*OBJECTIVE_METRICS]} for aim in AIMS}}
 
 
 class TuningFile(WalkFields):
-    """A file for `nermo-mjx tune` and `nermo-mjx landscape`."""
+    """A file for `nermo-mjx tune`."""
 
     model_config = ConfigDict(
         use_attribute_docstrings=True,
@@ -335,9 +321,12 @@ class TuningFile(WalkFields):
     """tuned parameters"""
     objective: list[ObjectiveTerm] = optional("terms whose sum is minimized", minItems=1)
     recording: Any = optional("path of the NPZ that trajectory_error compares with", type=["string", "null"])
-    method: Annotated[TuningMethod, one_of("TuningMethod", "is not a method", TUNING_METHODS)] = optional(
-        "how an iteration finds its step: along exact gradients or secants, or by CMA-ES, whose generations replace "
-        "the starts; the default depends on the number of parameters"
+    method: Annotated[
+        TuningMethod,
+        one_of("TuningMethod", "is not a method", TUNING_METHODS, {"cma": f"which was removed: {_SEARCH}"}),
+    ] = optional(
+        "how an iteration finds its step: along exact gradients or secants; the default depends on the number of "
+        "parameters"
     )
     optimizer: OptimizerFields = optional("how an iteration steps")
     starts: Annotated[int, Whole(1, 100_000)] = 1
@@ -347,14 +336,21 @@ class TuningFile(WalkFields):
     patience: Annotated[int, Whole(1, 1_000_000)] = 6
     """iterations in a row that may gain almost nothing before the tuning stops"""
     seed: Annotated[int, Whole(0, 2**32 - 1)] = 0
-    """of the other starts, and of CMA-ES"""
+    """of the other starts"""
     plots: bool = True
     """whether figures are made at the end"""
-    video: bool = False
-    """whether a video of the best is made at the end"""
+
+    @classmethod
+    def written_out(cls, given: Any) -> Any:
+        """Without `video: false`, which the directories of earlier releases contain."""
+        data = super().written_out(given)
+        return {key: data[key] for key in data if key != "video" or data[key]} if isinstance(data, dict) else data
 
     @classmethod
     def refuse(cls, key: str) -> None:
+        if key == "video":
+            replay = "nermo-mjx replay RUNS --row 0 --video FILE.mp4"
+            raise Refused(f"was removed: run nermo-mjx sweep DIR/tuned.yaml --out RUNS, and {replay}.", key)
         if key in ("vary", "randomize", "sample"):
             raise Refused("is a field of a sweep, not of a tuning: what is to change stands under 'tune'.", key)
         super().refuse(key)
@@ -378,7 +374,6 @@ class Tuning(WalkSpec, Described):
     patience: int
     seed: int
     plots: bool
-    video: bool
     method: TuningMethod
 
     @classmethod
@@ -435,7 +430,7 @@ class Tuning(WalkSpec, Described):
             data["method"] = named_section(self.method, TUNING_METHODS)
         data["optimizer"] = self.optimizer.written()
         data |= {name: getattr(self, name) for name in _PLAIN}
-        return {name: value for name, value in data.items() if name not in self.method.unread}
+        return data
 
     def decisive(self) -> dict[str, Any]:
         """The fields that may not change: a recording counts beside them, a controller by what it is."""
@@ -445,7 +440,7 @@ class Tuning(WalkSpec, Described):
     def identity(self) -> dict[str, Any]:
         """All that decides an iteration: the `fields`, `defaults` of what they do not name, the `recording`'s digest.
 
-        The number of iterations, figures and video do not count: a tuning can be extended.
+        The number of iterations, and figures do not count: a tuning can be extended.
 
         Raises:
             SpecError: the recording cannot be read.
@@ -487,8 +482,9 @@ def _read_tuning(doc: Document, *, recorded: bool = True) -> Tuning:
     walk = read_walk(doc, file)
     _refuse_distance(doc, walk["run"])
     objective, method = read_objective(doc, file.objective), file.method or default_method(len(file.tune))
-    if file.method is None and any(field in doc.data for field in method.unread):
-        method = default_method(MOST_SECANTS)  # CMA-ES has neither an optimizer nor starts
+    if method is None:
+        many = f"with more than {MOST_SECANTS} parameters"
+        doc.fail(("method",), f"is missing: {many}, name gradient or differences, or {_SEARCH}.")
     recording: Path | None = None
     compared = TRAJECTORY_ERROR in objective.metrics
     if file.recording is not None:
@@ -503,11 +499,6 @@ def _read_tuning(doc: Document, *, recorded: bool = True) -> Tuning:
     elif compared:
         missing = f"names {TRAJECTORY_ERROR}, but there is no 'recording' to compare with: give the path of an NPZ."
         doc.fail(("objective",), missing)
-    for field in method.unread:
-        if field in doc.data:
-            readers = " and ".join(name for name, other in TUNING_METHODS.items() if field not in other.unread)
-            hint = "; give method: {cma: {population: N}}" if field == "starts" else ""
-            doc.fail((field,), f"is not read by the method {method.name}, but by {readers} alone{hint}.")
     if not file.tune:
         example = "{spine.amplitude: {bounds: [0, 0.4], start: 0.05}}"
         doc.fail(("tune",), f"is missing or empty: expected parameters such as {example}.")
@@ -521,8 +512,6 @@ def _read_tuning(doc: Document, *, recorded: bool = True) -> Tuning:
         method=method,
         **{name: getattr(file, name) for name in _PLAIN},
     )
-    if isinstance(method, Generations):
-        tuning = dataclasses.replace(tuning, starts=method.population)
     walks = method.gradient_cost(len(tuning.names)) if tuning.engine == "c" else 1
     if wrong := too_many(round(tuning.starts * walks)):
         doc.fail(("starts",), f"is {tuning.starts:,}, each with {walks:g} walks: {wrong}")

@@ -1,11 +1,11 @@
 """The identified bodies: an ensemble whose straight-line walks all come about equally close to the published ones.
 
-The publication gives neither servo gain nor damping nor friction. `nermo-mjx identify` finds the bodies whose speeds
-come within a tolerance of the published ones, in the set-up of the published tests; `identified.csv` is such an
-ensemble, one body per row, the best first. The damping of the default body lies in the middle of it. Importance
-sampling drew it, hence the weights; bodies of the same distribution, of equal weight, come from
+The publication gives neither servo gain nor damping nor friction. `identified.csv` contains robot instances whose
+speeds come within a tolerance of the published ones, in the set-up of the published tests: one per row, the best first.
+The damping of the default body lies in the middle of it. The rows were sampled by importance, hence the weights;
+robot instances of the same distribution, of equal weight, come from
 
-    nermo-mjx identify --profile as_published --samples 64 --generations 3 --out runs/identified
+    python docs/benchmarks/published_speeds.py DIR --profile as_published --samples 64 --generations 3
 """
 
 from __future__ import annotations

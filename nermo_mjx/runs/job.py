@@ -24,7 +24,7 @@ class Progress:
 
     Attributes:
         fraction: share of the work that is done, 0 to 1; what an earlier session has done counts.
-        done, total: runs of a sweep, walks of a landscape, evaluations of a search or a tuning, which has one more of
+        done, total: runs of a sweep, evaluations of a search or a tuning, which has one more of
             them than steps; None where nothing is counted, or there is no total.
         resumed: of these, how many an earlier session had done, or another directory has.
         what: the part that is at work, such as "plots", or an experiment; empty: the job itself.

@@ -7,6 +7,7 @@ validator can raise such a sentence itself, and because a field may have one of 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from typing import Any, ClassVar, Final, TypeVar, get_args, get_type_hints
 
 from pydantic import BaseModel, ConfigDict, Field, GetJsonSchemaHandler, ValidationError, model_validator
@@ -176,12 +177,14 @@ class OneOf(Fields):
         alone: names of fields that may be given without a mapping; by default these are the short forms.
         other: says of a field's name that there is no such field; with `{name}` in it, it is about the whole.
         other_name: the same for a name given alone.
+        removed: names of earlier releases, and what a message says of them.
     """
 
     model_config = ConfigDict(json_schema_extra={"minProperties": 1, "maxProperties": 1})
     alone: ClassVar[tuple[str, ...]] = ()
     other: ClassVar[str]
     other_name: ClassVar[str] = "is the text {name!r}"
+    removed: ClassVar[Mapping[str, str]] = {}
 
     @classmethod
     def __pydantic_init_subclass__(cls, **kwargs: Any) -> None:
@@ -192,6 +195,9 @@ class OneOf(Fields):
     @classmethod
     def written_out(cls, given: Any) -> Any:
         """As a mapping, of exactly one field."""
+        for name in (given,) if isinstance(given, str) else given if isinstance(given, dict) else ():
+            if name in cls.removed:
+                raise Refused(f"is {name!r}, {cls.removed[name]}.")
         if isinstance(given, str) and given in cls.alone:
             return {given: None}
         if isinstance(given, str) and given in cls.declared():

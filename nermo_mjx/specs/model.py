@@ -82,13 +82,14 @@ class _Chosen:
         return self.models[name]() if value is None else value
 
 
-def one_of(form: str, other: str, models: Mapping[str, type[Spec]]) -> Any:
+def one_of(form: str, other: str, models: Mapping[str, type[Spec]], removed: Mapping[str, str] = {}) -> Any:
     """The marker of a field that is one of several sections: NAME, {NAME: } or {NAME: {option: value}}.
 
     Args:
         form: name of the form in the JSON Schema.
         other: says of another name that there is no such section.
         models: the sections by their names; the first line of each one's docstring describes it to an editor.
+        removed: Names of earlier releases, and what a message says of them.
     """
     fields: dict[str, Any] = {
         name: (
@@ -99,8 +100,9 @@ def one_of(form: str, other: str, models: Mapping[str, type[Spec]]) -> Any:
     }
     made: type[OneOf] = create_model(form, __base__=OneOf, **fields)
     *first, last = models
-    made.expected = f"{', '.join(first)} or {last} as a name, or {{name: {{option: value}}}}"
-    made.other, made.other_name, made.alone = other, "is {name!r}", tuple(models)
+    names = f"{', '.join(first)} or {last}" if first else last
+    made.expected = f"{names} as a name, or {{name: {{option: value}}}}"
+    made.other, made.other_name, made.alone, made.removed = other, "is {name!r}", tuple(models), removed
     made.short = ({"enum": [name for name, model in models.items() if not model.required()]},)
     return _Chosen(made, models)
 

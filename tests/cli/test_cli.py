@@ -13,7 +13,6 @@ import subprocess
 import sys
 import time
 from pathlib import Path
-from typing import Any
 from unittest.mock import Mock
 
 import mujoco
@@ -29,8 +28,6 @@ from nermo_mjx.progress import COMPILING, ProgressBar, duration
 from nermo_mjx.rollout import Setup
 from nermo_mjx.runs import RunDirectory
 from nermo_mjx.runs.files import plain_json
-from nermo_mjx.sweep import Sweep
-from nermo_mjx.sweep.simulating import Simulated, SweepSimulator
 from nermo_mjx.version import __version__
 
 pytestmark = pytest.mark.usefixtures("shared_simulators")
@@ -396,47 +393,11 @@ def test_an_experiment_ends_with_the_exit_code_of_what_happened(
         assert len(fakes["turning"].asked) == runs
 
 
-@pytest.fixture
-def identified(monkeypatch: pytest.MonkeyPatch) -> None:
-    """An identification whose bodies all walk alike, a tenth too fast beside the theory."""
-    from nermo_mjx.experiments import identification
-
-    def walked(self: Any, task: tuple[int, dict[str, np.ndarray]], progress: Any = None) -> Simulated:
-        worlds = len(task[1]["servo.kp"])
-        return Simulated({"speed": np.full(worlds, 0.0950)}, np.full(worlds, "ok"), 1, 0.1)
-
-    monkeypatch.setattr(SweepSimulator, "__call__", walked)
-    monkeypatch.setattr(SweepSimulator, "warm", lambda self: None)
-    monkeypatch.setattr(identification, "figures_of_identification", lambda found: iter(()))
-
-
-@pytest.mark.usefixtures("identified")
-def test_identify_writes_its_result_and_a_report(tmp_path: Path) -> None:
-    from nermo_mjx.experiments.identification import TARGETS, free_parameters
-
-    out = tmp_path / "out"
-    given = ("identify", "--out", out, "--samples", "9", "--generations", "1", "--seed", "4", "--engine", "c")
-    result = json_of(*given)
-    assert (result["settings"]["samples"], result["settings"]["seed"]) == (9, 4)
-    assert result["objective"]["end"] == result["objective"]["start"] == result["costs"][0]
-    assert set(result["targets"]) == set(TARGETS)
-    assert set(result["parameters"]) == {each.name for each in free_parameters("exact")}
-    assert len(result["costs"]) == 1 + 24 + 9
-    assert result["targets"]["trot, 0.8 Hz, over lateral walk"]["published"] == 1.27
-    stored = json.loads((out / "identification.json").read_text())
-    assert stored == {name: value for name, value in result.items() if name != "out"}
-    assert {"report.html", "ensemble.csv", "identification.json"} <= {each.name for each in out.iterdir()}
-    assert json_of(*given)["costs"] == result["costs"], "again"
-    said = refused("identify", "--out", out)
-    assert "holds an identification with other settings or by other code: choose another directory" in said
-
-
-@pytest.mark.usefixtures("identified")
-def test_what_identify_prints_can_be_pasted(tmp_path: Path) -> None:
-    text = call("identify", "--out", tmp_path, "--samples", "9", "--generations", "1").stdout
-    options = re.search(r"^  (--set .*)$", text, re.MULTILINE)
-    assert options is not None
-    assert json_of(*SHORT, *options[1].split())["parameters"]["contact.friction"] > 0
+def test_identify_without_a_log_names_the_robot_instances_of_the_package(tmp_path: Path) -> None:
+    said = refused("identify", "--out", tmp_path / "out")
+    assert "identify needs --log FILE" in said
+    assert "randomize: {from: identified}" in said
+    assert not (tmp_path / "out").exists()
 
 
 def test_list_parameters_shows_names_with_unit_default_and_range() -> None:

@@ -6,7 +6,6 @@ import functools
 import json
 import re
 import time
-import types
 from pathlib import Path
 from typing import Any
 
@@ -18,14 +17,12 @@ from fakes.sweep_fake import SPEC, FakeSimulator, contents, part_of
 from fakes.tune_fake import SPEC as TUNE_SPEC
 from fakes.tune_fake import FakeProblem
 
-from nermo_mjx.experiments import identification, plots
-from nermo_mjx.experiments.identification import CASES
+from nermo_mjx.experiments import log_report, plots
 from nermo_mjx.experiments.run import run_experiments
-from nermo_mjx.optimize import Tuning, run_landscape, run_tuning
-from nermo_mjx.runs import Interrupted, RunDirectory, codes_of, stamp
+from nermo_mjx.optimize import Tuning, run_tuning
+from nermo_mjx.runs import Interrupted, RunDirectory, codes_of, session, stamp
 from nermo_mjx.runs.code import local_time
-from nermo_mjx.runs.rows import part_files
-from nermo_mjx.sweep import run_sweep, simulating
+from nermo_mjx.sweep import run_sweep
 
 status = functools.partial(call, "status")
 KEYS = {"kind", "rows", "rows_done", "code", "engine", "complete"}
@@ -130,18 +127,6 @@ def test_a_tuning_counts_the_evaluations_of_its_starts(tmp_path: Path) -> None:
     assert f"resume   nermo-mjx tune {tmp_path}/tuning.yaml --out {tmp_path}" in status(tmp_path).stdout
 
 
-def test_a_landscape_counts_points_also_of_an_unfinished_one(tmp_path: Path) -> None:
-    tuning = Tuning.from_dict(TUNE_SPEC)
-    points = run_landscape(tuning, tmp_path, problem=FakeProblem(tuning)).table.num_rows
-    assert known(said(tmp_path)) == ("landscape", points, points, True)
-    assert "session  20" in status(tmp_path).stdout
-    (tmp_path / "landscape.parquet").unlink()
-    assert known(said(tmp_path)) == ("landscape", points, points, False)
-    for part in part_files(tmp_path):
-        part.unlink()
-    assert known(said(tmp_path)) == ("landscape", points, 0, False)
-
-
 @pytest.fixture
 def fakes(monkeypatch: pytest.MonkeyPatch) -> dict[str, Fake]:
     """Experiments that simulate and draw nothing."""
@@ -184,41 +169,17 @@ def test_an_experiment_that_was_killed_while_it_drew_is_not_complete(
     assert len(fakes["turning"].asked) == 1
 
 
-def test_an_identification_counts_its_steps(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    calls = 0
-
-    class Walker:
-        def __init__(self, setup: Any, engine: str) -> None:
-            self.setup = setup
-
-        def run(self, values: dict[str, np.ndarray], run: Any, **_: Any) -> Any:
-            nonlocal calls
-            calls += 1
-            if calls == 3:
-                raise KeyboardInterrupt
-            speed = np.resize(0.05 + 0.01 * np.arange(len(CASES)), len(values["servo.kp"]))
-            return types.SimpleNamespace(metrics={"speed": speed}, status=np.full(len(speed), "ok"), steps=1)
-
-    monkeypatch.setattr(simulating, "Simulator", Walker)
-    settings = {"samples": 9, "generations": 1, "engine": "c"}
-    with pytest.raises(KeyboardInterrupt):
-        identification.run_identification(tmp_path, **settings)
-    content = said(tmp_path)
-    assert known(content) == ("identification", None, 2, False)
-    assert (content["engine"], content["code"]) == ("c", list(codes_of(tmp_path)))
-
-    def killed(*_: Any) -> None:
-        raise KeyboardInterrupt
-
-    with monkeypatch.context() as drawing:
-        drawing.setattr(identification, "figures_of_identification", killed)
-        with pytest.raises(KeyboardInterrupt):
-            identification.run_identification(tmp_path, **settings)
-    assert known(said(tmp_path)) == ("identification", None, 4, False)
-    walked = calls
-    identification.run_identification(tmp_path, **settings)
-    assert known(said(tmp_path)) == ("identification", 4, 4, True)
-    assert calls == walked, "what was found is only drawn"
+@pytest.mark.parametrize("kind", ["identification", "identification from a log"])
+def test_an_identification_counts_its_steps(tmp_path: Path, kind: str) -> None:
+    """The first kind is the directory of an earlier release, which identified from the published speeds."""
+    with RunDirectory(tmp_path, kind) as held:
+        held.note_session(session())
+        kept = log_report.kept_in(tmp_path, "these settings")
+        for number in range(2):
+            kept(lambda number=number: np.full(3, number))
+    assert known(said(tmp_path)) == (kind, None, 2, False)
+    (tmp_path / log_report.RESULT).write_text("{}")
+    assert known(said(tmp_path)) == (kind, 2, 2, True)
 
 
 def test_what_is_no_directory_of_results_is_refused_in_a_sentence(tmp_path: Path) -> None:
@@ -232,7 +193,9 @@ def test_what_is_no_directory_of_results_is_refused_in_a_sentence(tmp_path: Path
         assert result.exit_code == 2
         assert sentence in result.stderr
     (tmp_path / "run.json").write_text('{"kind": "census"}')
-    assert "holds a census, which this version of nermo-mjx does not know" in status(tmp_path).stderr
+    assert "holds a census, which this release does not open: use the release that made it" in status(tmp_path).stderr
+    (tmp_path / "run.json").write_text('{"kind": "landscape"}')
+    assert "holds a landscape, which this release does not open" in status(tmp_path).stderr, "of an earlier release"
     (tmp_path / "run.json").write_text('{"kind": ')
     result = status(tmp_path)
     assert result.exit_code == 1

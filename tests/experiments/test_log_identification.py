@@ -362,7 +362,6 @@ def test_what_was_killed_goes_on_after_its_last_step(path: Path, tmp_path: Path)
         (["--range", "kp=-1:2"], "--range kp: -1 to 2 is not above 0, as kp.servo is"),
         (["--range", "kp=1:inf"], "--range kp: 1 to inf is empty, or has no end"),
         (["--free", "colour"], "is no kind of parameters"),
-        (["--samples", "8"], "--samples is for the published speeds: it does not go with --log"),
         (["--robot", "nermo_lite"], "--model is another robot: give it, or --robot"),
     ],
 )
@@ -372,10 +371,6 @@ def test_wrong_options_end_in_a_sentence(
     arguments = written(tmp_path, logged(0.5))
     assert main([*arguments, "--model", str(path), *more, "--out", str(tmp_path / "out")]) != 0
     assert sentence in capsys.readouterr().err
-    assert main(["identify", "--free", "kp", "--out", str(tmp_path / "out")]) != 0
-    assert "is for logs" in capsys.readouterr().err
-    assert main(["identify", "--robot", "nermo_41", "--out", str(tmp_path / "out")]) != 0
-    assert "--robot is for logs" in capsys.readouterr().err
 
 
 # --- Nermo

@@ -5,7 +5,7 @@ another one comes; a tuning, OUT/tuning, of `tune_fake` from five starts, while 
 sweeps OUT/sweep.yaml into OUT/command. OUT/sweep.log gets a line for each batch that is begun: the process, and the
 frequency, amplitude and phase of its first row.
 ray_fake.py driver OUT LOG: the same sweep on a cluster of one node, to be killed.
-ray_fake.py real OUT: two experiments with three bodies, OUT/experiments, and a small identification, on two nodes.
+ray_fake.py real OUT: two experiments with three bodies, OUT/experiments, on two nodes.
 ray_fake.py tasks: a cluster of one node, computers that it takes and does not take, and where it listens.
 """
 
@@ -26,8 +26,6 @@ from nermo_mjx.runs.workers import TaskFailed, WorkersLost
 
 #: A tuning from as many starts as three workers do not share evenly.
 STARTS = TUNING | {"starts": 5}
-#: An identification that takes seconds.
-IDENTIFY = {"engine": "c", "samples": 8, "generations": 1, "tolerance": 9.0}
 
 
 class LoggingSimulator(FakeSimulator):
@@ -98,9 +96,8 @@ def nodes(out):
 
 
 def real(out):
-    """Experiments, and their bodies one by one; an identification whose batches two nodes share."""
+    """Experiments, and their bodies one by one."""
     from nermo_mjx.experiments import run
-    from nermo_mjx.experiments.identification import run_identification
 
     run.AT_ONCE = 1
     done, names = [], ["balance", "body"]
@@ -108,9 +105,8 @@ def real(out):
         watch = Watch(lambda now: done.append(now.what))
         how = {"engine": "c", "quick": True, "bodies": 3, "workers": workers, "watch": watch}
         result = run.run_experiments(names, f"{out}/experiments", **how)
-        identified, _ = run_identification(f"{out}/identification", workers=workers, **IDENTIFY)
     named = [each.name for each in result.results]
-    print(json.dumps({"names": named, "done": sorted(set(done)), "identified": identified.costs.tolist()}))
+    print(json.dumps({"names": named, "done": sorted(set(done))}))
 
 
 def driver(out, log):

@@ -155,7 +155,7 @@ def test_a_resolved_file_is_the_same_training():
             "distance": 1.0,
             "corridor": 0.3,
         },
-        "algorithm": {"short_horizon": {"hidden": [8]}},
+        "algorithm": {"ppo": {"hidden": [8]}},
         "set": {"contact.friction": 1.2},
     }
     for training in (Training.from_dict(given), *map(Training.from_file, SHIPPED)):
@@ -609,10 +609,10 @@ def test_onnx_acts_as_the_policy_does(policy):
 
 
 def test_a_dry_run_says_what_it_would_take_and_writes_nothing(tmp_path):
-    """For exact gradients: there is no pace before the program is compiled."""
+    """On MJX: there is no pace before the program is compiled."""
     spec, out = tmp_path / "spec.yaml", tmp_path / "out"
-    spec.write_text("algorithm: short_horizon\nworlds: 4\nsteps: 1000\ntask: {decimation: 2}\n")
-    ran = CliRunner().invoke(main, ["train", str(spec), "--out", str(out), "--dry-run"])
+    spec.write_text("worlds: 4\nsteps: 1000\ntask: {decimation: 2}\n")
+    ran = CliRunner().invoke(main, ["train", str(spec), "--out", str(out), "--dry-run", "--engine", "mjx"])
     assert ran.exit_code == 0, ran.output
     assert re.search("16 iterations, 64 steps per iteration, 1,024 steps; ", ran.stdout)
     assert not out.exists()

@@ -1,4 +1,4 @@
-"""`nermo-mjx tune` and `landscape`, as a user and as a script meet them."""
+"""`nermo-mjx tune`, as a user and as a script meet them."""
 
 from __future__ import annotations
 
@@ -38,7 +38,6 @@ def fakes(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
         return made["problems"][-1]
 
     monkeypatch.setattr("nermo_mjx.optimize.run.WalkProblem", problem)
-    monkeypatch.setattr("nermo_mjx.optimize.landscape.WalkProblem", problem)
     monkeypatch.setattr("nermo_mjx.optimize.run.Simulator", lambda *_: made["walker"])
     monkeypatch.setattr("nermo_mjx.optimize.run.pace_here", lambda _: 100.0)
     return made
@@ -50,11 +49,11 @@ def fakes(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
 def test_tune_json_is_one_object_in_si_units(fakes: dict[str, Any], spec: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     result = json_of("tune", spec, "--out", out)
-    assert set(result) == {"out", "iterations_run", "start", "best", "plots", "video", "notes"}
+    assert set(result) == {"out", "iterations_run", "start", "best", "plots", "notes"}
     assert result["best"] == json.loads((out / "best.json").read_text())
     assert result["start"]["parameters"]["spine.phase"] == pytest.approx(2.5)
     assert result["start"]["metrics"]["speed"] == pytest.approx(float(speed(0.05, 2.5)))
-    assert (result["iterations_run"], result["plots"], result["video"], result["notes"]) == (7, [], None, [])
+    assert (result["iterations_run"], result["plots"], result["notes"]) == (7, [], [])
     again = json_of("tune", spec, "--out", out)
     assert (again["iterations_run"], again["best"]) == (0, result["best"])
     assert len(fakes["problems"]) == 1
@@ -63,10 +62,10 @@ def test_tune_json_is_one_object_in_si_units(fakes: dict[str, Any], spec: Path, 
 def test_options_stand_for_fields_of_the_file(fakes: dict[str, Any], spec: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     spec.write_text(spec.read_text().replace("plots: false", "plots: true"))
-    options = ("--iterations", "2", "--starts", "3", "--seed", "8", "--no-video")
+    options = ("--iterations", "2", "--starts", "3", "--seed", "8")
     result = json_of("tune", spec, "--out", out, *options)
     tuning = Tuning.from_file(out / "tuning.yaml")
-    assert (tuning.iterations, tuning.starts, tuning.seed, tuning.plots, tuning.video) == (2, 3, 8, True, False)
+    assert (tuning.iterations, tuning.starts, tuning.seed, tuning.plots) == (2, 3, 8, True)
     assert [Path(path).name for path in result["plots"]] == [
         f"{name}.{form}" for name in ("objective", "parameters", "gradients", "path") for form in ("png", "svg")
     ]
@@ -134,54 +133,39 @@ def test_failures_and_wrong_use_have_their_exit_codes(fakes: dict[str, Any], spe
     assert "choose other starts or bounds" in fell.stderr
 
 
-def test_what_could_not_be_made_is_a_sentence_and_no_failure(
-    fakes: dict[str, Any], spec: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    for name in ("MUJOCO_GL", "DISPLAY", "WAYLAND_DISPLAY"):
-        monkeypatch.delenv(name, raising=False)
-    monkeypatch.setattr("nermo_mjx.view.offscreen._headless_backend", lambda: None)
-    result = call("tune", spec, "--out", tmp_path / "out", "--video")
-    assert result.exit_code == 0
-    assert "There is no video. No rendering library was found" in result.stderr
-    assert "apt-get install libosmesa6" in result.stderr
-    assert "video" not in result.stdout
-    assert fakes["walker"].batches == [], "nothing walks for a video that cannot be"
-
-
-# --- landscape
-
-
-def test_landscape_prints_a_table_sentences_and_places(fakes: dict[str, Any], spec: Path, tmp_path: Path) -> None:
+@pytest.mark.usefixtures("fakes")
+def test_a_directory_of_a_removed_method_names_its_replacement(spec: Path, tmp_path: Path) -> None:
+    """A tuning by CMA-ES, which an earlier release began: one sentence each, and nothing changes."""
     out = tmp_path / "out"
-    result = call("landscape", spec, "--out", out)
+    assert call("tune", spec, "--out", out).exit_code == 0
+    stored = out / "tuning.yaml"
+    stored.write_text(stored.read_text() + "video: false\n")
+    assert call("plot", out).exit_code == 0, "of an earlier release, by gradient"
+    stored.write_text(stored.read_text() + "method: {cma: {population: 16}}\n")
+    before = stored.read_bytes(), (out / "best.json").read_bytes()
+    for command in (("tune", spec, "--out", out), ("tune", stored, "--out", out), ("plot", out)):
+        result = call(*command)
+        assert (result.exit_code, result.stdout) == (2, ""), result.stderr
+        assert "field 'method' is 'cma', which was removed: run nermo-mjx search with method: cma" in result.stderr
+        assert result.stderr.count("\n") == 1
+    result = call("status", out)
     assert result.exit_code == 0
-    assert re.search(r"^spine\.phase +0\.36 deg +0\.1 % +9 ", result.stdout, re.MULTILINE)
-    assert "spine.amplitude: exact gradients can be followed." in result.stdout
-    for name in ("landscape.json", "plots", "landscape.parquet"):
-        assert (out / name).exists()
-        assert str(out / name) in result.stdout
-    assert re.search(r"^landscape: 100%, (\d+) of \1 walks", result.stderr, re.MULTILINE)
-    kept = json_of("landscape", spec, "--out", out)
-    assert kept["evaluated"] == 0
-    assert kept["parameters"] == json.loads((out / "landscape.json").read_text())["parameters"]
-    quiet = call("landscape", spec, "--out", out, "--quiet")
-    assert (quiet.exit_code, quiet.stdout, quiet.stderr) == (0, "", "")
+    assert "run nermo-mjx search with method: cma" in result.stdout
+    assert (stored.read_bytes(), (out / "best.json").read_bytes()) == before
 
 
-@pytest.mark.parametrize("name", ["tune", "landscape"])
 def test_other_code_is_wrong_use_until_it_is_accepted(
-    fakes: dict[str, Any], spec: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+    fakes: dict[str, Any], spec: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """One sentence and exit code 2; with --accept-new-code it goes on."""
     out = tmp_path / "out"
     fakes["options"] = {"stop_at": 1}
-    assert call(name, spec, "--out", out).exit_code == 1
+    assert call("tune", spec, "--out", out).exit_code == 1
     fakes["options"] = {}
-    module = {"tune": "nermo_mjx.optimize.run", "landscape": "nermo_mjx.optimize.landscape"}[name]
     here = stamp("another model", "c")
-    monkeypatch.setattr(f"{module}.stamp", lambda *_: here)
-    refused = call(name, spec, "--out", out)
+    monkeypatch.setattr("nermo_mjx.optimize.run.stamp", lambda *_: here)
+    refused = call("tune", spec, "--out", out)
     assert (refused.exit_code, refused.stdout) == (2, "")
     assert re.search(rf"^nermo-mjx: {out} was made by other code: model \w+, not another model; ", refused.stderr, re.M)
-    assert call(name, spec, "--out", out, "--accept-new-code").exit_code == 0
+    assert call("tune", spec, "--out", out, "--accept-new-code").exit_code == 0
     assert here.id in codes_of(out)

@@ -1,4 +1,4 @@
-"""Tunings by CMA-ES and by differences: their results and their cost."""
+"""Tunings by differences: their results and their cost."""
 
 from __future__ import annotations
 
@@ -10,15 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command import call
-from fakes.tune_fake import BEST, SPEC, FakeProblem, speed
+from fakes.tune_fake import BEST, SPEC, FakeProblem
 
 from nermo_mjx.optimize import Tuning, run_tuning
 from nermo_mjx.optimize.problems import WalkProblem
 from nermo_mjx.optimize.run import tuning_forecasts
 from nermo_mjx.runs import Interrupted, codes_of
 
-PLAIN = {key: value for key, value in SPEC.items() if key not in ("optimizer", "starts")}
-CMA = PLAIN | {"method": {"cma": {"population": 8}}, "iterations": 12}
 DIFFERENCES = SPEC | {"method": "differences"}
 
 
@@ -87,36 +85,15 @@ def test_differences_tune_to_the_closed_form(tmp_path: Path) -> None:
     assert [code.engine for code in codes_of(tmp_path / "out").values()] == ["c"]
 
 
-def test_generations_tune_to_the_closed_form(tmp_path: Path) -> None:
-    """The first point is the given one; there are no gradients, and each generation is a row a point."""
-    found, tuning = problem(CMA)
-    result = run_tuning(CMA, tmp_path / "out", problem=found)
-    assert tuning.starts == 8
-    assert result.history.num_rows == 8 * 13
-    assert result.best["metrics"]["speed"] > 0.097
-    assert result.start["parameters"] == pytest.approx({"spine.amplitude": 0.05, "spine.phase": 2.5})
-    assert not any(name.startswith("gradient") for name in result.history.schema.names)
-    assert result.best["objective"] == pytest.approx(min(result.history.column("objective").to_pylist()))
-
-
-def test_falls_cost_a_generation_nothing_but_themselves(tmp_path: Path) -> None:
-    """Where the best would fall, the best that does not is found."""
-    found, _ = problem(CMA, falls_above=0.2)
-    best = run_tuning(CMA, tmp_path / "out", problem=found).best
-    assert best["parameters"]["spine.amplitude"] <= 0.2
-    assert best["metrics"]["speed"] > float(speed(0.2)) - 4e-3
-
-
 def test_each_method_says_its_cost_before(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """At a hundred simulated seconds a second: counted by hand for two starts, six iterations, runs of five seconds."""
     monkeypatch.setattr("nermo_mjx.optimize.run.pace_here", lambda _: 100.0)
     costs = {each.method: each for each in tuning_forecasts(Tuning.from_dict(DIFFERENCES))}
-    assert list(costs) == ["differences", "gradient", "cma"]
+    assert list(costs) == ["differences", "gradient"]
     assert costs["differences"].counts["evaluations"] == 2 * 7 * 5
     assert costs["differences"].simulated_seconds == pytest.approx(2 * 7 * 5 * 5.0)
     assert costs["differences"].wall_seconds == pytest.approx(3.5)
     assert costs["gradient"].simulated_seconds == pytest.approx(2 * 7 * 5 * 5.0)
-    assert costs["cma"].counts["evaluations"] == 16 * 7
     path = tmp_path / "tuning.yaml"
     path.write_text(Tuning.from_dict(DIFFERENCES).to_yaml())
     shown = call("tune", path, "--out", tmp_path / "out", "--dry-run").stdout
@@ -125,8 +102,8 @@ def test_each_method_says_its_cost_before(monkeypatch: pytest.MonkeyPatch, tmp_p
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize("spec", [CMA, DIFFERENCES], ids=["cma", "differences"])
-def test_a_stopped_tuning_ends_with_the_same_numbers(spec, tmp_path: Path) -> None:
+def test_a_stopped_tuning_ends_with_the_same_numbers(tmp_path: Path) -> None:
+    spec = DIFFERENCES
     tuning = Tuning.from_dict(spec)
     whole = run_tuning(spec, tmp_path / "a", problem=FakeProblem(tuning))
     with pytest.raises(Interrupted):

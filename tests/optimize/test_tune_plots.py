@@ -1,8 +1,7 @@
-"""Pictures of a tuning: which figures there are, that they show the history's numbers, the landscape and the video."""
+"""Pictures of a tuning: which figures there are, that they show the history's numbers, and the landscape."""
 
 import shutil
 
-import imageio.v2 as imageio
 import matplotlib
 import numpy as np
 import pyarrow.parquet as pq
@@ -18,7 +17,6 @@ from nermo_mjx.optimize.figures import MOST_STARTS, Landscape, Traces, landscape
 from nermo_mjx.optimize.methods import Tuner, initial_state
 from nermo_mjx.plotting.style import STYLE
 from nermo_mjx.robot.quantity import ParameterError
-from nermo_mjx.runs import Interrupted
 from nermo_mjx.runs.rows import part_files
 
 #: A start that walks over the bound of the circle.
@@ -115,11 +113,11 @@ def test_a_tuning_leaves_its_figures(drawn):
     """PNG and SVG of each, and no blank picture."""
     result, _ = drawn
     names = [f"{name}.{form}" for name in ("objective", "parameters", "gradients", "path") for form in ("png", "svg")]
-    assert [path.name for path in result.pictures.plots] == names
-    for path in result.pictures.plots[::2]:
+    assert [path.name for path in result.plots] == names
+    for path in result.plots[::2]:
         assert len(np.unique(imread(path)[..., 0])) > 30
     assert {path.name for path in (result.out / "plots").iterdir()} == set(names)
-    assert result.pictures.notes == ()
+    assert result.notes == ()
 
 
 def test_objective_and_metrics_of_each_start_are_drawn():
@@ -289,7 +287,7 @@ def test_where_a_walk_falls_the_landscape_is_empty():
 def test_a_landscape_that_cannot_be_walked_is_a_note(again, undrawn):
     """A corner of the bounds past the legs' workspace costs the landscape, and nothing else."""
     result = again(FakeWalker(error=ParameterError("stride is 1.5: the legs cannot reach so far.")))
-    first, note = result.pictures.notes
+    first, note = result.notes
     assert first.startswith("Start and best are not verified: stride is 1.5")
     assert note.startswith("There is no landscape behind the paths, ")
     assert note.endswith("stride is 1.5: the legs cannot reach so far.")
@@ -320,62 +318,11 @@ def test_paths_lie_on_the_landscape_and_go_on_at_the_other_side():
 
 
 def test_what_is_not_asked_for_or_not_real_is_not_made(again, undrawn):
-    """Without plots nothing is drawn and walked; a stand-in problem alone has neither landscape nor video."""
+    """Without plots nothing is drawn and walked; a stand-in problem alone has no landscape."""
     walker = FakeWalker()
     result = again(walker, {"plots": False})
-    assert (result.pictures.plots, result.pictures.video, walker.batches) == ((), None, [])
+    assert (result.plots, walker.batches) == ((), [])
     assert not (result.out / "plots").exists()
-    result = again(None, {"video": True})
-    assert (result.pictures.video, undrawn) == (None, [None])
+    result = again()
+    assert undrawn == [None]
     assert not (result.out / "results").exists()
-
-
-@pytest.mark.usefixtures("drawing")
-def test_start_and_best_walk_side_by_side(again, monkeypatch):
-    """One batch of both, at half speed; a video that is there is kept."""
-    for name, value in {"FPS": 2, "WIDTH": 96, "HEIGHT": 64, "CYCLES": 0.4}.items():
-        monkeypatch.setattr(figures, name, value)
-    change, walker = {"plots": False, "video": True}, FakeWalker()
-    result = again(walker, change)
-    assert result.pictures.video == result.out / "video.mp4"
-    assert walker.batches == [(2, True)]
-    frames = [np.asarray(frame) for frame in imageio.get_reader(result.pictures.video)]
-    assert len(frames) == 3, "0.5 s at half speed and 2 frames/s"
-    assert frames[0].shape[1] == 2 * 96 + 4
-    before = result.pictures.video.read_bytes()
-    assert again(walker, change).pictures.video.read_bytes() == before
-    assert len(walker.batches) == 1
-
-
-def test_the_video_shows_the_walk_after_its_warm_up(finished, monkeypatch, tmp_path):
-    """Captions carry parameters and metrics as figures show them; the start's are those of its first evaluation."""
-    asked = {}
-
-    def take(panes, model, path, **options):
-        asked.update(panes=panes, options=options)
-        return path
-
-    monkeypatch.setattr(figures, "render", take)
-    best = finished.best
-    figures.render_tuning(finished.tuning, finished.start, best, FakeWalker(), tmp_path / "v.mp4")
-    start, shown = asked["panes"]
-    assert (start.title, shown.title) == ("Start", f"Best, iteration {best['iteration']}, start {best['start']}")
-    assert start.recording.time[[0, -1]] == pytest.approx([1.25, 3.75]), "one cycle of warm-up and two more, at 0.8 Hz"
-    metrics, parameters = start.caption
-    assert metrics == f"speed {1e3 * float(speed(0.05, 2.5)):.3g} mm/s, roll_std 5.74 deg"
-    assert parameters == "spine.amplitude 2.86 deg, spine.phase 143 deg"
-    assert f"speed {1e3 * best['metrics']['speed']:.3g} mm/s" in shown.caption[0]
-    assert asked["options"]["speed"] == 0.5
-    fallen = finished.start | {"metrics": {"speed": np.nan, "roll_std": np.nan}}
-    figures.render_tuning(finished.tuning, fallen, best, FakeWalker(), tmp_path / "v.mp4")
-    assert asked["panes"][0].caption[0] == "speed – mm/s, roll_std – deg"
-
-
-def test_an_old_video_does_not_outlive_its_best(finished, tmp_path):
-    """A resumed tuning moves it aside first: if stopped, the directory does not show a video of another point."""
-    shutil.copytree(finished.out, tmp_path / "out")
-    (tmp_path / "out" / "video.mp4").write_text("of iteration 6")
-    with pytest.raises(Interrupted):
-        tune(tmp_path / "out", {"plots": False, "iterations": 8}, stop_at=0)
-    assert not (tmp_path / "out" / "video.mp4").exists()
-    assert (tmp_path / "out" / "video.mp4.aside-1").read_text() == "of iteration 6"

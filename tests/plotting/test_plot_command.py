@@ -21,7 +21,7 @@ from nermo_mjx.cli.directories import KINDS, RECORDING, Kind
 from nermo_mjx.experiments.plots import figures_of_experiment
 from nermo_mjx.experiments.published import published_lines
 from nermo_mjx.experiments.run import Directory
-from nermo_mjx.optimize import Tuning, run_landscape, run_tuning
+from nermo_mjx.optimize import Tuning, run_tuning
 from nermo_mjx.plotting.files import write_figures
 from nermo_mjx.runs import RunDirectory, Written
 from nermo_mjx.runs.directory import hold
@@ -132,8 +132,8 @@ def test_what_has_no_figures_says_why(sweep: Path, tmp_path: Path) -> None:
     result = plot(tmp_path / "empty")
     assert result.exit_code == 2
     assert (
-        "is not a results directory: it contains neither a sweep, a search, a tuning, a training, a landscape, "
-        "published experiments, an identification, an identification from a log, a comparison nor a sensitivity "
+        "is not a results directory: it contains neither a sweep, a search, a tuning, a training, published "
+        "experiments, an identification, an identification from a log, a comparison nor a sensitivity "
         "analysis." in result.stderr
     )
     shutil.rmtree(sweep / "results")
@@ -196,15 +196,3 @@ def test_a_directory_of_experiments_is_drawn_again(tmp_path: Path) -> None:
     result = plot(out)
     assert result.exit_code == 1
     assert "holds no experiment whose table and recordings can be read" in result.stderr
-
-
-def test_a_landscapes_figures_are_remade(tmp_path: Path) -> None:
-    tuning = Tuning.from_dict(TUNE_SPEC)
-    run_landscape(tuning, tmp_path / "there", problem=FakeProblem(tuning))
-    made = content(tmp_path / "there" / "plots")
-    result = plot(tmp_path / "there", "--out", tmp_path / "again")
-    assert result.exit_code == 0, result.stderr
-    assert content(tmp_path / "again") == made
-    assert set(made) == {f"line-{name}.{form}" for name in tuning.names for form in ("png", "svg")}
-    (tmp_path / "there" / "landscape.parquet").unlink()
-    assert "landscape.parquet is missing" in plot(tmp_path / "there").stderr

@@ -11,19 +11,17 @@ import os
 import signal
 import subprocess
 import sys
-import types
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pyarrow as pa
 import pytest
 
 from nermo_mjx.files import TEMPORARY
 
 #: Changes of a directory before which its process is killed.
-BEFORE = (1, 2, 3, 5, 8, 12, 17)
+BEFORE = (1, 2, 3, 4, 5, 6, 8, 12, 17)
 #: Columns that are never twice the same.
 CLOCK = "wall_seconds"
 
@@ -52,27 +50,14 @@ def jobs() -> dict[str, Callable[[Path], pa.Table]]:
     from fakes.tune_fake import SPEC as TUNE
     from fakes.tune_fake import FakeProblem
 
-    from nermo_mjx.experiments import identification, plots
+    from nermo_mjx.experiments import plots
     from nermo_mjx.experiments.run import EXPERIMENTS, run_experiments
-    from nermo_mjx.optimize import Tuning, read_history, run_landscape, run_search, run_tuning
-    from nermo_mjx.sweep import merge_sweeps, read_table, run_sweep, simulating
+    from nermo_mjx.optimize import Tuning, read_history, run_search, run_tuning
+    from nermo_mjx.sweep import merge_sweeps, read_table, run_sweep
 
     name = next(iter(EXPERIMENTS))
     EXPERIMENTS[name] = Fake(name).experiment()
     plots.figures_of_experiment = lambda outcome, lines: []  # type: ignore[assignment, return-value]
-
-    class Walker:
-        """Speeds of all walks of a candidate, by its gain."""
-
-        def __init__(self, setup: Any, engine: str) -> None:
-            self.setup = setup
-
-        def run(self, values: dict[str, np.ndarray], run: Any, **_: Any) -> Any:
-            gain = np.asarray(values["servo.kp"])
-            speed = np.resize(0.05 + 0.01 * np.arange(len(identification.CASES)), len(gain)) * (1 + 0.01 * gain)
-            return types.SimpleNamespace(metrics={"speed": speed}, status=np.full(len(speed), "ok"), steps=1)
-
-    simulating.Simulator = Walker  # type: ignore[misc, assignment]
 
     def sweep(out: Path) -> pa.Table:
         run_sweep(SPEC, out, chunk=4, simulator=FakeSimulator())
@@ -93,27 +78,16 @@ def jobs() -> dict[str, Callable[[Path], pa.Table]]:
         run_tuning(wanted, out, problem=FakeProblem(wanted))
         return read_history(out).drop([CLOCK])
 
-    def landscape(out: Path) -> pa.Table:
-        wanted = Tuning.from_dict(TUNE)
-        return run_landscape(wanted, out, problem=FakeProblem(wanted)).table
-
     def experiments(out: Path) -> pa.Table:
         outcome = run_experiments([name], out, engine="c", video=False).results[0].outcome
         return pa.table({key: pa.array(column.tolist()) for key, column in outcome.columns.items()})
-
-    def identified(out: Path) -> pa.Table:
-        settings: dict[str, Any] = {"samples": 16, "generations": 1, "engine": "c"}
-        found, content = identification.run_identification(out, **settings)
-        return pa.table({"costs": found.costs, "best": [json.dumps(content["parameters"])] * len(found.costs)})
 
     return {
         "sweep": sweep,
         "merge": merge,
         "search": search,
         "tuning": tuning,
-        "landscape": landscape,
         "experiments": experiments,
-        "identification": identified,
     }
 
 

@@ -16,13 +16,12 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from click.testing import CliRunner
-from fakes.ray_fake import IDENTIFY, STARTS
+from fakes.ray_fake import STARTS
 from fakes.sweep_fake import SPEC, FakeSimulator
 from fakes.tune_fake import SPEC as TUNING
 from fakes.tune_fake import FakeProblem
 
 from nermo_mjx.cli import main
-from nermo_mjx.experiments.identification import run_identification
 from nermo_mjx.experiments.run import run_experiments
 from nermo_mjx.optimize import Tuning, run_tuning
 from nermo_mjx.runs.ray_workers import RayWorkers
@@ -135,8 +134,8 @@ def test_the_command_makes_the_table_of_one_process_on_ray(tmp_path, nodes, simu
 
 
 @pytest.mark.long
-def test_experiments_and_an_identification_on_a_cluster_are_those_of_one_process(tmp_path, monkeypatch):
-    """Real walks in MuJoCo C, bit for bit: tables of experiments and bodies, candidates' objectives, the ensemble."""
+def test_experiments_on_a_cluster_are_those_of_one_process(tmp_path, monkeypatch):
+    """Real walks in MuJoCo C, bit for bit: tables of experiments and bodies."""
     monkeypatch.setattr("nermo_mjx.experiments.run.AT_ONCE", 1)  # as there; the seed follows a batch's first body
     ended = told(started("real", tmp_path))
     names = ["balance", "body"]
@@ -148,10 +147,6 @@ def test_experiments_and_an_identification_on_a_cluster_are_those_of_one_process
         assert theirs.column_names == ours.column_names
         for column in ours.column_names:
             np.testing.assert_array_equal(theirs[column], ours[column], strict=True, err_msg=f"{name} {column}")
-    ours, _ = run_identification(tmp_path / "alone", **IDENTIFY)
-    assert ended["identified"] == ours.costs.tolist()
-    theirs, alone = (tmp_path / out / "ensemble.csv" for out in ("identification", "alone"))
-    assert theirs.read_bytes() == alone.read_bytes()
 
 
 def test_tasks_and_nodes_that_fail_are_named(tmp_path):
@@ -195,12 +190,12 @@ def test_real_walks_are_the_same_while_nodes_and_the_driver_are_killed(tmp_path)
     assert found["nodes_killed"] >= 1
 
 
-@pytest.mark.parametrize("what", ["sweep", "tune", "experiment", "identify"])
+@pytest.mark.parametrize("what", ["sweep", "tune", "experiment"])
 def test_an_address_without_ray_is_wrong_use(tmp_path, what):
     """One sentence, and no directory."""
     spec = tmp_path / "spec.yaml"
     spec.write_text(json.dumps(TUNING if what == "tune" else WALKS))
-    subject = {"experiment": ["body"], "identify": []}.get(what, [str(spec)])
+    subject = {"experiment": ["body"]}.get(what, [str(spec)])
     result = CliRunner().invoke(main, [what, *subject, "--out", str(tmp_path / "out"), "--ray-address", "auto"])
     assert result.exit_code == 2
     assert "--ray-address is given without --workers ray" in result.stderr

@@ -84,9 +84,8 @@ GOOD = [
     ("sweep", "pilot: {straight: }"),
     ("sweep", "sample: grid\nchunk: 16\nplots: false\nspine: stride_extension+balance\nseed: 3"),
     ("sweep", "sample: {sobol: 64}\nrandomize: {repeats: 2, from: identified, mass.front: {normal: [0.16, 0.01]}}"),
-    ("tune", "optimizer: sgd\nmethod: {differences: {scheme: forward}}\nvideo: true"),
+    ("tune", "optimizer: sgd\nmethod: {differences: {scheme: forward}}"),
     ("tune", "optimizer: {name: adam, learning_rate: {cosine: {init_value: 0.1, decay_steps: 20}}, b1: 0.8}"),
-    ("landscape", "run: {duration: 3, warmup: 1}\nset: {contact.friction: 1.2}"),
 ]
 
 
@@ -171,10 +170,6 @@ def test_every_parameter_is_offered_with_meaning_unit_default_and_range(schemas)
         assert section["additionalProperties"] is False
 
 
-def test_the_landscape_reads_a_tuning_file(schemas):
-    assert schemas["landscape"] == schemas["tune"]
-
-
 def test_the_command_writes_a_file(tmp_path):
     """It prints only its name then, and with --quiet nothing; its folder is made."""
     out = tmp_path / "new" / "sweep.schema.json"
@@ -190,7 +185,7 @@ def test_the_command_writes_a_file(tmp_path):
 def test_an_unknown_kind_is_wrong_use():
     ran = call("schema", "sweeps")
     assert ran.exit_code == 2
-    assert "'sweep', 'search', 'tune', 'landscape', 'train', 'servos'" in ran.output
+    assert "'sweep', 'search', 'tune', 'train', 'servos'" in ran.output
 
 
 ODD = [None, True, 0, -1, 2.5, float("nan"), float("inf"), 10**400, "", "x", [], [1], ["a"], [[1, 2]], [{}], {}]
@@ -208,7 +203,7 @@ def test_no_odd_value_leads_to_anything_but_a_sentence():
     from nermo_mjx.learn import PPO, Modulation, Residual, Task
     from nermo_mjx.learn.spec import EvaluationSpec, TrainingFile
     from nermo_mjx.optimize.objective import ObjectiveTerm
-    from nermo_mjx.optimize.spec import CmaMe, Differences, Generations, Limit, SearchFile, Tuned, TuningFile
+    from nermo_mjx.optimize.spec import CmaMe, Differences, Limit, SearchFile, Tuned, TuningFile
     from nermo_mjx.specs.fields import read
     from nermo_mjx.specs.reading import SpecError, read_mapping
 
@@ -228,7 +223,6 @@ def test_no_odd_value_leads_to_anything_but_a_sentence():
         Modulation: (TrainingFile, lambda given: {"task": {"action": {"modulation": given}}}),
         ObjectiveTerm: (TuningFile, lambda given: {"objective": [given]}),
         Tuned: (TuningFile, lambda given: {"tune": {"duty": given}}),
-        Generations: (TuningFile, lambda given: {"method": {"cma": given}}),
         Differences: (TuningFile, lambda given: {"method": {"differences": given}}),
         Limit: (SearchFile, lambda given: {"subject_to": {"speed": given}}),
         CmaMe: (SearchFile, lambda given: {"method": {"cma_me": given}}),
