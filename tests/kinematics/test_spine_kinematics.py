@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from nermo_mjx.kinematics import spine
 from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.parameters import SPINE
+from nermo_mjx.robot.quantity import replace_quantities
 
 #: The published robot.
 ROBOT = Geometry()
@@ -24,10 +25,16 @@ joint_angle, servo_angle = jax.jit(spine.joint_angle), jax.jit(spine.servo_angle
 displaced = jax.jit(lambda displacement: spine.angle_for_displacement(displacement, ROBOT))
 
 
-def mujoco_chain() -> mujoco.MjModel:
-    """Table 5.3 as nested MuJoCo frames, one hinge a row; every body stands for one modified DH link."""
+def mujoco_chain(longer: float = 0.0) -> mujoco.MjModel:
+    """Table 5.3 as nested MuJoCo frames, one hinge a row; every body stands for one modified DH link.
+
+    Args:
+        longer: Difference of a segment's length from the published length [m]. Rows 3 to 8 lie between the first
+            lateral joint and the last, two rows a segment.
+    """
     head, tail = "", ""
     for row, (alpha, a, theta, d) in enumerate(SPINE.dh):
+        a = a + longer / 2 if 3 <= row <= 8 else a
         head += f'<body name="{row}" pos="{a} 0 {d}" euler="{alpha} 0 {theta}"><joint axis="0 0 1"/><geom size=".001"/>'
         tail += "</body>"
     return mujoco.MjModel.from_xml_string(
@@ -36,14 +43,15 @@ def mujoco_chain() -> mujoco.MjModel:
 
 
 def test_the_chain_is_where_mujoco_puts_it():
-    """Lateral angles of -theta_v and any vertical angles give the position and rotation of MuJoCo's frames."""
-    model = mujoco_chain()
-    data = mujoco.MjData(model)
+    """Lateral angles of -theta_v, any vertical angles and any length of a segment give the pose of MuJoCo's frames."""
     rng = np.random.default_rng(0)
     theta, vertical = rng.uniform(-0.4, 0.4, 20), rng.uniform(-0.3, 0.3, (20, 4))
+    lengths = np.repeat([0.014, 0.010, 0.022], [10, 5, 5])
     with jax.enable_x64(True):
-        ours = np.asarray(transform(theta, ROBOT, vertical))
+        ours = np.asarray(transform(theta, replace_quantities(ROBOT, {"spine.segment": lengths}), vertical))
     for i in range(20):
+        model = mujoco_chain(lengths[i] - 0.014)
+        data = mujoco.MjData(model)
         data.qpos[list(SPINE.lateral_joints)] = -theta[i]
         data.qpos[list(SPINE.vertical_joints)] = vertical[i]
         mujoco.mj_forward(model, data)
@@ -62,10 +70,11 @@ def test_neutral_spine_end_is_the_published_one():
 
 @pytest.mark.parametrize("theta_v", [0.0, 0.1, -0.07])
 def test_a_constant_angle_gives_what_the_same_angle_in_an_array_gives(theta_v):
-    """The one is computed before tracing, the other in the program."""
+    """The one is computed before tracing, the other in the program; also for another length of a segment."""
+    robot = replace_quantities(ROBOT, {"spine.segment": np.array([0.014, 0.017])})
     with jax.enable_x64(True):
-        expected = np.asarray(spine.transform(jnp.asarray(theta_v), ROBOT))
-        ours = spine.transform(theta_v, ROBOT)
+        expected = np.asarray(transform(np.full(2, theta_v), robot))
+        ours = spine.transform(theta_v, robot)
         assert ours.dtype == expected.dtype
         np.testing.assert_allclose(ours, expected, atol=1e-15)
 

@@ -19,7 +19,7 @@ from nermo_mjx.physics.variation import compile_model
 from nermo_mjx.robot import LIMBS, SERVOS, ModelParameters, ParameterError, Robot, RobotConfig, assemble, load_robot
 from nermo_mjx.robot.equipment import TRUNK, servo_joint
 from nermo_mjx.robot.geometry import Geometry
-from nermo_mjx.robot.masses import PARTS, ROBOT_MASSES, TORSO, part_of, physical_model
+from nermo_mjx.robot.masses import PARTS, ROBOT_MASSES, TORSO, RigidPart, part_of, physical_model
 from nermo_mjx.robot.parameters import BODY, FRONT_LEG, REAR_LEG, ROUTINGS, LegGeometry
 from nermo_mjx.robot.quantity import quantities, replace_quantities
 
@@ -113,15 +113,27 @@ def test_total_mass_and_its_shares_are_the_stated_ones(tail):
     assert robot.mass_model.rear_mass == pytest.approx(total - front)
 
 
+def box_inertia(part: RigidPart) -> np.ndarray:
+    """Inertia tensor (3, 3) of a uniform box about its centre, along its edges, m/12 (dy^2 + dz^2) and so on."""
+    dx, dy, dz = 2.0 * np.array(part.half_size)
+    return part.mass / 12.0 * np.diag([dy**2 + dz**2, dx**2 + dz**2, dx**2 + dy**2])
+
+
 def test_compiled_masses_are_those_of_the_parts():
-    """Every moving body has the mass, centre of mass and inertia of its part; every part is used."""
+    """Every moving body has the mass, centre of mass and inertia of its part; every part is used.
+
+    The inertia is compared as a tensor in the frame of the part, so that exchanged axes are found.
+    """
     model = load_robot(tail="articulated").model
     data, seen = at_rest(model), set()
     for name in (model.body(i).name for i in range(1, model.nbody)):
         part, compiled = part_of(name), model.body(name)
         seen.add(next(key for key, value in PARTS.items() if value is part))
         assert compiled.mass[0] == pytest.approx(part.mass, rel=1e-12), name
-        np.testing.assert_allclose(np.sort(compiled.inertia), np.sort(part.inertia), rtol=1e-9, err_msg=name)
+        frame = data.body(name).xmat if part.site is None else data.site("spine_end").xmat
+        axes = frame.reshape(3, 3).T @ data.body(name).ximat.reshape(3, 3)
+        tensor = axes @ np.diag(compiled.inertia) @ axes.T
+        np.testing.assert_allclose(tensor, box_inertia(part), rtol=0, atol=1e-9 * np.trace(tensor), err_msg=name)
         if part.site is None:
             np.testing.assert_allclose(compiled.ipos, part.com, atol=1e-12, err_msg=name)
     front_pulley = {name for name in PARTS if PARTS[name] is PARTS["front_pulley"]}

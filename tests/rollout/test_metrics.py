@@ -20,6 +20,8 @@ from nermo_mjx.rollout import METRICS, electrical, metrics
 from nermo_mjx.rollout.setup import Window
 
 STEPS, DT, RATE, MASS, SERVOS = 5, 0.01, 1.0, 0.27, 10
+#: Index of the neck's servo.
+NECK = 9
 #: Of the IMU over the mat [m].
 HEIGHT = 0.063
 
@@ -66,21 +68,26 @@ def every_step(values: np.ndarray) -> np.ndarray:
 
 
 def _run(on_line: bool) -> Any:
-    """Metrics and the accumulators' history, of a window, readings and the gait's frequency."""
+    """Metrics and the accumulators' history, of a window, readings, the gait's frequency and the servos' back-EMF."""
 
-    def run(window, readings, rate):
+    def run(window, readings, rate, back_emf=0.0):
+        servo = dataclasses.replace(ModelParameters().servo, back_emf=back_emf)
+
         def tick(state, now):
             time, sensors = now
             beside = straight(Pilot(), sensors.position[-1]) if on_line else None
             # A trot on the spot: each diagonal pair is commanded to stand for half a cycle.
             stance = jnp.sin(2 * jnp.pi * RATE * time) * jnp.array([1.0, -1.0, -1.0, 1.0]) >= 0.0
-            state = metrics.update(window, state, sensors, time, DT, rate, beside, stance)
+            state = metrics.update(
+                window, state, sensors, time, DT, rate, beside, stance, brake=servo.brake, servo=servo
+            )
             return state, state
 
         # As in the loop: the first reading is that at rest, at time 0, and belongs to no tick.
         start = metrics.init(jax.tree.map(lambda leaf: leaf[0, -1], readings))
         state, history = jax.lax.scan(tick, start, (DT * np.arange(len(readings.position)), readings))
-        return metrics.result(state, jnp.asarray(MASS)), history
+        supply = electrical.Supply(servo, ModelParameters().battery, ModelParameters().damping)
+        return metrics.result(state, jnp.asarray(MASS), supply=supply), history
 
     return run
 
@@ -91,14 +98,14 @@ def _program(on_line: bool) -> Any:
 
 
 def measure(
-    readings: Sensors, rate: float = RATE, on_line: bool = False, **window: float
+    readings: Sensors, rate: float = RATE, on_line: bool = False, back_emf: float = 0.0, **window: float
 ) -> tuple[dict[str, float], Any]:
     """Metrics of a stream, and the accumulators after every tick; the first tick of a stream is the state at rest.
 
     `on_line`: beside the straight pilot's line, instead of without a path.
     """
     with jax.enable_x64(True):
-        result, history = _program(on_line)(limits(**window), readings, np.float64(rate))
+        result, history = _program(on_line)(limits(**window), readings, np.float64(rate), np.float64(back_emf))
         return {name: float(value) for name, value in result.items()}, jax.tree.map(np.asarray, history)
 
 
@@ -280,14 +287,20 @@ def test_power_is_what_heats_the_windings_and_what_drives():
     assert result["electrical_cost_of_transport"] == pytest.approx(4.0 * power / (MASS * 9.81 * 0.2))
 
 
-def test_the_back_emf_takes_torque_and_current():
-    """At half the no-load speed and full voltage half the stall torque is left, and half the stall current flows."""
-    servo = dataclasses.replace(ModelParameters().servo, back_emf=0.4)
-    full, half = np.full((STEPS, 1), 0.157), np.full((STEPS, 1), 0.5 * 6.0 / 0.4)
-    supply = electrical.Supply(servo, ModelParameters().battery, ModelParameters().damping)
-    for speed, current in ((half, 0.008 + 0.5 * (0.8 - 0.008)), (3.0 * half, 0.008)):  # and above its no-load speed
-        drawn = electrical.power_sums(full - servo.brake * speed, speed, servo)
-        assert electrical.electrical_result(drawn, 1.0, supply)["servo_current"] == pytest.approx(current)
+@pytest.mark.parametrize(
+    ("share", "left", "drawn"),
+    [(0.5, 0.5, 0.5), (1.5, -0.5, 0.0)],
+    ids=["half the no-load speed", "above the no-load speed"],
+)
+def test_the_back_emf_takes_torque_and_current(share, left, drawn):
+    """At half the no-load speed and full voltage, half the stall torque is left, and half the stall current flows."""
+    torque, speed = np.zeros(SERVOS), np.zeros(SERVOS)
+    torque[3], speed[3] = 0.157, share * 6.0 / 0.4
+    result, _ = measure(stream(401, servo_torque=torque, servo_velocity=speed), back_emf=0.4)
+    idle, rise = SERVOS * 0.008, 0.8 - 0.008
+    assert result["servo_work"] == pytest.approx(max(left, 0.0) * 0.157 * speed[3] * 4.0)
+    assert result["motor_current"] == pytest.approx(idle + abs(left) * rise)
+    assert result["servo_current"] == pytest.approx(idle + drawn * rise)
 
 
 @pytest.mark.parametrize("limit", [0.01, 0.157, 2.0])
@@ -344,6 +357,18 @@ def test_slip_is_the_speed_of_loaded_feet():
     assert [result[f"slip_{limb}"] for limb in LIMBS[:2]] == pytest.approx([0.05, 0.1])
     assert np.isnan([result[f"slip_{limb}"] for limb in LIMBS[2:]]).all()
     assert (result["loaded_front"], result["loaded_rear"]) == pytest.approx((0.7, 0.0))
+
+
+@pytest.mark.parametrize(("neck", "rates"), [(0.0, (0.3, 5.0, 0.4)), (np.pi / 2, (5.0, 0.3, 0.4))])
+def test_a_roll_of_the_head_moves_no_picture(neck, rates):
+    """Pitch and yaw rates of 0.3 and 0.4 rad/s move the image by 0.5 rad/s, whatever the rate about the line of sight.
+
+    A head that is turned to the left looks along the torso's x, so that the torso's roll is the head's pitch.
+    """
+    angle = np.zeros(SERVOS)
+    angle[NECK] = neck
+    result, _ = measure(stream(51, gyro=np.array(rates), servo_angle=angle))
+    assert result["picture_motion"] == pytest.approx(0.5, rel=1e-6)
 
 
 def test_loads_are_shared_by_feet_and_tail():
@@ -643,7 +668,8 @@ def test_derivatives_are_those_of_finite_differences(seed, whole_ticks, on_line)
         at, towards = jax.tree.map(np.float64, (at, towards))
 
         def metrics_at(step: float) -> dict[str, Any]:
-            return _program(on_line)(*jax.tree.map(lambda here, way: here + step * way, at, towards))[0]
+            values = jax.tree.map(lambda here, way: here + step * way, at, towards)
+            return _program(on_line)(*values, np.float64(0.0))[0]
 
         step = 2e-7
         here, after, later = (jax.tree.map(float, metrics_at(step * i)) for i in range(3))

@@ -194,11 +194,26 @@ def test_a_kink_within_the_width_is_told() -> None:
 
 
 def test_the_spread_of_two_widths_is_small_away_from_kinks(walk: Rollout) -> None:
+    """Beside the kink at 0.8 Hz, which the wider differences contain and the narrower do not, it is not small."""
     spread = walk.gradient_spread({"frequency": 0.8, "spine.amplitude": 0.2, "spine.phase": -0.5}, NAMES)
     assert spread["speed"].shape == (2,)
     assert (spread["speed"] < 1e-3).all()
-    at_kink = Rollout(run=Run(cycles=0.4, warmup_cycles=0.0), engine="c")
-    assert np.isfinite(at_kink.gradient_spread({"frequency": 0.8}, ["frequency"])["speed"]).all()
+    kinked = Rollout(run=Run(cycles=0.4, warmup_cycles=0.0), engine="c")
+    assert kinked.gradient_spread({"frequency": 0.8 * (1.0 + 0.2 * WIDTH)}, ["frequency"])["speed"] > 0.03
+
+
+def test_a_kink_between_the_two_widths_has_the_spread_of_its_slopes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The wider differences of |x| at half a width are a half, the narrower are 1; of 3 x both are 3."""
+    rollout = Rollout(Setup(), SHORT, "c")
+
+    def slopes(values: dict[str, float], names: tuple[str, ...], width: float) -> dict[str, np.ndarray]:
+        x = values["x"]
+        return {"kinked": np.array([abs(x + width) - abs(x - width)]) / (2 * width), "straight": np.array([3.0])}
+
+    monkeypatch.setattr(rollout, "slopes", slopes)
+    spread = rollout.gradient_spread({"x": 0.5 * WIDTH}, ["x"])
+    assert spread["kinked"] == pytest.approx([0.5])
+    assert spread["straight"] == [0.0]
 
 
 @pytest.mark.parametrize(
