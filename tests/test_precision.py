@@ -11,8 +11,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from nermo_mjx.dynamics import differentiable
-from nermo_mjx.dynamics.mjx_import import mjx
+from nermo_mjx.dynamics import differentiable, make_data, put_model
 from nermo_mjx.physics.lanes import Lanes
 from nermo_mjx.rollout import Run, Setup, metrics
 
@@ -49,8 +48,8 @@ def test_a_program_of_jax_alone_asks_for_less() -> None:
 
 @pytest.fixture(scope="module")
 def stick() -> tuple[Any, Any]:
-    model = mjx.put_model(mujoco.MjModel.from_xml_string(STICK))
-    return model, mjx.make_data(model)
+    model = put_model(mujoco.MjModel.from_xml_string(STICK))
+    return model, make_data(model)
 
 
 def test_a_step_of_physics_and_its_derivatives_have_it(stick: tuple[Any, Any]) -> None:

@@ -15,6 +15,7 @@ from jaxtyping import Float
 
 from nermo_mjx.dynamics import differentiable
 from nermo_mjx.dynamics.integration import positions
+from nermo_mjx.dynamics.mjx_copy import make_data, put_model
 from nermo_mjx.dynamics.mjx_import import mjx
 from nermo_mjx.shapes import Array, Scalar
 
@@ -171,8 +172,8 @@ def trial(
         step: the step function.
     """
     start = mujoco.MjData(model) if data is None else data
-    device = mjx.put_model(model)
-    blank = mjx.make_data(device)
+    device = put_model(model)
+    blank = make_data(device)
     if model.nmocap:
         blank = blank.replace(mocap_pos=jnp.asarray(start.mocap_pos), mocap_quat=jnp.asarray(start.mocap_quat))
     state = [jnp.asarray(each, float) for each in (start.qpos, start.qvel, start.act, start.ctrl)]

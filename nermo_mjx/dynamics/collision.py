@@ -16,11 +16,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 from mujoco import mjMINVAL
-from mujoco.mjx._src import math
-from mujoco.mjx._src.collision_types import GeomInfo
-from mujoco.mjx._src.types import GeomType
 
 from nermo_mjx.dynamics import spatial
+from nermo_mjx.dynamics.mjx_import import GeomInfo, math, mjx
 from nermo_mjx.shapes import Array, Scalar
 
 Vector = Float[Array, " 3"]
@@ -283,7 +281,7 @@ def closest_on_segment(start: Vector, end: Vector, point: Vector) -> Vector:
 
 #: Pairs of kinds of geoms whose contacts are those of this module.
 OURS: Final = {
-    (getattr(GeomType, one), getattr(GeomType, other)): function
+    (mjx.GeomType[one], mjx.GeomType[other]): function
     for one, other, function in (
         ("PLANE", "CAPSULE", plane_capsule),
         ("PLANE", "BOX", plane_box),

@@ -9,7 +9,7 @@ Where positions vary, MJX's kinematics gives them (`PlaceConstants`).
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -144,9 +144,9 @@ class PlaceConstants:
     """Maps a model's fields of positions and masses to the constants."""
 
     def __init__(self, model: mujoco.MjModel) -> None:
-        from nermo_mjx.dynamics.mjx_import import mjx  # importing MJX takes a second
+        from nermo_mjx.dynamics.mjx_copy import put_model  # importing MJX takes a second
 
-        self._model = mjx.put_model(model)
+        self._model = put_model(model)
         self._constants = Constants(model)
 
     def __call__(self, fields: Mapping[str, Float[Array, ...]]) -> dict[str, Float[Array, ...]]:
@@ -156,16 +156,14 @@ class PlaceConstants:
             fields: those of bodies, sites and geoms that differ from the model's.
         """
         from nermo_mjx.dynamics import rows, tree
-        from nermo_mjx.dynamics.jacobians import point_jacobian, with_point_jacobians
-        from nermo_mjx.dynamics.mjx_import import mjx
-
-        @with_point_jacobians
-        def placed(model: Any, data: Any) -> Any:
-            return mjx.transmission(model, mjx.tendon(model, tree.com_pos(model, tree.kinematics(model, data))))
+        from nermo_mjx.dynamics.jacobians import point_jacobian
+        from nermo_mjx.dynamics.mjx_copy import adapted, make_data
 
         model = self._model.tree_replace({name: each for name, each in fields.items() if name.startswith(_PLACES)})
-        data = mjx.make_data(self._model)
-        data = placed(model, data.replace(qpos=jnp.asarray(self._model.qpos0, data.qpos.dtype)))
+        data = make_data(self._model)
+        data = data.replace(qpos=jnp.asarray(self._model.qpos0, data.qpos.dtype))
+        data = tree.com_pos(model, tree.kinematics(model, data))
+        data = adapted.smooth.transmission(model, adapted.smooth.tendon(model, data))
         bodies = np.arange(model.nbody)
         linear, angular = jax.vmap(lambda point, body: point_jacobian(model, data, point, body))(data.xipos, bodies)
         linear, angular = jnp.swapaxes(linear, 1, 2), jnp.swapaxes(angular, 1, 2)

@@ -60,7 +60,7 @@ def not_simulated(model: mujoco.MjModel) -> list[str]:
     >>> not_simulated(model)
     ["actuator 'a' has a delay, and MJX keeps no history: set delay to 0."]
 
-    `step` and `forward` refuse such a model with the first sentence; so does `mjx.put_model` if it is one of `refused`.
+    `step` and `forward` refuse such a model with the first sentence; so does `put_model` if it is one of `refused`.
 
     Args:
         model: compiled by MuJoCo.

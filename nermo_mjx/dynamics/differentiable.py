@@ -26,10 +26,9 @@ from jax.ad_checkpoint import checkpoint_name
 from nermo_mjx.dynamics import constraint, impedance, rows, solver, tree
 from nermo_mjx.dynamics.checkpointing import KEPT
 from nermo_mjx.dynamics.forces import actuation, passive
-from nermo_mjx.dynamics.impedance import make_constraint
 from nermo_mjx.dynamics.integration import INTEGRATORS, integrate
-from nermo_mjx.dynamics.jacobians import with_point_jacobians
-from nermo_mjx.dynamics.mjx_import import Model, Solved, collision_driver, mjx
+from nermo_mjx.dynamics.mjx_copy import adapted
+from nermo_mjx.dynamics.mjx_import import Model, Solved, mjx
 from nermo_mjx.dynamics.own_derivative import own_derivative
 from nermo_mjx.dynamics.precision import full_precision
 from nermo_mjx.dynamics.preparing import is_zero, prepared
@@ -58,10 +57,10 @@ def step_with_verdict(model: mjx.Model, data: mjx.Data) -> tuple[mjx.Data, Verdi
     """As `step`, and how well its constraint problem was solved.
 
     >>> import mujoco
-    >>> from mujoco import mjx
-    >>> model = mjx.put_model(mujoco.MjModel.from_xml_string('''<mujoco><worldbody><body><joint range="-1 1"/>
+    >>> from nermo_mjx.dynamics import make_data, put_model
+    >>> model = put_model(mujoco.MjModel.from_xml_string('''<mujoco><worldbody><body><joint range="-1 1"/>
     ... <geom size=".1" pos="1 0 0"/></body></worldbody></mujoco>'''))
-    >>> after, verdict = step_with_verdict(model, mjx.make_data(model))
+    >>> after, verdict = step_with_verdict(model, make_data(model))
     >>> bool(verdict.converged), int(verdict.rounds)
     (True, 1)
 
@@ -84,11 +83,11 @@ def step(model: mjx.Model, data: mjx.Data) -> mjx.Data:
     """Advance the simulation by one time step, as `mjx.step`, with its derivatives in both modes.
 
     >>> import mujoco, jax
-    >>> from mujoco import mjx
+    >>> from nermo_mjx.dynamics import make_data, put_model
     >>> ball = mujoco.MjModel.from_xml_string('''<mujoco><worldbody><geom type="plane" size="1 1 .1"/>
     ... <body pos="0 0 .0999"><freejoint/><geom size=".1"/></body></worldbody></mujoco>''')
-    >>> model = mjx.put_model(ball)
-    >>> data = mjx.make_data(model)
+    >>> model = put_model(ball)
+    >>> data = make_data(model)
     >>> def speed(friction):
     ...     rough = model.replace(geom_friction=model.geom_friction.at[:, 0].set(friction))
     ...     return step(rough, data.replace(qvel=data.qvel.at[0].set(1.0))).qvel[0]
@@ -101,11 +100,12 @@ def step(model: mjx.Model, data: mjx.Data) -> mjx.Data:
     are ignored; `step_with_verdict` says how it converged.
 
     Args:
-        model: MJX model of `impl="jax"`, with any solver, integrator, cone and constraint that `mjx.put_model` takes.
-        data: of one world; use `jax.vmap` for a batch.
+        model: Result of `put_model`, with any solver, integrator, cone and constraint that MJX supports.
+        data: Result of `make_data` or `put_data` for this model, of one world; use `jax.vmap` for a batch.
 
     Raises:
-        ValueError: a model or data of another kind, an integrator that MJX lacks, a model without joints, a batch.
+        ValueError: a model of `mjx.put_model`, data with another number of contacts or of another kind, an integrator
+            that MJX lacks, a model without joints, a batch.
     """
     return step_with_verdict(model, data)[0]
 
@@ -139,19 +139,29 @@ def _forward(model: Model, data: mjx.Data) -> Solved:
 # there are none; for this robot that is a third of the operations. XLA cannot know that a product with zero is zero.
 
 
-@with_point_jacobians
 def position(model: Model, data: mjx.Data) -> mjx.Data:
     """As `mjx.fwd_position`, with constraint rows whose derivatives are finite (see `impedance`)."""
-    data = mjx.camlight(model, tree.com_pos(model, tree.kinematics(model, data)))
-    data = tree.crb(model, mjx.tendon(model, data))
+    data = adapted.smooth.camlight(model, tree.com_pos(model, tree.kinematics(model, data)))
+    data = tree.crb(model, adapted.smooth.tendon(model, data))
     if not is_zero(model.tendon_armature):
         data = rows.with_tendon_inertia(model, data)
     if model.opt.solver == mjx.SolverType.CG:  # Newton's method never reads the factors
         data = mjx.factor_m(model, data)
-    return mjx.transmission(model, make_constraint(model, mjx.collision(model, data)))
+    data = make_constraint(model, adapted.collision_driver.collision(model, data))
+    placed: mjx.Data = adapted.smooth.transmission(model, data)
+    return placed
 
 
-@with_point_jacobians
+def make_constraint(model: Model, data: mjx.Data) -> mjx.Data:
+    """As `mjx.make_constraint`, of a `prepared` model, which may have more rows than the data was made for."""
+    data = adapted.constraint.make_constraint(model, data)
+    made = rows.inner(data)
+    more = len(made.efc_J) - made.nefc
+    if more and made.ncon and len(made.efc_J):  # the contacts' rows follow all others
+        data = data.tree_replace({"_impl.contact.efc_address": made.contact.efc_address + more})
+    return data
+
+
 def velocity(model: Model, data: mjx.Data) -> mjx.Data:
     """As `mjx.fwd_velocity`, with the rates of equalities' Jacobians (see `impedance`)."""
     inner = rows.inner(data)
@@ -159,7 +169,7 @@ def velocity(model: Model, data: mjx.Data) -> mjx.Data:
     data = data.tree_replace({f"_impl.{name}": rate for name, rate in rates.items()})
     data = impedance.with_rates(model, tree.com_vel(model, data))
     data = tree.rne(model, passive(model, data))
-    return data if is_zero(model.tendon_armature) else mjx.tendon_bias(model, data)
+    return data if is_zero(model.tendon_armature) else adapted.smooth.tendon_bias(model, data)
 
 
 def acceleration(model: Model, data: mjx.Data) -> mjx.Data:
@@ -173,17 +183,16 @@ def acceleration(model: Model, data: mjx.Data) -> mjx.Data:
 
 def _checked(model: mjx.Model, data: mjx.Data) -> Model:
     """The model as the stages take it. Rejects, at trace time, what is not simulated or would fail deep inside MJX."""
+    data_makers = "nermo_mjx.dynamics.make_data or put_data"
     for name, given, kind, maker in (
-        ("model", model, mjx.Model, "mjx.put_model"),
-        ("data", data, mjx.Data, "mjx.make_data or mjx.put_data"),
+        ("model", model, Model, "nermo_mjx.dynamics.put_model; mjx.put_model omits fields that this step reads"),
+        ("data", data, mjx.Data, data_makers),
     ):
         if not isinstance(given, kind):
             made = f"{type(given).__module__.partition('.')[0]}.{type(given).__name__}"
-            raise ValueError(f"{name} is of {made}: allowed is an mjx.{kind.__name__}, as of {maker}.")
-        if given.impl != mjx.Impl.JAX:
-            raise ValueError(
-                f"impl of the {name} is {given.impl.value!r}: allowed is 'jax', the others have no derivatives."
-            )
+            raise ValueError(f"{name} is of {made}: allowed is a result of {maker}.")
+    if data.impl != mjx.Impl.JAX:
+        raise ValueError(f"impl of the data is {data.impl.value!r}: allowed is 'jax', the others have no derivatives.")
     if model.opt.integrator not in INTEGRATORS:
         allowed = ", ".join(each.name for each in INTEGRATORS)
         raise ValueError(f"integrator is {model.opt.integrator.name}: allowed is one of {allowed}, which MJX has.")
@@ -195,16 +204,10 @@ def _checked(model: mjx.Model, data: mjx.Data) -> Model:
             raise ValueError(
                 f"{name} has the shape {shape}: allowed is {(size,)}, that of one world; use jax.vmap for a batch."
             )
-    if not isinstance(model, Model):
-        raise ValueError(
-            "the model was put before nermo_mjx was imported, and MJX does not say what it has left out: "
-            "put it again, with mjx.put_model."
-        )
-    contacts = collision_driver.make_condim(model).size
+    contacts = adapted.collision_driver.make_condim(model).size
     if data._impl.ncon != contacts:
         raise ValueError(
-            f"data has {data._impl.ncon} contacts: allowed are {contacts}, those of the model; make it from the model, "
-            "after nermo_mjx was imported."
+            f"data has {data._impl.ncon} contacts: allowed are {contacts}, those of the model; use {data_makers}."
         )
     return prepared(model)
 

@@ -11,11 +11,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
-from mujoco.mjx._src import forward as theirs
-from mujoco.mjx._src import support
 
 from nermo_mjx.dynamics import rows, spatial
-from nermo_mjx.dynamics.jacobians import with_point_jacobians
+from nermo_mjx.dynamics.mjx_copy import adapted
 from nermo_mjx.dynamics.mjx_import import Model, mjx
 from nermo_mjx.dynamics.preparing import is_zero
 from nermo_mjx.shapes import Array, Dofs
@@ -25,7 +23,7 @@ def passive(model: Model, data: mjx.Data) -> mjx.Data:
     """As `mjx.passive`, with polynomials, and with a derivative where a tendon has the length of its spring."""
     springs = model.ntendon and not (is_zero(model.tendon_stiffness) and is_zero(model.tendon_stiffnesspoly))
     without = model.replace(tendon_stiffness=jnp.zeros_like(model.tendon_stiffness)) if springs else model
-    data = mjx.passive(without, data)
+    data = adapted.passive.passive(without, data)
     both = mjx.DisableBit.SPRING | mjx.DisableBit.DAMPER
     if model.opt.disableflags & both == both:
         return data
@@ -56,14 +54,12 @@ def damping(linear: Float[Array, " n"], poly: Float[Array, "n k"], velocity: Flo
 
 def drag_slope(model: Model, data: mjx.Data) -> Float[Array, "nv nv"]:
     """Derivative of the fluid's forces by the velocities."""
-    from mujoco.mjx._src import passive as theirs
-
     from nermo_mjx.dynamics.tree import tree_of
 
     moves = jnp.asarray(tree_of(model).moves, data.qvel.dtype)
 
     def force(qvel: Dofs) -> Dofs:
-        found: Dofs = theirs._fluid(model, data.replace(cvel=moves @ (data.cdof * qvel[:, None])))
+        found: Dofs = adapted.passive._fluid(model, data.replace(cvel=moves @ (data.cdof * qvel[:, None])))
         return found
 
     return jax.jacfwd(force)(data.qvel)
@@ -88,7 +84,6 @@ def _joint_springs(model: Model, qpos: Float[Array, " nq"]) -> Dofs:
     return jnp.concatenate(forces)
 
 
-@with_point_jacobians
 def actuation(model: Model, data: mjx.Data) -> mjx.Data:
     """As `mjx.fwd_actuation`, with early activations, and a derivative where a tendon's force is zero."""
     unlimited = model
@@ -98,10 +93,10 @@ def actuation(model: Model, data: mjx.Data) -> mjx.Data:
             tendon_actfrclimited=np.zeros_like(model.tendon_actfrclimited),
             actuator_forcelimited=np.zeros_like(model.actuator_forcelimited),
         )
-    after = mjx.fwd_actuation(unlimited, data)
+    after = adapted.forward.fwd_actuation(unlimited, data)
     if np.any(model.actuator_actearly):
         early = data.replace(act=_activation(model, data.replace(act_dot=after.act_dot)))
-        after = mjx.fwd_actuation(unlimited, early).replace(act=data.act, act_dot=after.act_dot)
+        after = adapted.forward.fwd_actuation(unlimited, early).replace(act=data.act, act_dot=after.act_dot)
     if unlimited is model or not model.nu or model.opt.disableflags & mjx.DisableBit.ACTUATION:
         return after
     force = _within_tendons(model, after.actuator_force)
@@ -122,7 +117,7 @@ def _activation(model: Model, data: mjx.Data) -> Float[Array, " na"]:
         first = model.actuator_actadr[actuator]
         if first >= 0:
             early[first : first + model.actuator_actnum[actuator]] = True
-    return jnp.where(early, theirs._next_activation(model, data, data.act_dot), data.act)
+    return jnp.where(early, adapted.forward._next_activation(model, data, data.act_dot), data.act)
 
 
 def _within_tendons(model: Model, force: Float[Array, " nu"]) -> Float[Array, " nu"]:
@@ -146,7 +141,7 @@ def force_slopes(model: Model, data: mjx.Data) -> Float[Array, " nu"]:
         length, rate = data.actuator_length[muscles], rows.inner(data).actuator_velocity[muscles]
         fixed = jnp.asarray(model.actuator_lengthrange), model.actuator_acc0, model.actuator_gainprm
         ranges, strength, prm = (each[muscles] for each in fixed)
-        by_rate = jax.vmap(jax.grad(support.muscle_gain, argnums=1))
+        by_rate = jax.vmap(jax.grad(adapted.support.muscle_gain, argnums=1))
         slope = slope.at[muscles].set(by_rate(length, rate, ranges, strength, prm))
     moved = data.ctrl
     if model.na:

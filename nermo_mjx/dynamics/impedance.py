@@ -22,16 +22,6 @@ from nermo_mjx.dynamics.tree import tree_of
 from nermo_mjx.shapes import Array, Scalar
 
 
-def make_constraint(model: Model, data: mjx.Data) -> mjx.Data:
-    """As `mjx.make_constraint`, of a `prepared` model, which may have more rows than the data was made for."""
-    data = mjx.make_constraint(model, data)
-    made = rows.inner(data)
-    more = len(made.efc_J) - made.nefc
-    if more and made.ncon and len(made.efc_J):  # the contacts' rows follow all others
-        data = data.tree_replace({"_impl.contact.efc_address": made.contact.efc_address + more})
-    return data
-
-
 def stiffness_damping_impedance(
     model: Model, solref: Float[Array, " 2"], solimp: Float[Array, " 5"], distance: Scalar
 ) -> tuple[Scalar, Scalar, Scalar]:

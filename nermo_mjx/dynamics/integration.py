@@ -20,7 +20,6 @@ from jaxtyping import Float
 
 from nermo_mjx.dynamics import rows, spatial
 from nermo_mjx.dynamics.forces import damping, drag_slope, force_slopes
-from nermo_mjx.dynamics.jacobians import with_point_jacobians
 from nermo_mjx.dynamics.mjx_import import Model, Solved, mjx
 from nermo_mjx.dynamics.spatial import solve_definite
 from nermo_mjx.shapes import Array, Dofs
@@ -63,7 +62,6 @@ def _damped_acceleration(model: mjx.Model, data: mjx.Data) -> Dofs:
     return data.qacc - solve_definite(mjx.full_m(model, data) + jnp.diag(held), held * data.qacc)
 
 
-@with_point_jacobians
 def _implicit_acceleration(model: Model, data: mjx.Data) -> Dofs:
     """Acceleration implicit in velocity: (M - h D) a' = M a, D the derivative of q by v, without that of the bias.
 

@@ -1,8 +1,8 @@
 """Jacobians of points on bodies, with the tree known at trace time.
 
 `mjx.jac` determines on the device, level by level, which velocities move a body, for each end of a tendon and each
-contact: for this robot 130 of a step's launches on a GPU, though none of it depends on the state. Other functions deep
-in MJX's stages with bad derivatives are replaced together with it.
+contact: for this robot 130 of a step's launches on a GPU, though none of it depends on the state. `mjx_copy` uses the
+functions of this module in place of MJX's functions, deep inside of MJX's stages.
 
 Among these are the wraps of tendons around geoms. MJX computes the wrap of every tendon and selects afterwards. Where
 a tendon runs past its cylinder, or begins within it, that is the arcsine of a number above one, and its NaN propagates
@@ -13,29 +13,19 @@ and loses half of float32's digits nearby.
 
 from __future__ import annotations
 
-import functools
-import threading
-import types
 from collections.abc import Callable
-from typing import Any, Final, ParamSpec, TypeVar
+from typing import Any, Final
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 from mujoco import mjMINVAL
-from mujoco.mjx._src import collision_sdf, constraint, math, smooth, support
 
 from nermo_mjx.dynamics import spatial
-from nermo_mjx.dynamics.impedance import stiffness_damping_impedance
 from nermo_mjx.dynamics.mjx_import import mjx
 from nermo_mjx.dynamics.tree import tree_of
 from nermo_mjx.shapes import Array, Count, Scalar, Truth
-
-P = ParamSpec("P")
-T = TypeVar("T")
-#: Held while MJX's functions are replaced, so that two tracing threads do not restore each other's.
-_TRACING: Final = threading.RLock()
 
 
 def point_jacobian(
@@ -63,59 +53,18 @@ def axis_and_angle(q: Float[Array, " 4"]) -> tuple[Float[Array, " 3"], Scalar]:
     return spatial.rotation_vector(q), jnp.ones((), q.dtype)
 
 
-def _segment_length(vector: Float[Array, " 3"]) -> Scalar:
+def segment_length(vector: Float[Array, " 3"]) -> Scalar:
     """Length of a tendon's segment, at least 1e-15 m: times its direction, that has the derivative of the vector."""
     none = ~jnp.any(vector)
     return jnp.where(none, mjMINVAL, jnp.linalg.norm(jnp.where(none, jnp.ones_like(vector), vector)))
 
 
-def _segment_direction(vector: Array, length: Scalar) -> Array:
+def segment_direction(vector: Array, length: Scalar) -> Array:
     """Its direction: that of MuJoCo, x, where it has no length."""
     first = jnp.zeros_like(vector).at[0].set(1.0)
     return vector / length + jnp.where(length <= mjMINVAL, first, 0.0)
 
 
-#: What MJX's `smooth` takes from `math`, where `norm` and `safe_div` are those of tendons' segments.
-_TENDONS_MATH: Final = types.SimpleNamespace(
-    **{
-        **vars(math),
-        "norm": _segment_length,
-        "safe_div": _segment_direction,
-        "quat_to_axis_angle": axis_and_angle,
-    }
-)
-
-
-def with_point_jacobians(stage: Callable[P, T]) -> Callable[P, T]:
-    """A function that calls stages of MJX, with the replacements of this module in place while it is traced."""
-    ours = {
-        (support, "jac"): point_jacobian,
-        (support, "wrap_circle"): circle,
-        (support, "wrap_inside"): wrap_inside,
-        (support, "_length_circle"): arc_length,
-        (collision_sdf, "_cylinder"): spatial.cylinder_distance,
-        (support, "muscle_dynamics_timescale"): muscle_time_constant,
-        (math, "quat_to_axis_angle"): axis_and_angle,
-        (constraint, "_kbi"): stiffness_damping_impedance,
-        (smooth, "math"): _TENDONS_MATH,
-    }
-
-    @functools.wraps(stage)
-    def traced(*args: P.args, **kwargs: P.kwargs) -> T:
-        with _TRACING:
-            before = {(home, name): getattr(home, name) for home, name in ours}
-            for (home, name), function in ours.items():
-                setattr(home, name, function)
-            try:
-                return stage(*args, **kwargs)
-            finally:
-                for (home, name), function in before.items():
-                    setattr(home, name, function)
-
-    return traced
-
-
-_circle: Final = support.wrap_circle
 #: Ends for which a wrap of radius 1 has a solution, from inside and from outside.
 _ROUND: Final = (2.0, -0.5, -2.0, -0.5)
 _THROUGH: Final = (2.0, 1.5, -2.0, 1.5)
@@ -125,8 +74,8 @@ Ends = Float[Array, " 4"]
 Point = Float[Array, " 2"]
 
 
-def circle(ends: Ends, side: Point, has_side: Any, radius: Scalar) -> tuple[Array, Array]:
-    """As MJX's `wrap_circle`: length of the arc (-1 without a wrap) and its ends."""
+def circle(wrap: Callable[..., Any], ends: Ends, side: Point, has_side: Any, radius: Scalar) -> tuple[Array, Array]:
+    """As MJX's `wrap_circle`, which is `wrap`: length of the arc (-1 without a wrap) and its ends."""
     near = jnp.minimum(ends[:2] @ ends[:2], ends[2:] @ ends[2:]) < radius * radius
     straight = ends[2:] - ends[:2]
     free = near | (radius < mjMINVAL) | (straight @ straight < mjMINVAL)
@@ -135,7 +84,7 @@ def circle(ends: Ends, side: Point, has_side: Any, radius: Scalar) -> tuple[Arra
     grazes = jnp.abs(foot @ foot - radius * radius) < 1e-12 * radius * radius
     free |= ~jnp.squeeze(jnp.asarray(has_side, bool)) & grazes
     kept, ring = _or_else(free, _ROUND, ends, radius)
-    length, points = _circle(kept, side, has_side, ring)
+    length, points = wrap(kept, side, has_side, ring)
     return jnp.where(free, -1.0, length), jnp.where(free, 0.0, points)
 
 

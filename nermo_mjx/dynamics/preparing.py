@@ -18,6 +18,7 @@ import numpy as np
 from jaxtyping import Float
 
 from nermo_mjx.dynamics.coverage import frictionless, named
+from nermo_mjx.dynamics.mjx_copy import make_data, put_model
 from nermo_mjx.dynamics.mjx_import import Model, collision_driver, mjx
 from nermo_mjx.shapes import Array
 
@@ -150,7 +151,7 @@ def fitted(model: mujoco.MjModel) -> tuple[mujoco.MjModel, list[str]]:
         getattr(ours, f"{kind}_friction")[index] = mujoco.mjMINMU
         changes.append(f"{named(ours, kind, index)} has condim 3 and next to no friction, no condim 1.")
     try:
-        mjx.make_data(mjx.put_model(ours))
+        make_data(put_model(ours))
     except NotImplementedError as error:
         raise ValueError(f"MJX refuses the model also after {len(changes)} changes: {error}") from None
     return ours, changes

@@ -11,7 +11,6 @@ from typing import Any, Final, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import mujoco
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -61,12 +60,6 @@ class ConstraintProblem(NamedTuple):
 def inner(data: mjx.Data) -> Any:
     """MJX's private data: rows `efc_*`, `contact`, Jacobians, inertias."""
     return data._impl
-
-
-def capacity(model: mujoco.MjModel) -> tuple[int, int]:
-    """Maximum numbers of contacts and constraint rows that MJX stores for one world."""
-    sized = inner(mjx.make_data(model, impl="jax"))
-    return int(sized.ncon), int(sized.nefc)
 
 
 def read_problem(model: mjx.Model, data: mjx.Data) -> tuple[Layout, ConstraintProblem]:

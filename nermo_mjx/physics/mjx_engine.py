@@ -25,6 +25,7 @@ from mujoco.batch import Batch
 from nermo_mjx.dynamics import differentiable, rows
 from nermo_mjx.dynamics.checkpointing import keeping_little
 from nermo_mjx.dynamics.coverage import not_simulated
+from nermo_mjx.dynamics.mjx_copy import make_data, put_model
 from nermo_mjx.dynamics.mjx_import import mjx
 from nermo_mjx.dynamics.precision import full_precision
 from nermo_mjx.dynamics.solver import ROUNDS
@@ -143,8 +144,8 @@ class MjxEngine:
             raise ParameterError(
                 f"engine is 'mjx', which does not simulate all of the scene, as 'c' does: {missing[0]}"
             )
-        ours = mjx.put_model(model)
-        return ours, mjx.make_data(ours)
+        ours = put_model(model)
+        return ours, make_data(ours)
 
     def data_among(self, worlds: int) -> mjx.Data:
         """Data of one of the worlds that a device runs together."""
@@ -389,7 +390,8 @@ class WarpEngine(MjxEngine):
         self._reference = copy.copy(model)
         # Warp does not support the flag, and never resets a world by itself.
         self._reference.opt.disableflags &= ~mujoco.mjtDisableBit.mjDSBL_AUTORESET.value
-        self._capacity = rows.capacity(self._reference)
+        sized = rows.inner(make_data(self._reference))
+        self._capacity = int(sized.ncon), int(sized.nefc)
         self._among: dict[int, mjx.Data] = {}
         return mjx.put_model(self._reference, impl="warp"), self.data_among(1)
 

@@ -11,10 +11,11 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
+from mujoco import mjx
 from mujoco.mjx._src import collision_driver
 
-from nermo_mjx.dynamics import approximated, step, tree
-from nermo_mjx.dynamics.mjx_import import _put, mjx
+from nermo_mjx.dynamics import approximated, make_data, put_model, step, tree
+from nermo_mjx.dynamics.mjx_copy import adapted
 from nermo_mjx.runtime import compiler_options
 
 GEOMS = {
@@ -52,11 +53,13 @@ def in_c(data: mujoco.MjData, pose: np.ndarray) -> list[np.ndarray]:
 def in_mjx(model: mujoco.MjModel, poses: list[np.ndarray]) -> list[list[np.ndarray]]:
     """The same for many poses."""
     with jax.enable_x64(True):
-        device = mjx.put_model(model)
-        blank = mjx.make_data(device)
+        device = put_model(model)
+        blank = make_data(device)
 
         def contacts(pose: Any) -> Any:
-            found = mjx.collision(device, tree.kinematics(device, blank.replace(qpos=pose)))._impl.contact
+            found = adapted.collision_driver.collision(
+                device, tree.kinematics(device, blank.replace(qpos=pose))
+            )._impl.contact
             return jnp.concatenate([found.dist[:, None], found.pos, found.frame.reshape(-1, 9)], 1)
 
         found = jax.jit(jax.vmap(contacts), compiler_options=compiler_options())(jnp.array(poses))
@@ -157,11 +160,13 @@ def test_a_contact_of_an_ellipsoid_has_its_derivative(kind: str) -> None:
     model = model_of(GEOMS[kind], GEOMS["ellipsoid"])
     poses = poses_of(model)[::7]
     with jax.enable_x64(True):
-        device = mjx.put_model(model)
-        blank = mjx.make_data(device)
+        device = put_model(model)
+        blank = make_data(device)
 
         def contact(pose: Any) -> Any:
-            found = mjx.collision(device, tree.kinematics(device, blank.replace(qpos=pose)))._impl.contact
+            found = adapted.collision_driver.collision(
+                device, tree.kinematics(device, blank.replace(qpos=pose))
+            )._impl.contact
             return jnp.concatenate([found.dist, found.pos.ravel(), found.frame[:, 0].ravel()])
 
         def all_of(pose: Any) -> Any:
@@ -173,16 +178,16 @@ def test_a_contact_of_an_ellipsoid_has_its_derivative(kind: str) -> None:
     np.testing.assert_allclose(ahead, differences, atol=1e-6 * np.abs(differences).max())
 
 
-def test_the_step_warns_of_what_is_approximate_and_refuses_data_made_before() -> None:
+def test_the_step_warns_of_what_is_approximate_and_refuses_data_of_mjx_with_other_contacts() -> None:
     model = model_of(GEOMS["box"], GEOMS["box"])
-    device = mjx.put_model(model)
+    device = put_model(model)
     with pytest.warns(UserWarning, match=r"^geom 'a' and geom 'b' are box and box: their contacts are MJX's"):
-        jax.eval_shape(step, device, mjx.make_data(device))
+        jax.eval_shape(step, device, make_data(device))
     model = model_of(GEOMS["capsule"], GEOMS["capsule"])
-    device = mjx.put_model(model)
+    device = put_model(model)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        jax.eval_shape(step, device, mjx.make_data(device))
-    early = mjx.make_data(_put(model_of(GEOMS["sphere"], GEOMS["sphere"])))
-    with pytest.raises(ValueError, match=re.escape("data has 1 contacts: allowed are 2, those of the model")):
-        step(device, early)
+        jax.eval_shape(step, device, make_data(device))
+    message = "data has 1 contacts: allowed are 2, those of the model; use nermo_mjx.dynamics.make_data or put_data."
+    with pytest.raises(ValueError, match=f"^{re.escape(message)}$"):
+        step(device, mjx.make_data(device))

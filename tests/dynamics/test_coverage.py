@@ -11,10 +11,9 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
-from mujoco.mjx._src import io
 
-from nermo_mjx.dynamics import fitted, forward, mjx_import, not_simulated, step
-from nermo_mjx.dynamics.mjx_import import Model, mjx
+from nermo_mjx.dynamics import fitted, forward, make_data, not_simulated, put_model, step
+from nermo_mjx.dynamics.mjx_import import mjx
 
 #: Fields of MuJoCo's model that MJX's lacks, or that no line of MJX reads, by what we do about them, or the reason why
 #: they have no effect on `step`: patterns of whole names.
@@ -156,10 +155,10 @@ def test_what_is_not_simulated_is_said_of_the_element(name: str) -> None:
     given, said = REFUSALS[name]
     model = model_of(*given)
     assert not_simulated(model)[0].startswith(said)
-    device = mjx.put_model(model)
+    device = put_model(model)
     for function in (step, forward):
         with pytest.raises(ValueError, match=f"^{re.escape(said)}"):
-            function(device, mjx.make_data(device))
+            function(device, make_data(device))
 
 
 MESH = '<asset><mesh name="m" vertex="0 0 0 .1 0 0 0 .1 0 0 0 .1"/></asset>'
@@ -231,10 +230,10 @@ def test_what_mjx_refuses_is_said_of_the_element(name: str) -> None:
     given, said = PUT[name]
     model = model_of(*given)
     with pytest.raises(NotImplementedError, match=f"^{re.escape(said)}"):
-        mjx.put_model(model)
+        put_model(model)
     assert not_simulated(model)[0].startswith(said)
     with pytest.raises(NotImplementedError):
-        mjx.make_data(mjx_import._put(model))
+        mjx.make_data(mjx.put_model(model))
 
 
 @pytest.mark.parametrize("name", ["condim 1", "condim 1 of a priority", "condim 1 of a pair"])
@@ -248,8 +247,8 @@ def test_contacts_without_friction_are_made_fit(name: str) -> None:
     data.qpos[2] -= 0.001
     data.qvel[:3] = 0.3, 0.1, -0.1
     with jax.enable_x64(True):
-        device = mjx.put_model(ours)
-        start = mjx.make_data(device).replace(qpos=jnp.asarray(data.qpos), qvel=jnp.asarray(data.qvel))
+        device = put_model(ours)
+        start = make_data(device).replace(qpos=jnp.asarray(data.qpos), qvel=jnp.asarray(data.qvel))
         found = jax.jit(step)(device, start).qvel
     mujoco.mj_step(model, data)
     assert data.ncon == 1
@@ -264,18 +263,18 @@ def test_what_is_simulated_is_not_refused() -> None:
 
 
 def test_a_fluid_that_comes_later_is_refused_as_well() -> None:
-    device = mjx.put_model(model_of(BALL.format('fluidshape="ellipsoid"')))
+    device = put_model(model_of(BALL.format('fluidshape="ellipsoid"')))
     thick = device.tree_replace({"opt.density": jnp.asarray(1000.0)})
     with pytest.raises(ValueError, match=r"^density or viscosity is not known to be 0, and a geom"):
-        step(thick, mjx.make_data(device))
+        step(thick, make_data(device))
 
 
-def test_a_model_that_was_put_before_is_refused() -> None:
-    """MJX does not say what it has left out; a model put after the import does, whoever puts it."""
-    early = mjx_import._put(model_of(HINGE))
-    assert isinstance(io.put_model(model_of(HINGE)), Model)
-    with pytest.raises(ValueError, match=r"^the model was put before nermo_mjx was imported.*: put it again"):
-        step(early, mjx.make_data(early))
+def test_a_model_of_mjx_is_refused_with_the_function_that_puts_it() -> None:
+    """MJX does not report what it has omitted."""
+    plain = mjx.put_model(model_of(HINGE))
+    for function in (step, forward):
+        with pytest.raises(ValueError, match=r"^model is of mujoco\.Model: .*nermo_mjx\.dynamics\.put_model; mjx\."):
+            function(plain, mjx.make_data(plain))
 
 
 SMALL = """<mujoco><option solver="PGS" noslip_iterations="2"><flag energy="enable"/></option><asset>
@@ -333,13 +332,13 @@ def test_animals_are_made_fit_for_mjx() -> None:
     for path in ANIMALS:
         model = mujoco.MjModel.from_xml_path(str(home / path))
         with pytest.raises(NotImplementedError):
-            mjx.put_model(model)
+            put_model(model)
         ours, changes = fitted(model)
         assert changes
         assert not_simulated(ours) == []
     data = mujoco.MjData(ours)
-    device = mjx.put_model(ours)
-    after = jax.jit(step)(device, mjx.make_data(device).replace(ctrl=jnp.full(ours.nu, 0.3)))
+    device = put_model(ours)
+    after = jax.jit(step)(device, make_data(device).replace(ctrl=jnp.full(ours.nu, 0.3)))
     data.ctrl[:] = 0.3
     mujoco.mj_step(ours, data)
     np.testing.assert_allclose(after.qvel, data.qvel, atol=1e-5)

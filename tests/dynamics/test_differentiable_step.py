@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from nermo_mjx.dynamics.differentiable import step
-from nermo_mjx.dynamics.mjx_import import mjx
+from nermo_mjx.dynamics.mjx_copy import make_data, put_model
 from nermo_mjx.runtime import compiler_options
 
 _OPTION = (
@@ -173,8 +173,8 @@ def _in_c(case: Small, points: np.ndarray) -> np.ndarray:
 def _in_mjx(case: Small):
     """point -> final state (nq + nv,), by the step."""
     model = case.compile()
-    device = mjx.put_model(model)
-    blank = mjx.make_data(device)
+    device = put_model(model)
+    blank = make_data(device)
 
     def end(point):
         changed = device

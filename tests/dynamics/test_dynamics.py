@@ -13,12 +13,11 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
-from mujoco.mjx._src import support
+from mujoco import mjx
 
 import nermo_mjx.dynamics
-from nermo_mjx.dynamics import checking, differentiable, tree
-from nermo_mjx.dynamics.jacobians import with_point_jacobians
-from nermo_mjx.dynamics.mjx_import import mjx
+from nermo_mjx.dynamics import checking, differentiable, make_data, put_model, tree
+from nermo_mjx.dynamics.mjx_copy import adapted
 from nermo_mjx.runtime import compiler_options
 
 ROOM = Path(nermo_mjx.dynamics.__file__).parent
@@ -54,14 +53,14 @@ def test_importing_the_step_brings_nothing_of_the_robot() -> None:
 
 def test_what_it_refuses_is_said_in_a_sentence() -> None:
     ball = mujoco.MjModel.from_xml_string(BALL)
-    model = mjx.put_model(ball)
-    data = mjx.make_data(model)
-    still = mjx.put_model(mujoco.MjModel.from_xml_string('<mujoco><worldbody><geom size="1"/></worldbody></mujoco>'))
+    model = put_model(ball)
+    data = make_data(model)
+    still = put_model(mujoco.MjModel.from_xml_string('<mujoco><worldbody><geom size="1"/></worldbody></mujoco>'))
     batch = jax.vmap(lambda height: data.replace(qpos=data.qpos.at[2].set(height)))(jnp.arange(2.0))
     discrete = model.tree_replace({"opt.integrator": mjx.IntegratorType.DISCRETE})
     for given, message in (
         ((discrete, data), r"^integrator is DISCRETE: allowed is one of EULER, RK4, IMPLICITFAST, which MJX has\.$"),
-        ((still, mjx.make_data(still)), r"^the model has no joints: allowed is one that can move"),
+        ((still, make_data(still)), r"^the model has no joints: allowed is one that can move"),
         ((model, batch), r"^qpos has the shape \(2, 7\): allowed is \(7,\), that of one world; use jax\.vmap"),
     ):
         for function in (nermo_mjx.dynamics.step, nermo_mjx.dynamics.forward):
@@ -74,19 +73,22 @@ def test_what_is_none_of_mjx_is_refused() -> None:
     code = f"""
 import mujoco
 from mujoco import mjx
-from nermo_mjx.physics import step
+from nermo_mjx.dynamics import make_data, put_model, step
 ball = mujoco.MjModel.from_xml_string('''{BALL}''')
-model = mjx.put_model(ball)
-for given in ((ball, mjx.make_data(model)), (model, mujoco.MjData(ball))):
+model = put_model(ball)
+data = make_data(model)
+for given in ((ball, data), (mjx.put_model(ball), data), (model, mujoco.MjData(ball))):
     try:
         step(*given)
     except ValueError as error:
         print(error)
 """
     said = subprocess.run([sys.executable, "-c", code], text=True, capture_output=True).stdout.splitlines()
-    assert said[-2:] == [
-        "model is of mujoco.MjModel: allowed is an mjx.Model, as of mjx.put_model.",
-        "data is of mujoco.MjData: allowed is an mjx.Data, as of mjx.make_data or mjx.put_data.",
+    model = "nermo_mjx.dynamics.put_model; mjx.put_model omits fields that this step reads."
+    assert said[-3:] == [
+        f"model is of mujoco.MjModel: allowed is a result of {model}",
+        f"model is of mujoco.Model: allowed is a result of {model}",
+        "data is of mujoco.MjData: allowed is a result of nermo_mjx.dynamics.make_data or put_data.",
     ]
 
 
@@ -118,12 +120,13 @@ def test_tendons_have_their_moment_arms_for_a_derivative() -> None:
     arms = np.zeros((model.ntendon, model.nv))
     mujoco.mju_sparse2dense(arms, data.ten_J, model.ten_J_rownnz, model.ten_J_rowadr, model.ten_J_colind)
     with jax.enable_x64(True):
-        device = mjx.put_model(model)
-        blank = mjx.make_data(device)
+        device = put_model(model)
+        blank = make_data(device)
 
-        @with_point_jacobians
         def lengths(qpos: Any) -> Any:
-            found: Any = mjx.tendon(device, tree.com_pos(device, tree.kinematics(device, blank.replace(qpos=qpos))))
+            found: Any = adapted.smooth.tendon(
+                device, tree.com_pos(device, tree.kinematics(device, blank.replace(qpos=qpos)))
+            )
             return found.ten_length, (found.ten_length, found._impl.ten_J)
 
         slopes, (length, moments) = jax.jit(jax.jacrev(lengths, has_aux=True))(jnp.asarray(data.qpos))
@@ -139,13 +142,12 @@ def test_a_cylinder_collides_with_a_derivative() -> None:
     </mujoco>"""
     model = mujoco.MjModel.from_xml_string(xml)
     with jax.enable_x64(True):
-        device = mjx.put_model(model)
-        blank = mjx.make_data(device)
+        device = put_model(model)
+        blank = make_data(device)
 
-        @with_point_jacobians
         def distance(height: Any) -> Any:
             data = tree.kinematics(device, blank.replace(qpos=blank.qpos.at[2].set(height)))
-            return mjx.collision(device, data)._impl.contact.dist[0]
+            return adapted.collision_driver.collision(device, data)._impl.contact.dist[0]
 
         values = jax.jit(jax.vmap(jax.value_and_grad(distance)))(0.145 + 1e-6 * jnp.arange(-1.0, 2.0))
     (low, at, high), slopes = (np.asarray(each) for each in values)
@@ -157,9 +159,8 @@ def test_a_cylinder_collides_with_a_derivative() -> None:
 def test_a_muscle_has_a_derivative_in_float32(width: float) -> None:
     """(u - a) / tau, Millard et al. (2013), with tau = 0.01 (0.5 + 1.5 a) while u is well above a."""
 
-    @with_point_jacobians
     def rate(excitation: Any, activation: Any) -> Any:
-        found: Any = support.muscle_dynamics(excitation, activation, jnp.array([0.01, 0.04, width]))
+        found: Any = adapted.support.muscle_dynamics(excitation, activation, jnp.array([0.01, 0.04, width]))
         return found
 
     rise, fall = jax.grad(rate, argnums=(0, 1))(jnp.float32(0.4), jnp.float32(0.1))

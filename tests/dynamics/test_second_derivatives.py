@@ -14,9 +14,8 @@ import pytest
 from mujoco.mjx._src import math
 from mujoco.mjx._src.collision_types import GeomInfo
 
-from nermo_mjx.dynamics import collision, differentiable, jacobians, solver, step
+from nermo_mjx.dynamics import collision, differentiable, jacobians, make_data, put_model, solver, step
 from nermo_mjx.dynamics.integration import positions
-from nermo_mjx.dynamics.mjx_import import mjx
 from nermo_mjx.dynamics.own_derivative import own_derivative
 from nermo_mjx.dynamics.rows import ConstraintProblem, Layout
 from nermo_mjx.rollout import Run, Setup
@@ -219,8 +218,8 @@ def test_second_derivatives_of_a_step(name: str) -> None:
     random = np.random.default_rng(0)
     moved, pushed = random.normal(size=(2, 4, model.nv))
     with jax.enable_x64(True):
-        device = mjx.put_model(model)
-        data = mjx.make_data(device)
+        device = put_model(model)
+        data = make_data(device)
 
         def value(numbers: Any) -> Any:
             velocity = jnp.asarray(pushed[0]) + numbers @ pushed
@@ -237,8 +236,8 @@ def test_second_derivatives_of_several_steps() -> None:
     """Of where a sphere comes to that slides and rolls, in a loop, whose body JAX linearizes on its own."""
     model = mujoco.MjModel.from_xml_string(f"<mujoco>{SLIDING}</mujoco>")
     with jax.enable_x64(True):
-        device = mjx.put_model(model)
-        data = mjx.make_data(device)
+        device = put_model(model)
+        data = make_data(device)
 
         def place(pushed: Any) -> Any:
             start = data.replace(qvel=data.qvel.at[: len(pushed)].set(pushed))

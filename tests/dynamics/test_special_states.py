@@ -13,13 +13,16 @@ import numpy as np
 import pytest
 from fakes import special_states
 from fakes.special_states import CASES
-from mujoco.mjx._src import collision_sdf, constraint, math, support
 
-from nermo_mjx.dynamics import forward, impedance, rows, step
-from nermo_mjx.dynamics.jacobians import _segment_direction, _segment_length, with_point_jacobians
+from nermo_mjx.dynamics import forward, make_data, put_model, rows, step
+from nermo_mjx.dynamics.differentiable import make_constraint
+from nermo_mjx.dynamics.jacobians import segment_direction, segment_length
+from nermo_mjx.dynamics.mjx_copy import adapted
 from nermo_mjx.dynamics.mjx_import import mjx
 from nermo_mjx.runtime import compiler_options
 
+#: Copies of MJX's modules, in which functions of this package replace some of MJX's.
+collision_sdf, constraint, math, support = adapted.collision_sdf, adapted.constraint, adapted.math, adapted.support
 #: One of each kind; the others run with `-m long`.
 CHOSEN = (
     "ball spring, polynomial",
@@ -90,8 +93,8 @@ def test_a_field_that_was_zero_has_its_derivative() -> None:
         return np.array(data.qvel)
 
     with jax.enable_x64(True):
-        device = mjx.put_model(model)
-        start = mjx.make_data(device).replace(qvel=jnp.asarray(velocity))
+        device = put_model(model)
+        start = make_data(device).replace(qvel=jnp.asarray(velocity))
 
         def end(values: Any) -> Any:
             fields = {}
@@ -123,8 +126,8 @@ def test_the_solver_is_quick_at_rest(cone: str, double: bool) -> None:
     """Where an acceleration is rounding, no step is small beside it: it made all rounds, and said it had not
     converged."""
     with jax.enable_x64(double):
-        model = mjx.put_model(mujoco.MjModel.from_xml_string(BOX.format(cone)))
-        data = mjx.make_data(model)
+        model = put_model(mujoco.MjModel.from_xml_string(BOX.format(cone)))
+        data = make_data(model)
 
         def advance(state: Any, _: None) -> Any:
             after = step(model, data.replace(qpos=state[0], qvel=state[1], qacc_warmstart=state[2]))
@@ -152,13 +155,13 @@ def test_a_rangefinder_needs_no_material() -> None:
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     with jax.enable_x64(True):
-        device = mjx.put_model(model)
-        found = jax.jit(lambda at: forward(device, at).sensordata)(mjx.make_data(device))
+        device = put_model(model)
+        found = jax.jit(lambda at: forward(device, at).sensordata)(make_data(device))
     np.testing.assert_allclose(found, data.sensordata, atol=1e-9)
 
 
 def _impedances(x: Any) -> Any:
-    model = mjx.put_model(mujoco.MjModel.from_xml_string(BOX.format("elliptic")))
+    model = put_model(mujoco.MjModel.from_xml_string(BOX.format("elliptic")))
     return jnp.stack(
         [
             jnp.stack(constraint._kbi(model, jnp.array([0.02, 1.0]), jnp.array([0.5, 0.9, x[1], x[2], power]), x[0]))
@@ -182,7 +185,7 @@ SINGULAR: dict[str, tuple[Callable[[Any], Any], list[list[float]]]] = {
         [[d, 0.01, 0.5] for d in (0.0, 0.005, 0.01, 0.02, -0.01)] + [[0.01, 1e-15, 0.5], [0.02, 0.01, 0.0]],
     ),
     "tendon's segment": (
-        lambda v: _segment_length(v) * _segment_direction(v, _segment_length(v)),
+        lambda v: segment_length(v) * segment_direction(v, segment_length(v)),
         [[0, 0, 0], [1, 0, 0]],
     ),
     "normal": (math.normalize, [[0, 0, 1], [1e-9, 0, 1]]),
@@ -225,9 +228,7 @@ def test_a_singular_input_has_a_finite_derivative(name: str) -> None:
     """In both modes, which agree; and that of a rotation at the identity is the identity, not zero."""
     function, points = SINGULAR[name]
     with jax.enable_x64(True):
-        all_of = jax.jit(
-            with_point_jacobians(lambda x: (function(x), jax.jacfwd(function)(x), jax.jacrev(function)(x)))
-        )
+        all_of = jax.jit(lambda x: (function(x), jax.jacfwd(function)(x), jax.jacrev(function)(x)))
         for point in points:
             value, ahead, back = all_of(jnp.asarray(point, float))
             assert np.isfinite(value).all(), point
@@ -252,9 +253,6 @@ BALL = """
 </mujoco>
 """
 
-#: Ours, with our impedances in place of MJX's.
-OURS = with_point_jacobians(impedance.make_constraint)
-
 
 @jax.jit
 def at_contact(model: Any, data: Any) -> Any:
@@ -277,9 +275,9 @@ def test_slopes_are_those_of_mjxs_rows(refsafe: str, solref: str) -> None:
     The oracle is a difference of `mjx.make_constraint` in float64.
     """
     with jax.enable_x64(True):
-        model = mjx.put_model(mujoco.MjModel.from_xml_string(BALL.format(refsafe=refsafe, solref=solref)))
-        data = at_contact(model, mjx.make_data(model).replace(qvel=jnp.array([0.1, 0.0, -0.2, 0.0, 0.0, 0.0])))
-        found = jax.jvp(lambda largest: made(OURS, model, data, largest), (0.9,), (1.0,))[1]
+        model = put_model(mujoco.MjModel.from_xml_string(BALL.format(refsafe=refsafe, solref=solref)))
+        data = at_contact(model, make_data(model).replace(qvel=jnp.array([0.1, 0.0, -0.2, 0.0, 0.0, 0.0])))
+        found = jax.jvp(lambda largest: made(make_constraint, model, data, largest), (0.9,), (1.0,))[1]
         above, below = (made(mjx.make_constraint, model, data, 0.9 + step) for step in (1e-6, -1e-6))
     assert np.any(above[1] != below[1])
     for slope, high, low in zip(found, above, below, strict=True):

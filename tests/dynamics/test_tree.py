@@ -9,10 +9,9 @@ import mujoco
 import numpy as np
 import pytest
 from mujoco import mjx
-from mujoco.mjx._src import support
 
-from nermo_mjx.dynamics import rows, tree
-from nermo_mjx.dynamics.jacobians import point_jacobian, with_point_jacobians
+from nermo_mjx.dynamics import make_data, put_model, rows, tree
+from nermo_mjx.dynamics.jacobians import point_jacobian
 from nermo_mjx.robot import load_robot
 
 #: Several joints on a body, off-centre anchors, turned frames, branches, a free body with children, a slide on a turned
@@ -55,10 +54,10 @@ def after(kind: str, sparse: bool) -> tuple[mujoco.MjModel, mujoco.MjData, Any]:
     data.qvel[:] = random.normal(size=model.nv)
     mujoco.mj_forward(model, data)
     with jax.enable_x64(True):
-        ours = mjx.put_model(model)
+        ours = put_model(model)
 
         def passes(qpos: Any, qvel: Any) -> Any:
-            data = mjx.make_data(ours).replace(qpos=qpos, qvel=qvel)
+            data = make_data(ours).replace(qpos=qpos, qvel=qvel)
             for each in (tree.kinematics, tree.com_pos, tree.crb, tree.com_vel, tree.rne):
                 data = each(ours, data)
             return data, rows.inner(data).cinert, mjx.full_m(ours, data)
@@ -99,7 +98,7 @@ def test_what_goes_along_the_tree_is_as_in_c(kind: str, sparse: bool) -> None:
     mujoco.mj_fullM(model, data, inertia)
     np.testing.assert_allclose(joints, inertia, rtol=1e-9, atol=1e-14)
     np.testing.assert_allclose(bodies[1:], data.cinert[1:], rtol=1e-9, atol=1e-14)
-    ours = mjx.put_model(model)
+    ours = put_model(model)
     for body in range(model.nbody):
         point = data.xipos[body] + 0.1
         position, rotation = np.zeros((3, model.nv)), np.zeros((3, model.nv))
@@ -108,19 +107,3 @@ def test_what_goes_along_the_tree_is_as_in_c(kind: str, sparse: bool) -> None:
             moves, turns = point_jacobian(ours, found, jax.numpy.asarray(point), body)
         np.testing.assert_allclose(moves, position.T, rtol=1e-9, atol=1e-12)
         np.testing.assert_allclose(turns, rotation.T, rtol=1e-9, atol=1e-12)
-
-
-def test_mjx_has_its_own_jacobian_again_when_a_stage_is_traced() -> None:
-    """Also after an error in it."""
-
-    @with_point_jacobians
-    def stage(fails: bool) -> Any:
-        if fails:
-            raise ValueError("wrong")
-        return support.jac
-
-    before = support.jac
-    assert stage(False) is point_jacobian
-    with pytest.raises(ValueError, match="wrong"):
-        stage(True)
-    assert support.jac is before

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from nermo_mjx.dynamics import solver, step, step_with_verdict
+from nermo_mjx.dynamics import make_data, put_data, put_model, solver, step, step_with_verdict
 from nermo_mjx.dynamics.mjx_import import mjx
 from nermo_mjx.runtime import compiler_options
 
@@ -52,8 +52,8 @@ def _compared(double: bool, states: np.ndarray = STATES) -> tuple[np.ndarray, An
         mujoco.mj_step(model, data)
         ends.append(data.qvel.copy())
     with jax.enable_x64(double):
-        device = mjx.put_model(model)
-        blank = mjx.make_data(device)
+        device = put_model(model)
+        blank = make_data(device)
 
         def one(state: Any) -> Any:
             after, verdict = step_with_verdict(device, blank.replace(qpos=state[: model.nq], qvel=state[model.nq :]))
@@ -100,8 +100,8 @@ TWO = """<mujoco><worldbody><geom type="plane" size="3 3 .1"/><body pos="0 0 .04
 def test_results_pass_through_mjxs_functions(way: str, joint: str) -> None:
     """`get_data`, `put_data` of it, a further step, kinematics and a picture's scene, with contacts that are C's."""
     model = mujoco.MjModel.from_xml_string(TWO.format(joint))
-    device = mjx.put_model(model)
-    start = mjx.make_data(device)
+    device = put_model(model)
+    start = make_data(device)
     if way == "randomized":
         axes = jax.tree.map(lambda _: None, device).tree_replace({"dof_frictionloss": 0, "body_mass": 0})
         many = device.tree_replace(
@@ -130,6 +130,6 @@ def test_results_pass_through_mjxs_functions(way: str, joint: str) -> None:
     other = mujoco.MjData(model)
     other.qpos[:], other.qvel[:] = got.qpos, got.qvel
     mujoco.mj_forward(model, other)
-    again = mjx.put_data(model, other)
+    again = put_data(model, other)
     assert _shapes(again) == _shapes(after)
     assert np.isfinite(advance(*((many, batch) if way == "randomized" else (device, again))).qpos).all()

@@ -16,7 +16,7 @@ import numpy as np
 
 from nermo_mjx.dynamics.differentiable import step
 from nermo_mjx.dynamics.integration import positions
-from nermo_mjx.dynamics.mjx_import import mjx
+from nermo_mjx.dynamics.mjx_copy import make_data, put_model
 from nermo_mjx.runtime import compiler_options
 
 
@@ -369,8 +369,8 @@ def check(case: Case, model: mujoco.MjModel | None = None, width: float = 1e-6) 
         return np.concatenate([data.qpos, data.qvel, data.act])
 
     with jax.enable_x64(True):
-        device = mjx.put_model(model)
-        blank = mjx.make_data(device)
+        device = put_model(model)
+        blank = make_data(device)
 
         def ends(point: Any) -> Any:
             dq, dv, da, du = jnp.split(point, cuts)

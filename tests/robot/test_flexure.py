@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from nermo_mjx.dynamics.mjx_import import mjx
+from nermo_mjx.dynamics import put_data, put_model
 from nermo_mjx.kinematics.leg import forward_kinematics, four_legs
 from nermo_mjx.physics import step
 from nermo_mjx.physics.variation import compile_model
@@ -161,8 +161,8 @@ def test_mjx_steps_a_chain_as_c_does():
     data = mujoco.MjData(model)
     data.ctrl[:] = -0.2, 0.6
     with jax.enable_x64(True):
-        device = mjx.put_model(model)
-        state, advance = mjx.put_data(model, data), jax.jit(step)
+        device = put_model(model)
+        state, advance = put_data(model, data), jax.jit(step)
         for _ in range(20):
             state = advance(device, state)
             mujoco.mj_step(model, data)

@@ -12,8 +12,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from nermo_mjx.dynamics import differentiable
-from nermo_mjx.dynamics.mjx_import import mjx
+from nermo_mjx.dynamics import differentiable, make_data, put_model
 from nermo_mjx.physics import Variation
 from nermo_mjx.physics.c_engine import CEngine
 from nermo_mjx.physics.mjx_engine import MjxEngine
@@ -294,8 +293,8 @@ def test_a_slope_turns_gravity_in_mjx_and_has_a_derivative():
     ball = mujoco.MjModel.from_xml_string(
         "<mujoco><worldbody><body><freejoint/><geom size='0.1'/></body></worldbody></mujoco>"
     )
-    model, at = mjx.put_model(ball), np.array([9.0, 0.3, 0.5])
-    blank, dt = mjx.make_data(model), ball.opt.timestep
+    model, at = put_model(ball), np.array([9.0, 0.3, 0.5])
+    blank, dt = make_data(model), ball.opt.timestep
 
     def velocity(ground: Any) -> Any:
         fields = {"opt.gravity": gravity_vector(*ground, jnp)}

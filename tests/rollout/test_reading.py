@@ -9,9 +9,8 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
-from mujoco import mjx
 
-from nermo_mjx.dynamics import differentiable
+from nermo_mjx.dynamics import differentiable, make_data, put_model
 from nermo_mjx.physics.mjx_engine import read_entries, with_sensors
 from nermo_mjx.robot import load_robot
 from nermo_mjx.rollout import Setup
@@ -48,10 +47,10 @@ def test_entries_count_that_something_returned_depends_on(function: Any, expecte
 def test_sensors_that_are_read_have_their_values_and_places(names: tuple[str, ...]) -> None:
     """After a step with contact, as if all were computed; the others read zero."""
     model = mujoco.MjModel.from_xml_string(SENSORS)
-    ours, read = mjx.put_model(model), np.zeros(model.nsensordata, bool)
+    ours, read = put_model(model), np.zeros(model.nsensordata, bool)
     for name in names:
         read[slice(*PLACES[name])] = True
-    chosen, data = with_sensors(ours, read), mjx.make_data(ours)
+    chosen, data = with_sensors(ours, read), make_data(ours)
     assert chosen.nsensor == len(names)
     whole, part = (jax.jit(differentiable.forward)(each, data).sensordata for each in (ours, chosen))
     assert np.abs(np.asarray(whole)).sum() > 9.0
