@@ -225,7 +225,7 @@ def _drawing(kind: Kind, path: Path, folder: Path, notes: list[str]) -> Iterator
             yield written.write
         notes += filter(None, [written.sentence()])
     finally:
-        os.close(held)
+        held.release()
 
 
 _report_out = options.text(

@@ -34,7 +34,7 @@ from nermo_mjx.plotting.files import write_figures
 from nermo_mjx.plotting.shown import shown
 from nermo_mjx.progress import shows_progress
 from nermo_mjx.robot import ModelParameters, ParameterError
-from nermo_mjx.robot.quantity import choice, quantities
+from nermo_mjx.robot.quantity import choice, quantities, require
 from nermo_mjx.rollout import Run, Setup
 from nermo_mjx.runs import RunDirectory, Written, engine_of, session
 from nermo_mjx.runs.files import MISSING, stored_json, to_json
@@ -368,6 +368,7 @@ def run_identification(
         JobFailed: no worker is left; the same command resumes.
     """
     resolve_engine(engine)
+    require("identify", "cma", "cma")
     folder, search = Path(out), IdentificationSearch(**wanted)
     with RunDirectory(folder, "identification") as held, Written(held) as written, resumable(folder):
         begun = engine_of(folder) if engine == "auto" else None

@@ -131,6 +131,7 @@ def run_tuning(
         SpecError, DirectoryError, OtherCode, JobFailed, Interrupted: see "Errors of jobs" in docs/reference/python.md.
     """
     tuning = Tuning.of(spec)
+    check_library(tuning.method)
     with (
         TuningDirectory(out, tuning, watch.warn) as directory,
         resumable(directory.out, f"tune {directory.out / TUNING}") as interruption,
@@ -492,8 +493,9 @@ def tuning_forecasts(tuning: Tuning) -> list[Forecast]:
     """The cost of all iterations by each method, that of the tuning first; `evaluations` are walks.
 
     Raises:
-        ParameterError: the tuning's recording cannot be compared with its walk.
+        ParameterError: the tuning's recording cannot be compared with its walk, or a library that is missing.
     """
+    check_library(tuning.method)
     seconds = tuning.seconds({each.name: each.low for each in tuning.tuned})
     if tuning.recording is not None:
         load_reference(tuning.recording, Rollout(tuning.setup, tuning.run), seconds)

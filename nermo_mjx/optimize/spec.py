@@ -67,11 +67,13 @@ class TuningMethod(Spec):
     Attributes:
         name: in a file.
         has_gradient: whether its history has gradients.
+        library: needed in addition to NumPy and SciPy.
         unread: fields of a tuning file that it does not read.
     """
 
     name: ClassVar[str]
     has_gradient: ClassVar[bool] = True
+    library: ClassVar[str] = "scipy"
     unread: ClassVar[tuple[str, ...]] = ()
 
     def gradient_cost(self, parameters: int) -> float:
@@ -100,7 +102,7 @@ class Gradient(TuningMethod):
 class Generations(TuningMethod):
     """CMA-ES, on MuJoCo C."""
 
-    name, has_gradient, what = "cma", False, "an option of 'cma'"
+    name, has_gradient, library, what = "cma", False, "cma", "an option of 'cma'"
     unread = ("optimizer", "starts")
     sigma: Positive = 2.0
     """first standard deviation, in coordinates u"""

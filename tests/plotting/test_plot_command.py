@@ -65,7 +65,7 @@ def test_two_commands_do_not_draw_into_one_folder(sweep: Path, tmp_path: Path) -
         assert f"another process works in {tmp_path / 'there'}; wait for it" in result.stderr
         assert not content(tmp_path / "there")
     finally:
-        os.close(held)
+        held.release()
     assert plot(sweep, "--out", tmp_path / "there", "--format", "png").exit_code == 0
 
 
