@@ -228,7 +228,7 @@ def machine_description() -> dict[str, Any]:
 
 
 def peak_bytes() -> int | None:
-    """Peak memory so far: of the accelerator, or of this process on a CPU; None on Windows, which does not report it."""
+    """Peak memory so far: of the accelerator, or of this process on a CPU; None on Windows, where it is unknown."""
     memory = jax.local_devices()[0].memory_stats() if jax.default_backend() != "cpu" else None
     if memory and "peak_bytes_in_use" in memory:
         return int(memory["peak_bytes_in_use"])

@@ -7,7 +7,6 @@ import contextlib
 import dataclasses
 import importlib
 import math
-import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final

@@ -201,4 +201,3 @@ class TensorBoard:
             if math.isfinite(value):
                 self._writer.add_scalar(name, float(value), step)
         self._writer.flush()
-

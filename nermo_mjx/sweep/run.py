@@ -483,6 +483,8 @@ def run_sweep(
         raise SpecError(f"shard is {shard[0]}/{shard[1]}: allowed is I/N with I from 0 to N - 1.")
     if tensorboard:
         require("tensorboard", "tensorboardX", "tensorboard")
+    if sweep.sampler == "saltelli":
+        require("sample: saltelli", "SALib", "sensitivity")
     sources = [Path(each) for each in use]
     for source in sources:
         check_source(source, sweep)

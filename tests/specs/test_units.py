@@ -7,8 +7,8 @@ import math
 import jsonschema
 import numpy as np
 import pytest
-from ruamel.yaml import YAML
 from command import call, json_of
+from ruamel.yaml import YAML
 
 from nermo_mjx import ParameterError, Rollout, Run, Setup, Simulator, Sweep, servo_table
 from nermo_mjx.control.schedule import Switch
