@@ -21,6 +21,7 @@ import search_fake
 from command import call, json_of
 from conftest import shared_simulator
 from sweep_fake import FakeSimulator
+from tiers import needs
 
 from nermo_mjx import Run, Setup, Simulator, all_metrics, all_parameters, load_robot
 from nermo_mjx.optimize import Tuning, run_search
@@ -439,6 +440,7 @@ def test_an_objective_that_is_nan_is_told_after_the_first_batch(tmp_path: Path, 
             result.metrics["turning_radius"] = np.full(len(result.status), np.nan)
             return result
 
+    needs(*["pymoo"] * ("pareto" in aim))
     simulator = Straight()
     with pytest.raises(JobFailed, match=r"turning_radius has no number in all .* the first batch .*NaN if straight"):
         run_search(search_fake.WALK | aim | {"budget": 120, "batch": 12}, tmp_path, simulator=simulator)
