@@ -9,7 +9,6 @@ import importlib.metadata
 import json
 import os
 import platform
-import resource
 import statistics
 import subprocess
 import sys
@@ -228,10 +227,14 @@ def machine_description() -> dict[str, Any]:
     }
 
 
-def peak_bytes() -> int:
-    """Peak memory so far: of the accelerator, or of this process on a CPU."""
+def peak_bytes() -> int | None:
+    """Peak memory so far: of the accelerator, or of this process on a CPU; None on Windows, where it is unknown."""
     memory = jax.local_devices()[0].memory_stats() if jax.default_backend() != "cpu" else None
     if memory and "peak_bytes_in_use" in memory:
         return int(memory["peak_bytes_in_use"])
+    if sys.platform == "win32":
+        return None
+    import resource
+
     unit = 1 if sys.platform == "darwin" else 1024
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit

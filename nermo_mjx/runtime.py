@@ -14,7 +14,6 @@ import hashlib
 import importlib
 import os
 import platform
-import subprocess
 import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -184,24 +183,6 @@ def _known_options(level: int | None) -> dict[str, bool | int]:
                 jax.jit(lambda x: x, compiler_options={name: value}).lower(0.0).compile()
                 known[name] = value
     return known
-
-
-def known_flags(flags: str) -> str:
-    """Those of such `XLA_FLAGS` that this XLA knows: one that it does not know would end the process.
-
-    >>> known_flags("--xla_backend_optimization_level=0 --xla_of_tomorrow=1")
-    '--xla_backend_optimization_level=0'
-
-    Other processes are asked, some 0.3 s for each flag. To be called before JAX starts.
-    """
-    read = "from jaxlib import _jax; _jax.CompileOptions().executable_build_options.debug_options"
-    asked = {
-        flag: subprocess.Popen(
-            [sys.executable, "-c", read], env=os.environ | {"XLA_FLAGS": flag}, stderr=subprocess.DEVNULL
-        )
-        for flag in flags.split()
-    }
-    return " ".join(flag for flag, process in asked.items() if process.wait() == 0)
 
 
 # --- threads

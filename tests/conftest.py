@@ -8,6 +8,7 @@ import functools
 import gc
 import importlib
 import os
+import subprocess
 import sys
 from collections.abc import Generator, Iterator
 from pathlib import Path
@@ -31,6 +32,22 @@ from nermo_mjx.plotting import files
 from nermo_mjx.rollout import Run, RunResult, Setup, Simulator
 from nermo_mjx.rollout.setup import without_presettings
 
+
+def known_flags(flags: str) -> str:
+    """The XLA flags of a list that this XLA knows: an unknown one would end the process.
+
+    Another process for each flag finds out, in about 0.3 s. Call it before JAX starts.
+    """
+    read = "from jaxlib import _jax; _jax.CompileOptions().executable_build_options.debug_options"
+    asked = {
+        flag: subprocess.Popen(
+            [sys.executable, "-c", read], env=os.environ | {"XLA_FLAGS": flag}, stderr=subprocess.DEVNULL
+        )
+        for flag in flags.split()
+    }
+    return " ".join(flag for flag, process in asked.items() if process.wait() == 0)
+
+
 # Programs of a test run for seconds and compile for longer: XLA does not optimize machine code and leaves out LLVM's
 # slow passes (a sixth of the time of derivatives of the step), takes its older emitter for all programs, not only for
 # those of the package (`runtime.COMPILER_OPTIONS`: a Jacobian of the metrics takes 3.7 s of processor time instead of
@@ -41,7 +58,7 @@ QUICK_TO_COMPILE = (
     " --xla_llvm_disable_expensive_passes=true"
 )
 if "xla_backend_optimization_level" not in os.environ.get("XLA_FLAGS", ""):
-    os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {runtime.known_flags(QUICK_TO_COMPILE)}".strip()
+    os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {known_flags(QUICK_TO_COMPILE)}".strip()
 files._DPI = 100  # figures are drawn at half their size
 os.fsync = lambda _: None  # no test cuts the power, and a process that is killed has written what it wrote
 gc.disable()  # until all is imported and collected: a quarter of the time of both
@@ -83,8 +100,10 @@ def pytest_xdist_auto_num_workers() -> int | None:
     """For `-n auto`: one process more than there are cores, which works while others wait, and memory for them."""
     if "PYTEST_XDIST_AUTO_NUM_WORKERS" in os.environ:
         return None
-    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    return max(1, min(runtime.cpu_count() + 1, memory // PROCESS_BYTES))
+    processes = runtime.cpu_count() + 1
+    if hasattr(os, "sysconf"):  # not on Windows
+        processes = min(processes, os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") // PROCESS_BYTES)
+    return max(1, processes)
 
 
 @pytest.hookimpl(tryfirst=True)

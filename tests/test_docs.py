@@ -17,6 +17,7 @@ from pathlib import Path
 import chromium
 import pytest
 from command import call
+from tiers import needs
 
 import nermo_mjx
 from nermo_mjx import Recording
@@ -56,6 +57,7 @@ COMMANDS = re.findall(r"`(nermo-mjx [^`\n]+)`", LISTED) + [
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The site; a warning, such as a link that leads nowhere, fails its build."""
+    needs("sphinx", "furo", "myst_parser")
     out = tmp_path_factory.mktemp("site")
     words = [sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going", str(ROOT / "docs"), str(out)]
     small = os.environ | {"NERMO_MJX_SMALL": "1"}  # one page of the viewer, not fourteen

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import importlib.util
 import json
 from collections.abc import Mapping
 from pathlib import Path
@@ -12,6 +13,13 @@ from nermo_mjx.version import __version__
 
 #: When each test marked `long` last passed, null if it has not yet: `pytest -m long` writes it.
 LAST_RUN: Final = Path(__file__).with_name("long.json")
+
+
+def needs(*packages: str) -> None:
+    """Skip a test if one of these packages, which extras bring, is not installed; none of them is imported."""
+    missing = [name for name in packages if importlib.util.find_spec(name) is None]
+    if missing:
+        pytest.skip(f"without {' and '.join(missing)}: pip install '.[test-all]'")
 
 
 def last_runs() -> dict[str, dict[str, Any] | None]:

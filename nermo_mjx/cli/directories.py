@@ -7,7 +7,6 @@ import contextlib
 import dataclasses
 import importlib
 import math
-import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -226,7 +225,7 @@ def _drawing(kind: Kind, path: Path, folder: Path, notes: list[str]) -> Iterator
             yield written.write
         notes += filter(None, [written.sentence()])
     finally:
-        os.close(held)
+        held.release()
 
 
 _report_out = options.text(

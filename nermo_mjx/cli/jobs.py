@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import functools
-import importlib.util
 import math
 import shlex
 import sys
@@ -65,6 +64,7 @@ def _working(
     Yields:
         What its function takes: the options, what is told of its progress, and the workers.
     """
+    from nermo_mjx.robot.quantity import require
     from nermo_mjx.runs.job import Watch
 
     kind, address = how.pop("workers", None), how.pop("ray_address", None)
@@ -72,9 +72,7 @@ def _working(
     with contextlib.ExitStack() as stack:
         shown = Stages(name, unit, compiles or (lambda _: kind != "ray"), details)
         if kind == "ray":
-            if importlib.util.find_spec("ray") is None:
-                sentence = "--workers ray needs Ray: install nermo-mjx with its extra ray, or ray itself, by pip."
-                raise click.UsageError(sentence)
+            require("--workers ray", "ray", "ray")
             from nermo_mjx.runs.ray_workers import RayWorkers
 
             how["workers"] = stack.enter_context(RayWorkers(address, shown.say))
@@ -525,9 +523,9 @@ def train_command(spec: Path, out: Path, body: str | None, onnx: bool, dry_run: 
 
     training = changed(Training.from_file(spec, body), **_fields(how, "steps", "worlds", "seed"))
     if onnx:
-        from nermo_mjx.learn.policy import check_onnx
+        from nermo_mjx.robot.quantity import require
 
-        check_onnx()
+        require("--onnx", "onnx", "onnx")
     if dry_run:
         from nermo_mjx.learn.run import training_forecast
 
@@ -712,12 +710,14 @@ def identify_command(
     from nermo_mjx.experiments import log_identification, log_report, log_twin
     from nermo_mjx.files import MOST_FILE, read_bytes
     from nermo_mjx.hardware.log import read_log
+    from nermo_mjx.robot.quantity import require
     from nermo_mjx.robot.robot import fingerprint
     from nermo_mjx.runs import RunDirectory, code
     from nermo_mjx.runs.directory import digest
     from nermo_mjx.runs.job import resumable
     from nermo_mjx.specs.described import digest_of
 
+    require("identify", "cma", "cma")
     if channels is None:
         raise WrongUse("--log needs --channels FILE.yaml, which says what the columns are.")
     ranges = dict[str, tuple[float, float]]()

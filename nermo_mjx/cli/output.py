@@ -34,9 +34,9 @@ COLLECTIONS: Final = (100_000, 50, 100)
 
 #: What ends a process, but for Ctrl-C, unless it is caught: a batch system, a terminal that closes, a limit of time.
 ENDING: Final = tuple(
-    getattr(signal, f"SIG{name}")
-    for name in ["TERM", "HUP", "QUIT", "USR1", "USR2", "ALRM", "VTALRM", "PROF", "XCPU", "IO", "PWR", "STKFLT"]
-    if hasattr(signal, f"SIG{name}")
+    getattr(signal, f"SIG{end}")
+    for end in ["TERM", "HUP", "QUIT", "BREAK", "USR1", "USR2", "ALRM", "VTALRM", "PROF", "XCPU", "IO", "PWR", "STKFLT"]
+    if hasattr(signal, f"SIG{end}")
 )
 
 

@@ -352,8 +352,11 @@ def drive_command(
     from nermo_mjx.live.server import LiveDrive, free
     from nermo_mjx.live.wire import RobotDriving, SimulatedRobot
     from nermo_mjx.recording import RecordingError
+    from nermo_mjx.robot.quantity import require
     from nermo_mjx.runs.files import make_writable
 
+    if there["a page"]:
+        require("drive", "websockets", "drive")
     port, browser, channels, rate, watchdog, delay, loss = (
         chosen.pop(name) for name in ("port", "browser", "channels", "rate", "watchdog", "delay", "loss")
     )
@@ -410,10 +413,10 @@ def drive_command(
 @contextlib.contextmanager
 def _browser(address: str) -> Iterator[None]:
     """Open an address with a secret in the browser by a file that only its user reads: command lines are public."""
-    with tempfile.NamedTemporaryFile("w", prefix="nermo-mjx-", suffix=".html") as file:
-        file.write(f'<!doctype html><meta http-equiv="refresh" content="0; url={address}">')
-        file.flush()
-        webbrowser.open(Path(file.name).as_uri())
+    with tempfile.TemporaryDirectory(prefix="nermo-mjx-") as folder:
+        page = Path(folder, "drive.html")
+        page.write_text(f'<!doctype html><meta http-equiv="refresh" content="0; url={address}">')
+        webbrowser.open(page.as_uri())
         yield
 
 
@@ -641,9 +644,11 @@ def servos_command(
     if send is None and seconds is not None:
         raise WrongUse("--seconds limits the duration of --send: give --send URL, too.")
     from nermo_mjx.hardware import recorded_table, servo_table
-    from nermo_mjx.hardware.live import SendError, connected, lateness, send_table
+    from nermo_mjx.hardware.live import SendError, address, connected, lateness, send_table
     from nermo_mjx.runs.files import replace_file
 
+    if send is not None:
+        address(send, "send")
     topic, how = chosen.pop("topic"), {name: chosen.pop(name) for name in ("rate", "channels")}
     if recording is None:
         cycles = chosen.pop("cycles") or 1

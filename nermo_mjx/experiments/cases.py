@@ -5,12 +5,10 @@ from __future__ import annotations
 import dataclasses
 import functools
 from collections.abc import Callable, Mapping, Sequence
-from importlib import resources
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-import yaml
 
 from nermo_mjx.control.parameters import AS_BUILT, PUBLISHED_CLOCK_RATIO, body_values, published_values, robot_choices
 from nermo_mjx.control.protocol import ActsUpon, controller_digest, load_controller
@@ -20,6 +18,7 @@ from nermo_mjx.robot import ParameterError
 from nermo_mjx.robot.quantity import choice, quantities
 from nermo_mjx.rollout import METRICS, RunResult, Setup, Simulator
 from nermo_mjx.rollout.setup import WorldParameters
+from nermo_mjx.specs.reading import read_file
 from nermo_mjx.sweep.spec import START_SPREAD
 
 #: The profiles that are compared, in the order of their columns, and those of the simulation, shown side by side.
@@ -43,8 +42,7 @@ def clock(profile: str) -> float:
 @functools.cache
 def texts(part: str) -> Any:
     """A part of `experiments.yaml`: how each experiment is described, what the columns mean, or the maze's course."""
-    content = resources.files("nermo_mjx.experiments").joinpath("experiments.yaml").read_text(encoding="utf-8")
-    return yaml.safe_load(content)[part]
+    return read_file(Path(__file__).with_name("experiments.yaml")).data[part]
 
 
 @dataclasses.dataclass(frozen=True)

@@ -23,6 +23,7 @@ from nermo_mjx.experiments.log_twin import KINDS, Body, LoggedTwin, body_of, unt
 from nermo_mjx.hardware.log import Log
 from nermo_mjx.hardware.signals import channel_differences
 from nermo_mjx.robot import ParameterError
+from nermo_mjx.robot.quantity import require
 
 #: Share of a log that is fitted where no other log judges.
 FITTED: Final = 0.75
@@ -207,8 +208,9 @@ def identify_log(
         kept: see `Estimation`; the order is always the same.
 
     Raises:
-        ParameterError: the log and the model do not fit together, or no parameter is free.
+        ParameterError: the log and the model do not fit together, no parameter is free, or cma is not installed.
     """
+    require("identify", "cma", "cma")
     began = time.monotonic()
     unknown = [kind for kind in free if kind not in KINDS and kind != "torque"]
     if unknown:

@@ -29,14 +29,14 @@ import functools
 import math
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from importlib import resources
+from pathlib import Path
 from typing import Any, Final, Literal, get_args
 
 import numpy as np
-import yaml
 
 from nermo_mjx.experiments.cases import BODY, PROFILES, CaseRuns, Settings
 from nermo_mjx.experiments.measures import MEASURES, Measure, NotMeasured, ProfileOutcome
+from nermo_mjx.specs.reading import read_file
 
 Kind = Literal["predicted", "chosen", "fitted", "theory"]
 Rule = Literal["number", "effect", "gain", "range", "at_most", "outcome", "none"]
@@ -163,8 +163,7 @@ class Figure:
 
 @functools.cache
 def _content() -> dict[str, Any]:
-    text = resources.files("nermo_mjx.experiments").joinpath("published.yaml").read_text(encoding="utf-8")
-    return dict(yaml.safe_load(text))
+    return read_file(Path(__file__).with_name("published.yaml")).data
 
 
 @functools.cache

@@ -21,11 +21,9 @@ from urllib.parse import SplitResult, unquote, urlsplit
 
 import numpy as np
 from jaxtyping import Float
-from websockets.exceptions import WebSocketException
-from websockets.sync import client
 
 from nermo_mjx.hardware.table import ServoTable
-from nermo_mjx.robot.quantity import ParameterError
+from nermo_mjx.robot.quantity import ParameterError, require
 
 #: The topic of the author's software.
 TOPIC: Final = "q_values"
@@ -172,11 +170,15 @@ def linked(
     for name in (topic, heard or topic):
         if not name or (parts.scheme == "mqtt" and any(mark in name for mark in "+#\0")):
             raise ParameterError(f"topic is {name!r}: expected a name, without + and #.")
-    return (_mqtt if parts.scheme == "mqtt" else _rosbridge)(parts, topic, kind, heard, receive, field)
+    return (_mqtt if parts.scheme == "mqtt" else _rosbridge)(parts, topic, kind, heard, receive)
 
 
 def address(url: str, field: str) -> SplitResult:
-    """The parts of a URL as for `linked`; raises `ParameterError` with the field that it was given as."""
+    """The parts of a URL as for `linked`; its package is installed.
+
+    Raises:
+        ParameterError: the URL is invalid, or the package is missing; the message names the field.
+    """
     try:
         parts = urlsplit(re.sub("^ros://", "ws://", url))
         # A port out of range raises; MQTT has no path (the topic is none), and takes a user without a password.
@@ -199,17 +201,17 @@ def address(url: str, field: str) -> SplitResult:
             f"{field} is {masked!r}: allowed is mqtt://HOST[:PORT], ws://HOST[:PORT] or {PRINT}, with a port from 1 to "
             "65535, and USER:PASSWORD@ before HOST, special characters as %XX."
         )
+    if url != PRINT:
+        require(field, *(("paho", "mqtt") if parts.scheme == "mqtt" else ("websockets", "drive")))
     return parts
 
 
 @contextlib.contextmanager
 def _mqtt(
-    url: SplitResult, topic: str, kind: str, heard: str, receive: Receiver | None, field: str
+    url: SplitResult, topic: str, kind: str, heard: str, receive: Receiver | None
 ) -> Iterator[Callable[[Any], None]]:
-    try:
-        import paho.mqtt.client as mqtt
-    except ImportError:
-        raise ParameterError(f"{field} needs paho: install nermo-mjx with its extra mqtt by pip.") from None
+    import paho.mqtt.client as mqtt
+
     where = _place(url)
     client = mqtt.Client(mqtt.CallbackAPIVersion.VERSION2)
     if url.username:
@@ -250,8 +252,11 @@ def _mqtt(
 
 @contextlib.contextmanager
 def _rosbridge(
-    url: SplitResult, topic: str, kind: str, heard: str, receive: Receiver | None, field: str
+    url: SplitResult, topic: str, kind: str, heard: str, receive: Receiver | None
 ) -> Iterator[Callable[[Any], None]]:
+    from websockets.exceptions import WebSocketException
+    from websockets.sync import client
+
     where, failures = _place(url), (OSError, UnicodeError, WebSocketException)
     topic, heard = (name if name.startswith("/") or not name else f"/{name}" for name in (topic, heard))
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import importlib.util
 import io
 import itertools
 import json
@@ -43,6 +42,7 @@ from nermo_mjx.robot.quantity import (
     parameter_tree,
     quantities,
     replace_quantities,
+    require,
 )
 from nermo_mjx.rollout.setup import Setup
 from nermo_mjx.runs.code import versions
@@ -448,12 +448,6 @@ _OPSET: Final = 17
 _IR: Final = 8
 
 
-def check_onnx() -> None:
-    """Refuse to export where the package is not installed; raises `ParameterError`."""
-    if importlib.util.find_spec("onnx") is None:
-        raise ParameterError("onnx is not installed: install nermo-mjx with its extra onnx, or onnx itself, by pip.")
-
-
 def export(policy: Policy) -> bytes:
     """An ONNX model with the input `observation` (n, o) and the output `action` (n, a), both float32.
 
@@ -462,7 +456,7 @@ def export(policy: Policy) -> bytes:
     Raises:
         ParameterError: the package `onnx` is not installed.
     """
-    check_onnx()
+    require("policy.onnx", "onnx", "onnx")
     from onnx import TensorProto, checker, helper
 
     nodes: list[Any] = []

@@ -34,7 +34,7 @@ from nermo_mjx.learn.policy import Policy, judged_in, load_policy
 from nermo_mjx.learn.spec import Training, Until
 from nermo_mjx.physics import resolve_engine
 from nermo_mjx.progress import shows_progress
-from nermo_mjx.robot.quantity import ParameterError
+from nermo_mjx.robot.quantity import ParameterError, require
 from nermo_mjx.runs import RunDirectory, session
 from nermo_mjx.runs.checkpoints import KEPT
 from nermo_mjx.runs.files import content_of, parquet_bytes, parquet_table, to_json
@@ -45,7 +45,6 @@ from nermo_mjx.runs.job import (
     Progress,
     TensorBoard,
     Watch,
-    require_tensorboard,
     resumable,
 )
 from nermo_mjx.runtime import compiler_options
@@ -194,7 +193,7 @@ def run_training(
     """
     training = Training.of(spec)
     if tensorboard:
-        require_tensorboard()
+        require("tensorboard", "tensorboardX", "tensorboard")
     if video:
         from nermo_mjx.view import check_video
 

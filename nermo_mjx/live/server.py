@@ -29,8 +29,6 @@ from urllib.parse import urlsplit
 import mujoco
 import numpy as np
 from pydantic import BaseModel, Field, ValidationError
-from websockets.exceptions import ConnectionClosed
-from websockets.sync.server import serve
 
 from nermo_mjx.control.parameters import STEERING
 from nermo_mjx.control.schedule import GAINS
@@ -38,7 +36,7 @@ from nermo_mjx.live.driving import Commanded, Driving, Finite, Journal
 from nermo_mjx.recording import RecordingError
 from nermo_mjx.robot import LIMBS
 from nermo_mjx.robot.parameters import GAIT_PATTERNS
-from nermo_mjx.robot.quantity import ParameterError
+from nermo_mjx.robot.quantity import ParameterError, require
 from nermo_mjx.runs.job import interruptible
 from nermo_mjx.view.clip import clips_of
 from nermo_mjx.view.page import Packer, document
@@ -205,8 +203,11 @@ class LiveDrive:
             port: of the loopback; 0 for any that is free.
 
         Raises:
-            ParameterError: the port is taken, or the file there, or its folder cannot be written.
+            ParameterError: the port is taken, the file there, its folder cannot be written, or websockets is missing.
         """
+        require("drive", "websockets", "drive")
+        from websockets.sync.server import serve
+
         self.driving, self._shown = driving, Shown(driving)
         self.record, self.files, self.failure = record, list[Path](), ""
         self._journal: Journal | None = None
@@ -531,6 +532,8 @@ class LiveDrive:
 
 def _send_all(page: Any, outbox: queue.Queue[Any]) -> None:
     """Send what comes, until None; a page that does not read makes it wait."""
+    from websockets.exceptions import ConnectionClosed
+
     with contextlib.suppress(ConnectionClosed, OSError):
         while (message := outbox.get()) is not None:
             page.send(message)

@@ -11,7 +11,6 @@ import contextlib
 import dataclasses
 import functools
 import importlib.metadata
-import importlib.util
 import math
 import warnings
 from collections.abc import Iterator, Mapping
@@ -43,7 +42,7 @@ from nermo_mjx.optimize.spec import (
     Tuning,
     is_turn,
 )
-from nermo_mjx.robot.quantity import ParameterError
+from nermo_mjx.robot.quantity import require
 from nermo_mjx.sweep.counting import counts
 from nermo_mjx.sweep.sampling import Axis
 
@@ -598,11 +597,8 @@ def searcher(search: Search, batch: int) -> Searcher:
 
 
 def check_library(method: SearchMethod) -> None:
-    """Raises `ParameterError` unless what a method needs is installed."""
-    if importlib.util.find_spec(method.library) is None:
-        raise ParameterError(
-            f"method is {method.name}, which needs {method.library}: install the package with its extra search."
-        )
+    """Raises `ParameterError` if the library of a method is not installed."""
+    require(f"method is {method.name}, which", method.library, "cma" if method.library == "cma" else "search")
 
 
 def made_by(method: SearchMethod) -> str:

@@ -483,7 +483,7 @@ def tuning_forecasts(tuning: Tuning) -> list[Forecast]:
     """The cost of all iterations by each method, that of the tuning first; `evaluations` are walks.
 
     Raises:
-        ParameterError: the tuning's recording cannot be compared with its walk.
+        ParameterError: the tuning's recording cannot be compared with its walk, or a library that is missing.
     """
     seconds = tuning.seconds({each.name: each.low for each in tuning.tuned})
     if tuning.recording is not None:

@@ -8,8 +8,6 @@ from __future__ import annotations
 
 from typing import Any, Final
 
-from cycler import cycler
-
 #: Okabe, M. and Ito, K., "Color universal design", 2008.
 OKABE_ITO: Final = {
     "black": "#000000",
@@ -59,7 +57,7 @@ STYLE: dict[Any, Any] = {
     "xtick.color": MUTED,
     "ytick.color": MUTED,
     "axes.grid": False,
-    "axes.prop_cycle": cycler(color=SERIES),
+    "axes.prop_cycle": f"cycler(color={SERIES})",
     "axes.unicode_minus": True,
     "legend.frameon": False,
     "lines.linewidth": 1.6,

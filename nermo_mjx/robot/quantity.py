@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 import difflib
 import functools
+import importlib.util
 import math
 import re
 from collections.abc import Iterable, Iterator, Mapping
@@ -38,6 +39,25 @@ _NUMBER: Final = r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?"
 
 class ParameterError(ValueError):
     """An invalid parameter; the message names the field, its value and the allowed range."""
+
+
+def require(what: str, library: str, extra: str) -> None:
+    """Checks that a library is installed that only an extra of this package installs.
+
+    Call it before any expensive computation.
+
+    >>> require("A walk", "numpy", "drive")
+
+    Args:
+        what: Subject of the message: the option, method or field that needs the library.
+        library: Name of the library's top-level module.
+        extra: Name of the extra.
+
+    Raises:
+        ParameterError: The library is not installed; the message contains the command that installs it.
+    """
+    if importlib.util.find_spec(library) is None:
+        raise ParameterError(f'{what} needs {library}: pip install "nermo-mjx[{extra}]".')
 
 
 def of_type(field: str, value: T, kinds: type | tuple[type, ...], expected: str) -> T:

@@ -1,6 +1,6 @@
 """A results directory of any kind: who may write it, what it is for, and which code made its contents.
 
-DIR/.lock       held by the writing process
+DIR/.lock       held by the process that writes alone; DIR/.lock-I-of-N by each of several that write together
 DIR/run.json    kind; `codes`, which code made rows, by its short name; `sessions`, each with command, versions, machine
                 (`files`: path -> digest of what the program wrote, where a user's may be in the way, see `Written`)
 DIR/*.aside-N   files that did not match, renamed: nothing is deleted that a user may want back
@@ -20,6 +20,7 @@ from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any, Final
 
+from filelock import FileLock, Timeout
 from pydantic import BaseModel
 
 from nermo_mjx.files import MOST_FILE, MOST_JSON, FileError, UnfitFile, json_of, read_bytes
@@ -33,11 +34,6 @@ from nermo_mjx.runs.files import (
     replace_file,
     sync_folder,
 )
-
-try:
-    import fcntl
-except ImportError:  # Windows: a directory is not locked there
-    fcntl = None  # type: ignore[assignment]
 
 RUN: Final = "run.json"
 #: Where partial files of a killed process may be.
@@ -69,9 +65,13 @@ class RunDirectory:
     def __enter__(self) -> RunDirectory:
         with contextlib.ExitStack() as stack, clear_errors(self.out):
             make_writable(self.out)
-            stack.callback(os.close, hold(self.out, shared=self.shard is not None))
+            alone = hold(self.out, wait=0.0 if self.shard is None else ENTRY)
+            stack.callback(alone.release)
+            for other in self.out.glob(".lock-*-of-*") if self.shard is None else ():
+                hold(self.out, other.name).release()
             if self.shard is not None:
-                stack.callback(os.close, hold(self.out, f".lock-{self.shard[0]}-of-{self.shard[1]}"))
+                stack.callback(hold(self.out, f".lock-{self.shard[0]}-of-{self.shard[1]}").release)
+                alone.release()
             found = kind_of(self.out)
             if found not in (None, self.kind):
                 raise WrongDirectory(
@@ -191,7 +191,7 @@ class RunDirectory:
     def record(self) -> Iterator[dict[str, Any]]:
         """The content of run.json, written back if changed; processes take turns."""
         with clear_errors(self.out):
-            held = hold(self.out, ".lock-run", wait=True)
+            held = hold(self.out, ".lock-run", wait=-1.0)
             try:
                 before = read_record(self.out)
                 record = json.loads(json.dumps({"kind": self.kind} | before))
@@ -199,7 +199,7 @@ class RunDirectory:
                 if record != before:
                     replace_file(self.out / RUN, (json.dumps(record, indent=2) + "\n").encode())
             finally:
-                os.close(held)
+                held.release()
 
 
 def read_record(out: Path) -> dict[str, Any]:
@@ -268,29 +268,33 @@ def _with_article(kind: str) -> str:
 # Locks: who may write a directory.
 
 
-def hold(folder: Path, name: str = ".lock", *, shared: bool = False, wait: bool = False) -> int:
-    """Lock a file of a folder; the file descriptor holds it until it is closed.
+#: How long one of several processes waits while another one of them enters the directory [s].
+ENTRY: Final = 2.0
+
+
+def hold(folder: Path, name: str = ".lock", wait: float = 0.0) -> FileLock:
+    """Locks a file of a folder until `release` is called, or the process ends.
 
     Args:
-        shared: several processes may hold it so, but none beside them alone.
-        wait: until the holder releases it.
+        folder: The folder.
+        name: Name of the file, which is created if it does not exist.
+        wait: How long to wait for the process that holds the lock [s]; -1 without a limit.
 
     Raises:
-        DirectoryError: another process holds it.
-        OSError: it cannot be opened.
+        DirectoryError: Another process holds the lock.
+        OSError: The file cannot be opened.
     """
-    held = os.open(folder / name, os.O_RDWR | os.O_CREAT, 0o666)
+    lock = FileLock(folder / name, wait, thread_local=False)
     try:
-        if fcntl is not None:
-            fcntl.flock(held, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | (0 if wait else fcntl.LOCK_NB))
-    except BlockingIOError:
-        os.close(held)
+        lock.acquire()
+    except Timeout:
         raise DirectoryError(f"another process works in {folder}; wait for it, or choose another directory.") from None
+    except NotImplementedError:  # a file system without locks, with an older filelock
+        pass
     except OSError as error:  # a network file system without locks
         if error.errno not in (errno.ENOLCK, errno.ENOTSUP, errno.ENOSYS):
-            os.close(held)
             raise
-    return held
+    return lock
 
 
 # ---

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import importlib.util
 import math
 import signal
 import threading
@@ -14,7 +13,6 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, Final, Self
 
-from nermo_mjx.runs.files import WrongDirectory
 from nermo_mjx.runs.workers import WorkersLost
 
 
@@ -203,9 +201,3 @@ class TensorBoard:
             if math.isfinite(value):
                 self._writer.add_scalar(name, float(value), step)
         self._writer.flush()
-
-
-def require_tensorboard() -> None:
-    """Raises `WrongDirectory`, with the sentence that says what to install, where the package is missing."""
-    if importlib.util.find_spec("tensorboardX") is None:
-        raise WrongDirectory("tensorboard needs the package tensorboardX: install it with pip.")

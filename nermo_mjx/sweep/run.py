@@ -24,13 +24,13 @@ from nermo_mjx.physics import resolve_engine
 from nermo_mjx.plotting.files import write_figures
 from nermo_mjx.plotting.shown import cost
 from nermo_mjx.progress import shows_progress
-from nermo_mjx.robot.quantity import ParameterError, of_type
+from nermo_mjx.robot.quantity import ParameterError, of_type, require
 from nermo_mjx.rollout import METRICS, Simulator
 from nermo_mjx.rollout.run import too_many
 from nermo_mjx.runs.code import session
 from nermo_mjx.runs.directory import RunDirectory, engine_of
 from nermo_mjx.runs.files import DirectoryError, WrongDirectory, parquet_bytes, parquet_table, to_json
-from nermo_mjx.runs.job import SILENT, Forecast, JobFailed, Progress, TensorBoard, Watch, require_tensorboard, resumable
+from nermo_mjx.runs.job import SILENT, Forecast, JobFailed, Progress, TensorBoard, Watch, resumable
 from nermo_mjx.runs.rows import Runs
 from nermo_mjx.runs.workers import LocalWorkers, TaskFailed, Workers
 from nermo_mjx.specs.reading import SpecError
@@ -482,7 +482,9 @@ def run_sweep(
     if shard is not None and not 0 <= shard[0] < shard[1]:
         raise SpecError(f"shard is {shard[0]}/{shard[1]}: allowed is I/N with I from 0 to N - 1.")
     if tensorboard:
-        require_tensorboard()
+        require("tensorboard", "tensorboardX", "tensorboard")
+    if sweep.sampler == "saltelli":
+        require("sample: saltelli", "SALib", "sensitivity")
     sources = [Path(each) for each in use]
     for source in sources:
         check_source(source, sweep)

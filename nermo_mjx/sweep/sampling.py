@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import AfterValidator, Field, PrivateAttr
 from scipy import special
 
-from nermo_mjx.robot.quantity import Quantity
+from nermo_mjx.robot.quantity import Quantity, require
 from nermo_mjx.specs.fields import Fields, OneOf, Refused, optional
 from nermo_mjx.specs.reading import Document
 from nermo_mjx.specs.values import MEASURED_TEXT, Numbers, Whole, check_value
@@ -232,6 +232,7 @@ def saltelli_points(parameters: int, points: int, second_order: bool, seed: int)
     Twice as many points begin with the same ones. Each point gives a block of rows: itself, itself with one parameter
     after the other from a second point, and that second point (Saltelli et al., Comput. Phys. Commun. 181, 2010).
     """
+    require("sample: saltelli", "SALib", "sensitivity")
     from SALib.sample import sobol  # takes a second or more, as it brings pandas
 
     design: np.ndarray = sobol.sample(unit_problem(parameters), points, calc_second_order=second_order, seed=seed)

@@ -19,7 +19,7 @@ from nermo_mjx.plotting.charts import FigurePage
 from nermo_mjx.plotting.files import Figures
 from nermo_mjx.plotting.shown import spoken
 from nermo_mjx.plotting.style import BAND, GRID, INK, LINE, MUTED, OKABE_ITO
-from nermo_mjx.robot.quantity import ParameterError, did_you_mean
+from nermo_mjx.robot.quantity import ParameterError, did_you_mean, require
 from nermo_mjx.sweep.comparing import Source, opened_table
 from nermo_mjx.sweep.counting import Variants, counts
 from nermo_mjx.sweep.sampling import saltelli_size, unit_problem
@@ -100,9 +100,10 @@ def sensitivity(source: Source, metric: str = LEADING) -> Sensitivity:
         metric: a metric of the table.
 
     Raises:
-        ParameterError: there is no such metric, or the table is of a grid, or too small.
+        ParameterError: SALib is not installed, there is no such metric, or the table is of a grid, or too small.
         DirectoryError, SpecError: the directory holds no results, or cannot be read.
     """
+    require("sensitivity", "SALib", "sensitivity")
     _, results, _, notes = opened_table(source)
     known = columns_of(results, "metric")
     if metric not in known:

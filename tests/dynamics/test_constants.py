@@ -53,8 +53,7 @@ SINGULAR = ("general_dyntype.xml",)
 
 def _files() -> list[Path]:
     """Models of MuJoCo's, MJX's and Gymnasium's packages; of the files of n humanoids, one."""
-    import gymnasium
-
+    gymnasium = pytest.importorskip("gymnasium")
     homes = [Path(mujoco.__file__).parent, Path(gymnasium.__file__).parent / "envs"]
     return sorted(
         file for home in homes for file in home.rglob("*.xml") if "humanoids" not in file.name or "03" in file.name

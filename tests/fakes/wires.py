@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import dataclasses
-import importlib.util
 import json
 import logging
 import math
@@ -16,7 +15,7 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
-import pytest
+from tiers import needs
 
 from nermo_mjx.hardware import Channels, read_channels
 from nermo_mjx.live.wire import Measured, RobotDriving, SimulatedRobot, sensor_message
@@ -86,12 +85,6 @@ class Together:
             self.driving.step()
             self.body.tick(self.clock())
             self.clock.now += self.body.dt
-
-
-def needs(*packages: str) -> None:
-    missing = [name for name in packages if importlib.util.find_spec(name) is None]
-    if missing:
-        pytest.skip(f"without {' and '.join(missing)}: pip install '.[test]'")
 
 
 @contextlib.contextmanager

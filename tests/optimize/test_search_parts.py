@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 from fakes.search_fake import ATLAS, FRONT, SPEED, FakeSimulator
+from tiers import needs
 
 from nermo_mjx.cli import main
 from nermo_mjx.optimize import Search, run_search
@@ -47,6 +48,7 @@ def test_points_stay_within_the_bounds_whatever_happens(spec):
     """Even if every run falls, or all points are equal."""
     search = Search.from_dict(spec)
     for answer in ("falls", "alike"):
+        needs(search.method.library)
         optimizer = searcher(search, 12)
         for _ in range(8):
             shares = optimizer.ask().points
@@ -162,6 +164,7 @@ def test_the_command_searches_keeps_and_draws(tmp_path):
 
 @pytest.mark.parametrize(("spec", "names"), [(FRONT, ("front", "hypervolume")), (ATLAS, ("atlas", "coverage"))])
 def test_fronts_and_atlases_are_drawn(spec, names, tmp_path):
+    needs("pymoo", "ribs")
     result = run_search(spec | {"plots": True, "budget": 40}, tmp_path / "out", simulator=FakeSimulator())
     assert {f"{name}.{form}" for name in names for form in ("png", "svg")} <= {path.name for path in result.plots}
 

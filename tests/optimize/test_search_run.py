@@ -14,6 +14,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from fakes.search_fake import ATLAS, BEST, FALLS, FRONT, SPEED, WALK, FakeSimulator, walk
+from tiers import needs
 
 from nermo_mjx.optimize import run_search
 from nermo_mjx.runs import Interrupted, JobFailed, Watch
@@ -24,7 +25,8 @@ from nermo_mjx.sweep import read_table
 
 #: Not imported here, which would take two seconds in each process of tests.
 pytestmark = pytest.mark.skipif(
-    not all(map(importlib.util.find_spec, ("ribs", "pymoo"))), reason="needs nermo-mjx[search]"
+    not all(map(importlib.util.find_spec, ("ribs", "pymoo"))),
+    reason="without ribs and pymoo: pip install '.[test-all]'",
 )
 
 
@@ -275,6 +277,7 @@ def test_an_objective_that_is_nan_is_told_after_the_first_batch(tmp_path: Path, 
             result.metrics["turning_radius"] = np.full(len(result.status), np.nan)
             return result
 
+    needs(*["pymoo"] * ("pareto" in aim))
     simulator = Straight()
     with pytest.raises(JobFailed, match=r"turning_radius has no number in all .* the first batch .*NaN if straight"):
         run_search(WALK | aim | {"budget": 120, "batch": 12}, tmp_path, simulator=simulator)

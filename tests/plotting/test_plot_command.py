@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 import inspect
 import json
-import os
 import shutil
 from pathlib import Path
 
@@ -64,7 +63,7 @@ def test_two_commands_do_not_draw_into_one_folder(sweep: Path, tmp_path: Path) -
         assert f"another process works in {tmp_path / 'there'}; wait for it" in result.stderr
         assert not content(tmp_path / "there")
     finally:
-        os.close(held)
+        held.release()
     assert plot(sweep, "--out", tmp_path / "there", "--format", "png").exit_code == 0
 
 

@@ -214,17 +214,6 @@ def test_a_cluster_that_is_not_there_is_one_sentence_at_once(address, why):
     assert time.monotonic() - began < 5
 
 
-def test_a_machine_without_ray_says_how_to_get_it(tmp_path, monkeypatch):
-    """One sentence, and no directory."""
-    (tmp_path / "sweep.yaml").write_text(json.dumps(WALKS))
-    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    command = ["sweep", str(tmp_path / "sweep.yaml"), "--out", str(tmp_path / "out"), "--workers", "ray"]
-    result = CliRunner().invoke(main, command)
-    assert result.exit_code == 2
-    assert "--workers ray needs Ray: install nermo-mjx with its extra ray" in result.stderr
-    assert not (tmp_path / "out").exists()
-
-
 def test_this_process_asks_for_a_task_when_it_is_free():
     """The local side of the seam: one at a time, in order, and its progress by the task's key."""
     asked, told_of = [], []

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import importlib.util
-import json
 from pathlib import Path
 
 import numpy as np
 import pytest
-from command import call
 from fakes.sweep_fake import SPEC, FakeSimulator
 
 from nermo_mjx import read_table, run_sweep
@@ -48,15 +45,3 @@ def test_tensorboard_reads_each_chunk_of_both_sessions(tmp_path: Path) -> None:
     # Of every chunk, however fast the machine: a chunk of a fake simulator takes less than a millisecond.
     assert sorted(found["steps_per_second"]) == [9, 18, 27, 36]
     assert all(value > 0 for value in found["steps_per_second"].values())
-
-
-def test_a_missing_package_is_named_before_anything_is_made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Exit code 2, a sentence, and no directory."""
-    found = importlib.util.find_spec
-    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == "tensorboardX" else found(name))
-    (tmp_path / "sweep.yaml").write_text(json.dumps(SPEC))
-    out = tmp_path / "out"
-    run = call("sweep", tmp_path / "sweep.yaml", "--out", out, "--tensorboard", "--engine", "c")
-    assert run.exit_code == 2
-    assert "tensorboard needs the package tensorboardX: install it with pip" in run.stderr
-    assert not out.exists()

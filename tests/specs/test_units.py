@@ -7,8 +7,8 @@ import math
 import jsonschema
 import numpy as np
 import pytest
-import yaml
 from command import call, json_of
+from ruamel.yaml import YAML
 
 from nermo_mjx import ParameterError, Rollout, Run, Setup, Simulator, Sweep, servo_table
 from nermo_mjx.control.schedule import Switch
@@ -116,7 +116,7 @@ def test_a_trainings_task_and_scenes_take_units_and_editors_know_it():
     assert Training.from_text(units).task == Training.from_text(numbers).task
     assert Training.from_text(units).scenes == Training.from_text(numbers).scenes
     schema = jsonschema.Draft202012Validator(schema_of(TrainingFile))
-    assert not [error.message for error in schema.iter_errors(yaml.safe_load(units))]
+    assert not [error.message for error in schema.iter_errors(YAML(typ="safe").load(units))]
 
 
 def test_a_compared_base_is_a_value_whatever_its_unit():

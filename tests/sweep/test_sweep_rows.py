@@ -9,7 +9,6 @@ import time
 from pathlib import Path
 from typing import Any
 
-import duckdb
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
@@ -180,6 +179,7 @@ def test_wrong_rows_of_a_file_are_refused_with_its_line(tmp_path, text, line, se
 
 def test_a_table_that_lost_what_its_columns_are_is_refused(tmp_path):
     """As pandas and polars write it: nobody could tell a drawn friction from a varied one."""
+    duckdb = pytest.importorskip("duckdb")
     spec = {"vary": {"frequency": [0.5, 0.6]}, "randomize": {"contact.friction": {"uniform": [1, 2]}}, "plots": False}
     table = run_sweep(spec, tmp_path / "out", simulator=FakeSimulator()).table
     duckdb.sql(f"COPY (SELECT * FROM '{tmp_path}/out/results/*.parquet') TO '{tmp_path}/lost.parquet'")
