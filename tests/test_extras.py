@@ -9,9 +9,8 @@ from typing import Any
 
 import pytest
 from command import call
-from nermo_mjx.experiments.identification import run_identification
 
-from nermo_mjx import ParameterError, Simulator, run_search, run_sweep, run_tuning, sensitivity
+from nermo_mjx import ParameterError, Simulator, run_search, run_sweep, sensitivity
 from nermo_mjx.experiments.log_identification import identify_log
 from nermo_mjx.hardware import connected
 from nermo_mjx.learn.run import run_training
@@ -23,12 +22,6 @@ SPECS: dict[str, dict[str, Any]] = {
     "sweep": SWEEP | {"sample": {"sobol": 4}},
     "saltelli": SWEEP | {"sample": {"saltelli": 4}},
     "training": {"worlds": 8, "steps": 1},
-    "tuning": {
-        "spine": "stride_extension",
-        "tune": {"spine.amplitude": {"bounds": [0.0, 0.4], "start": 0.2}},
-        "objective": [{"maximize": "speed"}],
-        "method": "cma",
-    },
     "search": VARY | {"objective": [{"maximize": "speed"}], "budget": {"evaluations": 64}},
     "front": VARY | {"pareto": [{"maximize": "speed"}, {"minimize": "roll_std"}], "budget": {"evaluations": 64}},
     "atlas": VARY
@@ -73,11 +66,8 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         ("SALib", "sensitivity", "sample: saltelli", "sweep saltelli.yaml --out out"),
         ("SALib", "sensitivity", "sample: saltelli", "sweep saltelli.yaml --out out --dry-run"),
         ("SALib", "sensitivity", "sensitivity", "sensitivity table --out out"),
-        ("cma", "cma", "method is cma, which", "tune tuning.yaml --out out"),
-        ("cma", "cma", "method is cma, which", "tune tuning.yaml --out out --dry-run"),
         ("cma", "cma", "method is cma, which", "search search.yaml --out out"),
         ("cma", "cma", "method is cma, which", "search search.yaml --out out --dry-run"),
-        ("cma", "cma", "identify", "identify --out out"),
         ("cma", "cma", "identify", "identify --log log.csv --channels sweep.yaml --out out"),
         ("pymoo", "search", "method is nsga2, which", "search front.yaml --out out"),
         ("ribs", "search", "method is cma_me, which", "search atlas.yaml --out out"),
@@ -99,9 +89,7 @@ def test_a_command_names_the_extra_that_it_needs_before_it_does_anything(
 @pytest.mark.parametrize(
     ("library", "function", "arguments"),
     [
-        ("cma", run_tuning, (SPECS["tuning"], "out")),
         ("cma", run_search, (SPECS["search"], "out")),
-        ("cma", run_identification, ("out",)),
         ("cma", identify_log, ([],)),
         ("SALib", run_sweep, (SPECS["saltelli"], "out")),
         ("SALib", sensitivity, ("table",)),

@@ -21,7 +21,7 @@ import numpy as np
 from measuring import compile_cold, seconds
 
 from nermo_mjx.dynamics import differentiable
-from nermo_mjx.dynamics.impedance import make_constraint
+from nermo_mjx.dynamics.differentiable import make_constraint
 from nermo_mjx.dynamics.integration import integrate
 from nermo_mjx.dynamics.mjx_import import Solved, mjx
 from nermo_mjx.physics.c_engine import CEngine
