@@ -163,11 +163,7 @@ def _lists() -> Iterator[str]:
     setups = _setups if len(_setups) > MOST_SETUPS else {}
     kinds: list[tuple[str, Any, float]] = [
         (f"tests of more than {MOST_PROGRAMS} programs", _tests["programs"], MOST_PROGRAMS),
-        (
-            f"more than {MOST_SETUPS} shared setups, with their programs",
-            _setups if len(_setups) > MOST_SETUPS else {},
-            0,
-        ),
+        (f"more than {MOST_SETUPS} shared setups, with their programs", setups, 0),
         (f"tests after which a process took more than {MOST_BYTES / GIB:g} GiB", _tests["memory"], 0),
         (f"tests of more than {TEST_SECONDS:g} s of CPU time", _tests["seconds"], TEST_SECONDS),
         (f"test functions of more than {FUNCTION_SECONDS:g} s of CPU time", functions, FUNCTION_SECONDS),
