@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import chromium
+import guard
 import jax
 import numpy as np
 import pytest
@@ -27,7 +28,7 @@ if os.environ.pop("PYTHONDONTWRITEBYTECODE", None):
     sys.dont_write_bytecode = False
 
 from nermo_mjx import runtime
-from nermo_mjx.physics import resolve_engine
+from nermo_mjx.physics import c_engine, resolve_engine
 from nermo_mjx.plotting import files
 from nermo_mjx.rollout import Run, RunResult, Setup, Simulator
 from nermo_mjx.rollout.setup import without_presettings
@@ -66,6 +67,8 @@ gc.set_threshold(50_000, 20, 10)  # tracing makes millions of small objects: wit
 jax.config.update("jax_traceback_in_locations_limit", 0)  # nobody reads where in Python an operation comes from
 runtime.start_jax()  # before a test does, with too few threads for large batches on two cores
 
+c_engine.LANES = 8  # most tests simulate one to six worlds: with 32 lanes these have the same bits, and take longer
+
 TESTS = Path(__file__).parent
 # Tests of one room share what those of another define.
 sys.path.extend(sorted({str(path.parent) for path in TESTS.rglob("test_*.py")} - {str(TESTS)}))
@@ -88,11 +91,13 @@ FIRST = (
     "test_plot_command.py",
     "test_cli.py",
 )
-#: Memory that a process of tests needs [bytes].
-PROCESS_BYTES = 3 * 1024**3
 #: Seconds of each test marked `long` that has passed, setup included; in the process that collects reports.
 _passed: collections.Counter[str] = collections.Counter()
 LONG = pytest.StashKey[list[str]]()
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    config.pluginmanager.register(guard)
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -102,7 +107,7 @@ def pytest_xdist_auto_num_workers() -> int | None:
         return None
     processes = runtime.cpu_count() + 1
     if hasattr(os, "sysconf"):  # not on Windows
-        processes = min(processes, os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") // PROCESS_BYTES)
+        processes = min(processes, os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") // guard.MOST_BYTES)
     return max(1, processes)
 
 
@@ -171,7 +176,18 @@ MAKERS = (
 )
 
 
-_first_of = functools.cache(Simulator)
+class SharedSimulator(Simulator):
+    """A simulator whose programs count for the simulator, not for the first test that uses them."""
+
+    def run(self, *given: Any, **named: Any) -> RunResult:
+        with guard.shared(f"simulator {self.engine.name} {without_presettings(self.setup)}"):
+            return super().run(*given, **named)
+
+
+@functools.cache
+def _first_of(setup: Setup, engine: str) -> Simulator:
+    with guard.shared(f"simulator {engine} {setup}"):
+        return SharedSimulator(setup, engine)
 
 
 def shared_simulator(setup: Setup | None = None, engine: str = "auto", **more: Any) -> Simulator:
@@ -261,16 +277,13 @@ def canary(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return log
 
 
-COMPILED = "/jax/core/compile/backend_compile_duration"
-
-
 @pytest.fixture
 def compilations():
     """Names of the programs XLA has compiled since the fixture began, cache hits included."""
     seen: list[str] = []
 
     def listen(event: str, duration: float, **about: str) -> None:
-        if event == COMPILED:
+        if event == guard.COMPILED:
             seen.append(about.get("fun_name", "program"))
 
     jax.monitoring.register_event_duration_secs_listener(listen)

@@ -301,7 +301,7 @@ def mass_model_of(config: RobotConfig, geometry: Geometry) -> MassModel:
     return dataclasses.replace(published, front_com=front, rear_com=rear)
 
 
-@functools.lru_cache(maxsize=8)
+@functools.lru_cache(maxsize=64)  # each takes seconds, and little memory
 def _mass_slopes(config: RobotConfig) -> tuple[MassModel, dict[str, tuple[np.ndarray, np.ndarray]]]:
     """The published mass model, and how its centres move with each parameter of the geometry."""
     robot, slopes = Robot(config, _compile(config)), {}

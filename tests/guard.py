@@ -1,0 +1,185 @@
+"""The limits of the default run: programs that a test creates, shared setups, and memory of a process.
+
+A program is a function that JAX compiles or reads from its cache, so that the number of programs is the same on every
+machine. A test of the default run creates at most `MOST_PROGRAMS`. The programs of a fixture of a module or a session,
+and the programs of the shared simulators, count for this setup instead, and the default run contains at most
+`MOST_SETUPS` of them. With `CI` in the environment a violation is a failure, and each file starts without programs, so
+that the numbers do not depend on other files. Otherwise the end of the run lists them. It always lists CPU times.
+"""
+
+from __future__ import annotations
+
+import collections
+import contextlib
+import ctypes
+import gc
+import os
+import resource
+import sys
+from collections.abc import Generator, Iterator
+from pathlib import Path
+from typing import Any, Final
+
+import jax
+import pytest
+
+ENFORCED: Final = bool(os.environ.get("CI"))
+MOST_PROGRAMS: Final = 8
+MOST_SETUPS: Final = 12
+#: CPU time of a test, and of a test function with all its cases, that the end of a run lists [s].
+TEST_SECONDS: Final = 1.0
+FUNCTION_SECONDS: Final = 4.0
+GIB: Final = 1024**3
+#: Memory of a process beyond which the end of a file frees all programs, and its limit [bytes].
+FREED_BYTES: Final = 2 * GIB
+MOST_BYTES: Final = 3 * GIB
+COMPILED: Final = "/jax/core/compile/backend_compile_duration"
+#: Most entries of a list at the end of a run.
+ENTRIES: Final = 20
+PEAK: Final = pytest.StashKey[int]()
+#: Programs and CPU seconds of the running test, which is "", and of the shared setups that it creates.
+_programs: collections.Counter[str] = collections.Counter()
+_seconds: collections.Counter[str] = collections.Counter()
+_owners, _read, _file = [""], [0.0], [Path()]
+#: In the process that collects reports: a value for each test, for each shared setup, and for each large process.
+_tests: dict[str, dict[str, float]] = {"programs": {}, "seconds": {}, "memory": {}}
+_setups: collections.Counter[str] = collections.Counter()
+
+
+def _count(event: str, _: float, **__: str | int) -> None:
+    if event == COMPILED:
+        _programs[_owners[-1]] += 1
+
+
+jax.monitoring.register_event_duration_secs_listener(_count)
+
+
+def _charge() -> None:
+    """Assign the CPU time since the last call, of this process and of children that ended, to the current owner."""
+    used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    now = sum(each.ru_utime + each.ru_stime for each in used)
+    _seconds[_owners[-1]] += now - _read[0]
+    _read[0] = now
+
+
+@contextlib.contextmanager
+def shared(name: str) -> Iterator[None]:
+    """Within this context, programs and CPU time belong to the shared setup of this name."""
+    _charge()
+    _owners.append(name)
+    try:
+        yield
+    finally:
+        _charge()
+        _owners.pop()
+
+
+def peak_bytes() -> int:
+    """The largest resident memory of this process so far."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
+
+
+def resident_bytes() -> int:
+    """The resident memory of this process; its largest so far on a system without /proc."""
+    with contextlib.suppress(OSError):
+        return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize()
+    return peak_bytes()
+
+
+def free() -> None:
+    """Free all programs of JAX, and return the memory to the system."""
+    jax.clear_caches()
+    gc.collect()
+    with contextlib.suppress(AttributeError, OSError):  # a function of glibc
+        ctypes.CDLL(None).malloc_trim(0)
+
+
+def by_default(item: pytest.Item) -> bool:
+    return not (item.get_closest_marker("release") or item.get_closest_marker("long"))
+
+
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None) -> Generator[None, Any, Any]:
+    if ENFORCED and _file[0] != item.path:
+        jax.clear_caches()
+    _file[0], item.stash[PEAK] = item.path, peak_bytes()
+    _charge()
+    _programs.clear()
+    _seconds.clear()
+    result = yield
+    if (nextitem is None or nextitem.path != item.path) and resident_bytes() > FREED_BYTES:
+        free()
+    return result
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_fixture_setup(fixturedef: Any, request: Any) -> Generator[None, Any, Any]:
+    if fixturedef.scope == "function":
+        return (yield)
+    with shared(f"{fixturedef.baseid}::{fixturedef.argname}[{getattr(request, 'param_index', 0)}]"):
+        return (yield)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call(item: pytest.Item) -> Generator[None, Any, Any]:
+    result = yield
+    if ENFORCED and by_default(item) and _programs[""] > MOST_PROGRAMS:
+        pytest.fail(
+            f"The test creates {_programs['']} programs, more than {MOST_PROGRAMS}: compile whole functions with "
+            "jax.jit, share the programs through a fixture of the module or the session, or mark the test `release`.",
+            pytrace=False,
+        )
+    return result
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_teardown(item: pytest.Item) -> Generator[None, Any, Any]:
+    _charge()
+    if by_default(item):
+        item.user_properties.append(("limits", [dict(_programs), _seconds[""]]))
+    result = yield
+    if (peak := peak_bytes()) > max(MOST_BYTES, item.stash[PEAK]):
+        item.user_properties.append(("memory", peak / GIB))
+        if ENFORCED:
+            pytest.fail(f"The process takes {peak / GIB:.1f} GiB, more than {MOST_BYTES / GIB:g} GiB.", pytrace=False)
+    return result
+
+
+def pytest_runtest_logreport(report: pytest.TestReport) -> None:
+    about: dict[str, Any] = dict(report.user_properties) if report.when == "teardown" else {}
+    if "limits" in about:
+        programs, seconds = about["limits"]
+        _tests["programs"][report.nodeid], _tests["seconds"][report.nodeid] = programs.pop("", 0), seconds
+        _setups.update(programs)
+    if "memory" in about:
+        _tests["memory"][report.nodeid] = about["memory"]
+
+
+def _lists() -> Iterator[str]:
+    """What exceeds its limit, the largest first."""
+    functions: collections.Counter[str] = collections.Counter()
+    for test, seconds in _tests["seconds"].items():
+        functions[test.partition("[")[0]] += seconds
+    setups = _setups if len(_setups) > MOST_SETUPS else {}
+    kinds: list[tuple[str, Any, float]] = [
+        (f"tests of more than {MOST_PROGRAMS} programs", _tests["programs"], MOST_PROGRAMS),
+        (f"more than {MOST_SETUPS} shared setups, with their programs", setups, 0),
+        (f"tests after which a process took more than {MOST_BYTES / GIB:g} GiB", _tests["memory"], 0),
+        (f"tests of more than {TEST_SECONDS:g} s of CPU time", _tests["seconds"], TEST_SECONDS),
+        (f"test functions of more than {FUNCTION_SECONDS:g} s of CPU time", functions, FUNCTION_SECONDS),
+    ]
+    for title, values, most in kinds:
+        beyond = sorted(((value, name) for name, value in values.items() if value > most), reverse=True)
+        yield from [f"{title}: {len(beyond)}"] * bool(beyond)
+        yield from (f"  {value:.3g} {name}" for value, name in beyond[:ENTRIES])
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    for line in _lists():
+        terminalreporter.write_line(line)
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    if ENFORCED and len(_setups) > MOST_SETUPS:
+        session.exitstatus = pytest.ExitCode.TESTS_FAILED
