@@ -1,19 +1,26 @@
 """Paths, the PD pilot and commands given as tables."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
+import mujoco
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from nermo_mjx.control import pilot
 from nermo_mjx.control.controller import named_pilot
 from nermo_mjx.control.parameters import ControlParameters, Pilot
 from nermo_mjx.control.path import PATHS
+from nermo_mjx.kinematics.spine import servo_angle
+from nermo_mjx.robot import SERVOS, load_robot
+from nermo_mjx.robot.geometry import Geometry
 
 arc, straight = jax.jit(PATHS["arc"]), jax.jit(PATHS["straight"])
-steer = jax.jit(pilot.steer)
+steer, heading = jax.jit(pilot.steer), jax.jit(pilot.heading)
 metres = st.floats(-5, 5)
 
 
@@ -94,3 +101,24 @@ def test_the_tangent_points_along_the_path_and_the_error_grows_to_its_left(path,
     slope = jax.jit(jax.grad(lambda point: path(params, point).error))(place)
     ahead = path(params, place).tangent
     np.testing.assert_allclose(slope[:2], [-ahead[1], ahead[0]], atol=1e-5)
+
+
+@pytest.mark.parametrize("bend", [0.1, -0.06])
+@pytest.mark.parametrize("turn", [0.0, 0.9])
+def test_the_heading_of_a_bent_robot_is_half_way_between_torso_and_hip(bend, turn):
+    """Of MuJoCo's robot with four equal angles of the spine, relative to paths in two directions."""
+    robot = load_robot()
+    data, joints = mujoco.MjData(robot.model), robot.joints
+    data.qpos[:] = robot.model.qpos0
+    data.qpos[joints.root + 3 : joints.root + 7] = Rotation.from_euler("z", 0.4).as_quat(scalar_first=True)
+    data.qpos[list(joints.spine)] = bend
+    mujoco.mj_forward(robot.model, data)
+    backward = [frame.xmat.reshape(3, 3)[:2, 1] for frame in (data.body("torso"), data.site("spine_end"))]
+    yaw = [np.arctan2(-x, y) for x, y in backward]
+    assert abs(yaw[0] - yaw[1]) > 3 * abs(bend)
+    sensors = robot.sensors(jnp.asarray(data.sensordata, jnp.float32))
+    bent = sensors.servo_angle.at[SERVOS.index("spine")].set(float(servo_angle(bend, Geometry())))
+    tangent = jnp.asarray([np.sin(turn), -np.cos(turn)], jnp.float32)
+    point = dataclasses.replace(straight(Pilot(), jnp.zeros(3)), tangent=tangent)
+    found = heading(point, dataclasses.replace(sensors, servo_angle=bent), Geometry())
+    assert found == pytest.approx(np.mean(yaw) - turn, abs=0.03 * abs(yaw[0] - yaw[1]))

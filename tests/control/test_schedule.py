@@ -10,9 +10,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from nermo_mjx.control.schedule import Switch, scheduled
+from nermo_mjx.control.parameters import ControlParameters
+from nermo_mjx.control.schedule import Switch, schedule_of, scheduled
 from nermo_mjx.kinematics.body import attitude
 from nermo_mjx.robot.parameters import FRONT_LEG, REAR_LEG
+from nermo_mjx.robot.quantity import quantities, replace_quantities, values_of
 from nermo_mjx.rollout import Run, Setup, Simulator, all_metrics, transitions
 from nermo_mjx.rollout.differentiable import Rollout
 from nermo_mjx.runtime import compiler_options
@@ -215,3 +217,20 @@ def test_a_sweep_varies_when_a_switch_begins(tmp_path):
         {"at": 1.5, "blend": 1.0, "gait": "lateral_walk", "spine": "stride_extension"},
         {"at": 4.0, "blend": 2.0, "set": {"stride": 0.8}},
     ]
+
+
+def test_the_phase_of_a_limb_goes_the_shorter_way_around_the_cycle():
+    """From 0.1 of the cycle to 0.9 by way of 0, and on to 0.3 by way of 1; other parameters go straight."""
+    known = dict(quantities(ControlParameters))
+    switches = [
+        Switch(at=1.0, blend=0.5, values={"offset.front_left": 0.9, "stride": 0.4}),
+        Switch(at=2.0, blend=1.0, values={"offset.front_left": 0.3}),
+    ]
+    schedule = schedule_of(Switch(at=0.0, spine="none", head="none", tail_motion="none"), switches, known)
+    control = replace_quantities(ControlParameters(), {"offset.front_left": 0.1, "stride": 1.0})
+    now = jax.jit(lambda time: dict(values_of(scheduled(control, schedule, time, 0.5))))
+    for time, offset, stride in ((0.5, 0.1, 1.0), (1.5, 0.0, 0.7), (2.0, -0.1, 0.4), (3.0, 0.1, 0.4), (9.0, 0.3, 0.4)):
+        found = now(time)
+        apart = (found["offset.front_left"] - offset + 0.5) % 1.0 - 0.5
+        assert apart == pytest.approx(0.0, abs=1e-6), time
+        assert found["stride"] == pytest.approx(stride, abs=1e-6), time

@@ -149,6 +149,19 @@ def test_the_last_step_leaves_no_solution_that_rounding_put_across_a_border() ->
         assert error(np.asarray(last(single, qacc), float), right, problem).max() < 2e-6
 
 
+def test_a_small_step_out_of_a_contact_is_not_the_last() -> None:
+    """A stiff row pushes below an acceleration of 1, and without it the acceleration is 2.
+
+    The first step from just below 1 is as small as rounding, because the row is stiff, and ends just above 1.
+    """
+    one = np.ones(1)
+    problem = ConstraintProblem(np.eye(1), 2.0 * one, np.eye(1), one, 1e12 * one, 0.0 * one, np.ones((0, 6)))
+    with jax.enable_x64(True):
+        found = jax.jit(lambda start: solver.minimum(Layout(0, 0, ()), problem, start))(one - 2e-13)
+    assert found.converged
+    assert found.qacc == pytest.approx([2.0], rel=1e-12)
+
+
 def test_a_solver_that_is_stopped_too_early_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     """With two rounds, what counts as converged is solved; and what is far from the solution is counted as not."""
     layout, problem, warm, right = problems("elliptic")

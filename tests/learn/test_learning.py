@@ -15,10 +15,13 @@ from fakes.learn_toy import PointMass
 from nermo_mjx.learn.algorithms import PPO
 from nermo_mjx.learn.experience import (
     RESET,
+    Actor,
     EpisodeScores,
     Experience,
+    Learned,
     Statistics,
     advantages,
+    descent,
     scanned,
 )
 
@@ -99,6 +102,40 @@ def test_statistics_in_parts_are_those_of_the_whole():
     parts = Statistics.none(6).extended(values[:7]).extended(values[7:])
     np.testing.assert_allclose(parts.mean, values.mean(axis=0), rtol=1e-5)
     np.testing.assert_allclose(parts.variance, values.var(axis=0), rtol=1e-4)
+
+
+def test_two_steps_on_the_clipped_objective_are_those_of_the_definition():
+    """Against Schulman et al. (2017) and Adam, written out in NumPy, for two actions at one observation.
+
+    The first step makes both actions less probable. That is right for the second, whose advantage is negative, and
+    wrong for the first: the objective must pull it back, although its probability ratio is outside of the clip.
+    """
+    action, gain, std, rate = np.array([0.3, 0.45]), np.array([1.0, -1.0]), 0.3, 0.1
+    ppo = PPO(epochs=2, minibatches=1, discount=0.0, trace=0.0, kl=None, entropy=0.0)
+    actor = Actor(((jnp.zeros((1, 1)), jnp.zeros(1)),), jnp.full(1, np.log(std), jnp.float32))
+    critic = ((jnp.zeros((1, 1)), jnp.zeros(1)),)
+    key, none = jax.random.key_data(jax.random.key(0)), jnp.zeros((), jnp.int32)
+    states = (descent().init(actor), descent().init(critic))
+    learned = Learned(actor, critic, critic, Statistics.none(1), states, jnp.float32(rate), key, none, none)
+    no, seen = jnp.zeros((1, 2), bool), jnp.zeros((1, 2, 1))
+    found = Experience(seen, jnp.asarray(action[None, :, None], jnp.float32), jnp.asarray(gain[None]), {}, no, no, seen)
+    after, _ = jax.jit(functools.partial(ppo._updated, 1))(learned, found)
+
+    def log_density(bias: float, log_std: float) -> np.ndarray:
+        return -0.5 * ((action - np.tanh(bias)) / np.exp(log_std)) ** 2 - log_std
+
+    def loss(at: np.ndarray) -> float:
+        ratio = np.exp(log_density(*at) - log_density(0.0, np.log(std)))
+        return -np.minimum(ratio * gain, np.clip(ratio, 0.8, 1.2) * gain).mean()
+
+    at, mean, square = np.array([0.0, np.log(std)]), np.zeros(2), np.zeros(2)
+    for step in (1, 2):
+        slope = np.array([(loss(at + 1e-6 * e) - loss(at - 1e-6 * e)) / 2e-6 for e in np.eye(2)])
+        slope /= max(1.0, float(np.linalg.norm(slope)))
+        mean, square = 0.9 * mean + 0.1 * slope, 0.999 * square + 0.001 * slope**2
+        at = at - rate * mean / (1 - 0.9**step) / (np.sqrt(square / (1 - 0.999**step)) + 1e-7)
+    bias, log_std = float(after.actor.layers[0][1][0]), float(after.actor.log_std[0])
+    assert (bias, log_std) == pytest.approx(tuple(at), abs=1e-4)
 
 
 def test_an_untrained_policy_does_nothing():

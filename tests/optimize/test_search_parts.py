@@ -12,7 +12,7 @@ from tiers import needs
 
 from nermo_mjx.cli import main
 from nermo_mjx.optimize import Search, run_search
-from nermo_mjx.optimize.methods import Scores, Space, ranked_cost, scores_of, searcher
+from nermo_mjx.optimize.methods import Scores, Space, cells_of, ranked_cost, scores_of, searcher
 from nermo_mjx.optimize.run import search_forecast
 from nermo_mjx.recording import Recording
 from nermo_mjx.specs.reading import SpecError
@@ -41,6 +41,15 @@ def test_falls_come_after_broken_constraints_and_these_by_how_much():
     violation = np.array([0.0, 2.0, 0.5, np.nan, 0.0])
     scores = Scores(cost, np.empty((5, 0)), violation, np.isfinite(violation))
     assert np.argsort(ranked_cost(scores, worst=-1.0)).tolist() == [0, 4, 2, 1, 3]
+
+
+def test_both_ends_of_a_measures_range_are_in_the_atlas():
+    """Eight cells of the speed from 0 to 0.16 m/s times six of the roll from 0 to 0.1 rad; the roll runs fastest."""
+    aim = Search.from_dict(ATLAS).aim
+    speed = [0.0, 0.16, 0.16, 0.021, 0.1601, -1e-9, np.nan, 0.05]
+    roll = [0.0, 0.1, 0.0, 0.051, 0.05, 0.05, 0.05, np.nan]
+    cells = cells_of(aim, np.stack([speed, roll], axis=1))
+    assert cells.tolist() == [0, 47, 42, 9, -1, -1, -1, -1]
 
 
 @pytest.mark.parametrize("spec", [SPEED, FRONT, ATLAS], ids=["cma", "nsga2", "cma_me"])

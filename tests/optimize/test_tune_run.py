@@ -208,6 +208,8 @@ def test_a_problem_that_says_ok_to_nan_is_not_believed():
     state, found = Tuner(tuning, problem).step(initial_state(tuning))
     assert not found.ok.any()
     assert np.isfinite(state.u).all()
+    assert np.isinf(state.best_value).all(), "no point is the best"
+    assert state.best_iteration.tolist() == [-1, -1]
 
 
 # --- going on

@@ -8,12 +8,13 @@ from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
+import mujoco
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from nermo_mjx.physics.c_engine import LANES, CEngine
+from nermo_mjx.physics.c_engine import LANES, CBodies, CEngine, _Block, _observed, _restarted
 from nermo_mjx.physics.lanes import LANES as PIECE
 from nermo_mjx.physics.lanes import Lanes
 from nermo_mjx.rollout import Run, RunResult, Simulator
@@ -252,3 +253,44 @@ def test_no_tick_after_those_of_a_run_begins_in_it(dt: float) -> None:
         assert not np.asarray(begins(ends * dt, ticks + later)).any()
     short = whole[whole * dt < 30.0]
     np.testing.assert_array_equal(ticks_until(short * dt, dt), short + 1)
+
+
+class Passing:
+    """A loop whose state is one number a world, and whose observation is the last reading."""
+
+    steps_per_tick = 3
+
+    def __init__(self) -> None:
+        self.once = jax.device_put(np.int32(1))
+
+    def pack(self, params: np.ndarray) -> np.ndarray:
+        return params[:, None]
+
+    def init(self, packed: np.ndarray, readings: np.ndarray) -> np.ndarray:
+        return packed + readings[:, :1]
+
+    def observe(self, worlds: int, params: np.ndarray, state: np.ndarray, readings: np.ndarray) -> np.ndarray:
+        return readings[:worlds, -1]
+
+
+def test_a_world_that_is_reset_observes_its_new_start_and_leaves_the_others_alone() -> None:
+    """Pendulums in MuJoCo: the observation after a reset is MuJoCo's of the new pose at rest."""
+    model = mujoco.MjModel.from_xml_string(
+        "<mujoco><worldbody><body name='torso'><joint name='j' axis='0 1 0'/><geom size='.1' pos='0 0 -1'/></body>"
+        "</worldbody><sensor><jointpos joint='j'/><jointvel joint='j'/></sensor></mujoco>"
+    )
+    engine, block, loop, lanes = CEngine.__new__(CEngine), _Block.__new__(_Block), Passing(), np.zeros((LANES, 1))
+    engine.model, engine.loop = model, loop
+    CBodies.__init__(block, engine, np.full((4, 1), 0.5), {}, 1)
+    block.loop, block.params, block._state = loop, lanes.copy(), lanes.copy()
+    block._sensordata = np.zeros((LANES, loop.steps_per_tick, 2))
+    for _ in range(20):
+        block.move(block._sensordata[:4])
+    before = _observed(block).copy()
+    assert (np.abs(before[:, 1]) > 0.1).all(), "they swing"
+    seen = _restarted(block, np.array([1, 3]), np.array([7.0, 8.0]), np.array([[0.2], [-0.4]]), {})
+    np.testing.assert_allclose(seen, [[0.2, 0.0], [-0.4, 0.0]], atol=1e-12)
+    np.testing.assert_allclose(_observed(block)[[0, 2]], before[[0, 2]])
+    np.testing.assert_allclose(block.qpos[:, 0], [before[0, 0], 0.2, before[2, 0], -0.4], atol=1e-2)
+    assert block._state[:4, 0].tolist() == pytest.approx([0.0, 7.2, 0.0, 7.6])
+    assert block.params[:4, 0].tolist() == [0.0, 7.0, 0.0, 8.0]

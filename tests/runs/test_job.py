@@ -12,11 +12,16 @@ from nermo_mjx.runs.job import interruptible
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_an_interruption_while_a_file_is_written_ends_the_job_afterwards(number: signal.Signals) -> None:
     written = []
-    with pytest.raises(KeyboardInterrupt), interruptible() as interruption:
-        with interruption.shielded():
-            signal.raise_signal(number)
-            written.append("the rest of the file")
-        written.append("the next file")
+
+    def job() -> None:
+        with interruptible() as interruption:
+            with interruption.shielded():
+                signal.raise_signal(number)
+                written.append("the rest of the file")
+            written.append("the next file")
+
+    with pytest.raises(KeyboardInterrupt):
+        job()
     assert written == ["the rest of the file"]
 
 

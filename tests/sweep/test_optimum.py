@@ -282,3 +282,17 @@ def test_lost_points_are_not_the_best(tmp_path):
         own = fell[fell.gait == answer["for"]["gait"]]
         for point in answer["region"]:
             assert not np.all(own[[*point]] == [*point.values()], axis=1).any()
+
+
+def test_runs_that_measure_the_gain_are_not_among_those_that_choose():
+    """Blocks of a second stage begin after the fresh runs: of repeats 0, 1, fresh 2 to 6, the next are 7 and 8."""
+    asked = SoughtOptimum.model_validate({"over": ["a"], "base": {"b": "none"}, "fresh": 5, "budget": 40, "until": 1})
+    values = np.random.default_rng(0).normal(size=(30, 4))
+    values[:2] = [[1.0, 1.01, 0.99, -9.0], [1.02, 1.0, 0.98, -9.1]]
+    there = np.zeros(values.shape, bool)
+    there[:2] = True
+    first = judged(values, there, asked, 2)
+    assert sorted(set(first.wanted[0].tolist())) == [7, 8]
+    there[first.wanted] = True
+    second = judged(values, there, asked, 2)
+    assert set(second.wanted[0].tolist()) <= {9, 10}

@@ -4,9 +4,12 @@ import itertools
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from nermo_mjx.robot import identified
+from nermo_mjx.robot.quantity import Quantity
 from nermo_mjx.sweep import Sweep, sample
+from nermo_mjx.sweep.sampling import Draw
 
 
 def rows_of(**spec):
@@ -138,3 +141,13 @@ def test_bodies_are_drawn_whole_by_weight_and_leave_other_draws_alone(monkeypatc
     shares = np.bincount(drawn.body) / len(drawn)
     np.testing.assert_allclose(shares, [1 / 8, 2 / 8, 5 / 8], atol=4 * np.sqrt(0.25 / 4000))
     assert abs(np.corrcoef(drawn.body, drawn.values["mass.front"])[0, 1]) < 4 / np.sqrt(4000)
+
+
+@pytest.mark.parametrize(("mean", "std"), [(0.0, 0.004), (0.004, 0.001), (0.01, 0.02)])
+def test_a_normal_draw_is_truncated_to_the_parameters_range(mean, std):
+    """Quantiles of scipy's truncated normal distribution; a clipped one would have the ends many times."""
+    about = Quantity(0.0, "m", 0.0, 0.01, "a length")
+    draw = Draw.model_validate({"normal": [mean, std]}).of("stance.stance_amplitude", about)
+    share = np.linspace(0.0, 0.999, 50)
+    low, high = (0.0 - mean) / std, (0.01 - mean) / std
+    np.testing.assert_allclose(draw.at(share), stats.truncnorm.ppf(share, low, high, mean, std), atol=1e-9)
