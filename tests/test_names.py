@@ -1,10 +1,11 @@
-"""One word, one thing: no two files define a class or a public function of the same name."""
+"""One word, one thing: no two files define a class or a public function of the same name, or a metric's direction."""
 
 import ast
 from collections import defaultdict
 from pathlib import Path
 
 import nermo_mjx
+from nermo_mjx.rollout.own_metrics import METRICS, SIDES
 
 
 def test_no_name_stands_for_two_things():
@@ -15,3 +16,29 @@ def test_no_name_stands_for_two_things():
             if isinstance(node, ast.ClassDef | ast.FunctionDef) and not node.name.startswith("_"):
                 places[node.name].append(path.relative_to(package).as_posix())
     assert {name: files for name, files in places.items() if len(files) > 1} == {}
+
+
+def directions(source):
+    """The metrics whose better direction a source declares: in a mapping, in a pair, or as a `Metric`."""
+    words, found = {*SIDES, *SIDES.values()}, set()
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Dict):
+            pairs = zip(node.keys, node.values, strict=True)
+        elif isinstance(node, ast.Tuple | ast.List) and len(node.elts) == 2:
+            pairs = [node.elts]
+        else:
+            continue
+        for name, value in pairs:
+            said = {each.value for each in ast.walk(value) if isinstance(each, ast.Constant)} & words
+            if isinstance(name, ast.Constant) and name.value in METRICS and said:
+                found.add(name.value)
+    return found
+
+
+def test_one_place_declares_which_direction_of_a_metric_is_better():
+    package = Path(nermo_mjx.__file__).parent
+    assert directions('{"speed": "max"}, [("slip", "low")], {"roll_std": Metric("rad", "", "low")}') == {
+        *("speed", "slip", "roll_std")
+    }
+    declaring = {path for path in package.rglob("*.py") if directions(path.read_text(encoding="utf-8"))}
+    assert declaring == {package / "rollout" / "own_metrics.py"}

@@ -31,9 +31,13 @@ ANGLES: Final = ("roll", "pitch", "yaw")
 PAIRS: Final = {"front": slice(0, 2), "rear": slice(2, 4)}
 
 
+#: Better directions of a metric, and the word of summaries and figures for each.
+SIDES: Final = {"high": "max", "low": "min", "zero": "nearest zero"}
+
+
 @dataclasses.dataclass(frozen=True)
 class Metric:
-    """Unit and meaning of a metric, and which direction is better: `high`, `low`, or None if neither is."""
+    """Unit and meaning of a metric, and which direction is better: one of `SIDES`, or None if none is."""
 
     unit: str
     doc: str
@@ -44,7 +48,7 @@ METRICS: Final[dict[str, Metric]] = {
     "speed": Metric("m/s", "distance over duration", "high"),
     "distance": Metric("m", "way along the pilot's path, or along the smoothed heading, while measured"),
     "duration": Metric("s", "time measured"),
-    "lateral_drift": Metric("m", "displacement along x, left of the straight pilot's line, while measured"),
+    "lateral_drift": Metric("m", "displacement along x, left of the straight pilot's line, while measured", "zero"),
     **{
         f"{angle}_{statistic}": Metric("rad", f"{statistic} of the torso's {angle}", better)
         for angle in ANGLES
@@ -133,7 +137,6 @@ def headed() -> dict[str, str]:
 
 #: Reductions of a function's values.
 REDUCTIONS: Final = ("mean", "rms", "std", "min", "max", "peak", "range", "last", "integral")
-SIDES: Final = ("high", "low")
 #: What a value is of, and how the values of strides become one number.
 PER: Final = ("run", "stride")
 ACROSS: Final = ("mean", "std", "cv")
@@ -193,7 +196,7 @@ def metric(
 
     Args:
         unit: of the reduced number; "1" for a pure number.
-        better: `high`, `low`, or None if neither is.
+        better: `high`, `low`, `zero` (nearest to zero), or None if no value is better than another.
         reduce: `mean`, `rms` (root mean square), `std`, `min`, `max`, `peak` (largest magnitude), `range` (between the
             extremes), `last` (where measuring ends), or `integral` (over the measured seconds).
         per: `run`, or `stride`: the reduction is that of each stride, from a touch-down of `limb` to its next one.
@@ -261,7 +264,7 @@ class _Kept(BaseModel, extra="forbid"):
     name: Annotated[str, Field(pattern=r"^[^\W\d]\w*$")]
     unit: str
     doc: str
-    better: Literal["high", "low"] | None
+    better: Literal["high", "low", "zero"] | None
 
 
 def kept_metrics(named: Iterable[str]) -> bytes:

@@ -38,11 +38,11 @@ from nermo_mjx.sweep.counting import (
     told,
     two_stage,
 )
-from nermo_mjx.sweep.spec import OBJECTIVES
 from nermo_mjx.sweep.structures import label_of
 from nermo_mjx.sweep.table import (
     HELD,
     LEADING,
+    MAIN_METRICS,
     Columns,
     Results,
     SweepRecord,
@@ -732,8 +732,8 @@ def comparison_figures(out: Path) -> Figures:
 def _forest(rows: Sequence[Row], against: str, profile: str) -> Figure:
     """The relative difference of each metric with its interval, and in numbers beside it."""
     known = [row for row in rows if row["relative"] is not None and np.isfinite(row["relative"])]
-    listed = [row for row in known if row["metric"] in OBJECTIVES or row["beyond_noise"]] or known
-    order = {name: place for place, name in enumerate(OBJECTIVES)}
+    listed = [row for row in known if row["metric"] in MAIN_METRICS or row["beyond_noise"]] or known
+    order = {name: place for place, name in enumerate(MAIN_METRICS)}
     drawn = sorted(listed, key=lambda row: (not row["better"], order.get(row["metric"], len(order))))[:_MOST_METRICS]
     page = FigurePage(f"Relative differences: {against}", (7.6, 0.24 * len(drawn) + 1.5))
     ax = page.axes[0, 0]

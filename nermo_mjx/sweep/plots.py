@@ -40,7 +40,7 @@ from nermo_mjx.runs.files import DirectoryError
 from nermo_mjx.runs.rows import part_files
 from nermo_mjx.sweep.counting import Variants, counts
 from nermo_mjx.sweep.optimum import find_optimum, optimum_figure, optimum_files, optimum_table
-from nermo_mjx.sweep.spec import SoughtOptimum, sides_in
+from nermo_mjx.sweep.spec import SoughtOptimum
 from nermo_mjx.sweep.table import (
     LEADING,
     Results,
@@ -50,6 +50,7 @@ from nermo_mjx.sweep.table import (
     profile_text,
     profiles_of,
     rank_correlation,
+    sides_in,
     spine_ratio,
 )
 

@@ -24,10 +24,10 @@ from nermo_mjx.runs.files import DirectoryError, plain_json
 from nermo_mjx.runs.rows import opened_part, part_files
 from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.sweep.counting import Variants, counts
-from nermo_mjx.sweep.spec import Keep, Rows, Sample, Sweep, sides_in
+from nermo_mjx.sweep.spec import Keep, Rows, Sample, Sweep
 from nermo_mjx.sweep.store import known
 from nermo_mjx.sweep.structures import Structure
-from nermo_mjx.sweep.table import RECORDINGS, Results
+from nermo_mjx.sweep.table import RECORDINGS, Results, sides_in
 
 
 @dataclasses.dataclass(frozen=True)

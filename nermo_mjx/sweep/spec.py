@@ -15,13 +15,12 @@ from pathlib import Path
 from typing import Annotated, Any, ClassVar, Final
 
 import numpy as np
-import pyarrow as pa
 from pydantic import BeforeValidator, ConfigDict, Field, create_model
 from scipy.stats import qmc
 
 from nermo_mjx.robot import identified
 from nermo_mjx.robot.quantity import ParameterError, Quantity, did_you_mean
-from nermo_mjx.rollout import METRICS, Metric, Saving, Setup
+from nermo_mjx.rollout import Saving, Setup
 from nermo_mjx.rollout.run import START_SPREAD
 from nermo_mjx.rollout.saving import Keeper
 from nermo_mjx.specs.controllers import code_identity, known_names
@@ -141,44 +140,6 @@ class SoughtOptimum(Fields):
 
 
 # ---
-# Which metrics of a sweep have a better direction, and which: built-in metrics, and custom ones that declare it.
-
-
-#: Metrics with a better direction, and which one it is.
-OBJECTIVES: Final = {
-    "speed": "max",
-    "cost_of_transport": "min",
-    "electrical_cost_of_transport": "min",
-    "servo_work": "min",
-    "slip": "min",
-    "roll_std": "min",
-    "pitch_std": "min",
-    "yaw_std": "min",
-    "lateral_drift": "nearest zero",
-}
-#: The same in the words of a metric.
-SIDES: Final = {"high": "max", "low": "min", "zero": "nearest zero"}
-
-
-def sides_of(metrics: Mapping[str, Metric]) -> dict[str, str]:
-    """The metrics with a better direction, and which one it is.
-
-    >>> sides_of(METRICS)["speed"]
-    'max'
-    """
-    own = {
-        name: SIDES[about.better] for name, about in metrics.items() if name not in METRICS and about.better in SIDES
-    }
-    return {name: side for name, side in OBJECTIVES.items() if name in metrics} | own
-
-
-def sides_in(schema: pa.Schema) -> dict[str, str]:
-    """The same of a table's columns."""
-    about = {field.name: (field.metadata or {}).get(b"better") for field in schema}
-    return sides_of({name: Metric("", "", better and better.decode()) for name, better in about.items()})
-
-
-# ---
 # What a sweep stores beside its table, as written in a file: time series (`save`) and recordings (`keep`).
 
 
@@ -294,7 +255,7 @@ def check_together(doc: Document, sweep: Sweep) -> None:
         doc.fail(("vary",), "is missing or empty, and nothing is randomized: there is nothing to sweep.")
     if not sweep.axes and sweep.sampler not in ("grid", "rows"):
         doc.fail(("sample",), f"is {sweep.sampler}, but 'vary' names no parameter to sample.")
-    sides = sides_of(sweep.metrics)
+    sides = [name for name, about in sweep.metrics.items() if about.better]
     if sweep.keep is not None and sweep.keep.metric not in sides:
         doc.fail(
             ("keep", "metric"),

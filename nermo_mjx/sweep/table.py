@@ -26,7 +26,7 @@ from nermo_mjx.files import FileError, read_as
 from nermo_mjx.plotting.files import Figures, write_figures
 from nermo_mjx.robot.parameters import GAIT_CODES
 from nermo_mjx.robot.quantity import ParameterError, of_type
-from nermo_mjx.rollout.own_metrics import METRICS
+from nermo_mjx.rollout.own_metrics import METRICS, SIDES
 from nermo_mjx.runs.code import session
 from nermo_mjx.runs.directory import RunDirectory, Written, read_record
 from nermo_mjx.runs.files import (
@@ -42,7 +42,7 @@ from nermo_mjx.runs.rows import Columns as Columns
 from nermo_mjx.runs.rows import opened_part, part_files
 from nermo_mjx.runs.status import Status, metadata_of, status_of
 from nermo_mjx.sweep.counting import OF_ALL_RUNS, Tally, Variants, counts, losses
-from nermo_mjx.sweep.spec import OBJECTIVES, SIDES, Rows, Sweep, sides_in
+from nermo_mjx.sweep.spec import Rows, Sweep
 from nermo_mjx.sweep.structures import about_structure
 from nermo_mjx.trust import one_line
 
@@ -140,10 +140,14 @@ def meta(field: pa.Field) -> dict[str, str]:
 
 
 def better(field: pa.Field) -> str:
-    """Whether high or low is better of a metric, or what is nearer to 0; empty if neither is."""
-    known = {side: word for word, side in SIDES.items()}
+    """The better direction of a metric, one of `SIDES`; empty if there is none. Older tables contain few of them."""
     built_in = METRICS[field.name].better if field.name in METRICS else None
-    return meta(field).get("better") or known.get(OBJECTIVES.get(field.name, ""), built_in or "")
+    return meta(field).get("better") or built_in or ""
+
+
+def sides_in(schema: pa.Schema) -> dict[str, str]:
+    """The metrics of a table that have a better direction, and its word, see `SIDES`."""
+    return {field.name: SIDES[side] for field in schema if (side := better(field))}
 
 
 # ---
@@ -388,6 +392,11 @@ def sweep_status(out: Path) -> Status:
 
 #: The metric whose dependence on each parameter is summed up.
 LEADING = "speed"
+#: Built-in metrics of which a summary names the best variants, and which figures show first.
+MAIN_METRICS: Final = (
+    *(LEADING, "cost_of_transport", "electrical_cost_of_transport", "servo_work", "slip"),
+    *("roll_std", "pitch_std", "yaw_std", "lateral_drift"),
+)
 
 
 def summarize(table: pa.Table | Results) -> dict[str, Any]:
@@ -410,7 +419,7 @@ def summarize(table: pa.Table | Results) -> dict[str, Any]:
         words = ("mean", "std", "min", "max") if good.any() else ()
         spreads[name] = {word: float(getattr(values[good], word)()) for word in words}
         spreads[name]["lost"] = float(1 - good.mean())
-        if name in sides:
+        if name in sides and (name in MAIN_METRICS or name not in METRICS):
             best[name] = _best(results, variants, values, good, sides[name])
         if name == LEADING and named:
             texts = list(zip(*(variants.values[each] for each in named), strict=True))
@@ -433,7 +442,7 @@ def summarize(table: pa.Table | Results) -> dict[str, Any]:
         "profiles": profiles_of(results),
         "status": results.statuses,
         "metrics": spreads,
-        "best": {name: best[name] for name in sides if name in best},
+        "best": {name: best[name] for name in (*MAIN_METRICS, *best) if name in best},
         "best_of_each": list(filter(None, leading)),
         "marginal_means": marginal,
         "rank_correlations": correlations,

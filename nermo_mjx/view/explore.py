@@ -28,8 +28,7 @@ from nermo_mjx.runs.files import parquet_table
 from nermo_mjx.specs.reading import SpecError, read_file
 from nermo_mjx.sweep.counting import counts, same_values
 from nermo_mjx.sweep.optimum import optimum_cells, optimum_in
-from nermo_mjx.sweep.spec import OBJECTIVES, sides_in
-from nermo_mjx.sweep.table import LEADING, Results, SweepRecord, meta
+from nermo_mjx.sweep.table import LEADING, MAIN_METRICS, Results, SweepRecord, better, meta
 from nermo_mjx.view.clip import COMPACT, Models, clip_of
 from nermo_mjx.view.page import Packer, Page, document, template
 
@@ -41,7 +40,6 @@ MOST_ROWS: Final = 20_000
 _BEST_KEPT: Final = 500
 #: Maximum number of values of a parameter that forms an axis of cells.
 MOST_CELLS: Final = 64
-_SIDES: Final = {"max": "high", "min": "low", "nearest zero": "zero"}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -143,19 +141,19 @@ def runs_of(path: Path, kept: Collection[int] = (), most: int = MOST_ROWS) -> Ex
     shown = [name for role in ROLES for name, each in fields.items() if each.get("role") == role and name != "seed"]
     metrics = [name for name in shown if fields[name]["role"] == "metric"]
     atlas = json_of(about[b"atlas"], _Atlas, path / "atlas.parquet") if b"atlas" in about else None
-    sides = sides_in(schema)
+    sides = {field.name: better(field) for field in schema}
     if atlas is None and not metrics:
         raise DirectoryError("The table has no metric: no column's role is 'metric'.")
-    usual = LEADING if LEADING in metrics else next(iter([*(name for name in metrics if name in sides), *metrics]), "")
+    usual = LEADING if LEADING in metrics else next(iter([*(name for name in metrics if sides[name]), *metrics]), "")
     leading = usual if atlas is None else str(atlas["objective"]["metric"])
     number = column("row")
-    price = _column(leading, fields[leading], sides, column(leading)).cost()
+    price = _column(leading, fields[leading], sides[leading], column(leading)).cost()
     places = np.arange(len(number))
     if len(number) > most:
         best = np.argsort(price, kind="stable")[: min(_BEST_KEPT, most // 2)]
         places = np.union1d(thinned(places, most - len(best)), best)
         places = np.union1d(places, np.flatnonzero(np.isin(number, list(kept))))
-    columns = {name: _column(name, fields[name], sides, column(name)[places]) for name in shown if name != "row"}
+    columns = {name: _column(name, fields[name], sides[name], column(name)[places]) for name in shown if name != "row"}
     if atlas is not None:
         side = "low" if atlas["objective"]["direction"] == "minimize" else "high"
         columns[leading] = dataclasses.replace(columns[leading], better=side)
@@ -179,15 +177,14 @@ class _Atlas(BaseModel, extra="allow"):
     measures: Annotated[list[_Aim], Field(min_length=1, max_length=2)]
 
 
-def _column(name: str, about: Mapping[str, str], sides: Mapping[str, str], values: np.ndarray) -> ExplorerColumn:
+def _column(name: str, about: Mapping[str, str], side: str, values: np.ndarray) -> ExplorerColumn:
     role = about["role"]
-    better = _SIDES[sides[name]] if role == "metric" and name in sides else ""
     if values.dtype.kind in "OUS" and any(isinstance(value, str) for value in values):
         values = np.array(["–" if value is None else str(value) for value in values], object)
     else:
         values = values.astype(float)  # None of a nullable column becomes NaN
     unit, log = about.get("unit", "1"), about.get("scale") == "log"
-    return ExplorerColumn(name, unit, about.get("description", ""), role, better, log, values)
+    return ExplorerColumn(name, unit, about.get("description", ""), role, side, log, values)
 
 
 #: Choices that are options of `nermo-mjx walk`, with the values that it takes.
@@ -434,7 +431,7 @@ def start_of(runs: ExplorerRuns) -> dict[str, Any]:
         x, y = (steps[:1] + names[:1] + steps[1:] + names[1:])[:2]
     else:
         directed = {each.name for each in metrics if each.better and each.name != runs.leading}
-        colour = next((name for name in (*OBJECTIVES, *runs.columns) if name in directed), runs.leading)
+        colour = next((name for name in (*MAIN_METRICS, *runs.columns) if name in directed), runs.leading)
         numbers = [each for each in [*varied, *runs.of("randomized")] if not each.is_text]
         others = [each.name for each in [*numbers, *varied, *metrics] if each.name != runs.leading]
         x, y = [*others, runs.leading][0], runs.leading

@@ -368,7 +368,7 @@ def test_a_misspelled_name_gets_the_nearest(shake: Path) -> None:
     ("how", "message"),
     [
         ({"unit": ""}, "with the unit '': expected a text"),
-        ({"unit": "1", "better": "lower"}, "better='lower': allowed is None, high, low; did you mean 'low'"),
+        ({"unit": "1", "better": "lower"}, "better='lower': allowed is None, high, low, zero; did you mean 'low'"),
         ({"unit": "1", "reduce": "maximum"}, "reduce='maximum': allowed is mean, rms"),
         ({"unit": "1", "per": "step"}, "per='step': allowed is run, stride"),
         ({"unit": "1", "per": "stride", "limb": "left_front"}, "limb='left_front': allowed is front_left"),

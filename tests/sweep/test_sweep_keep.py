@@ -15,7 +15,7 @@ from conftest import shared_simulator
 from fakes.sweep_fake import SPEC, FakeSimulator, part_of
 
 from nermo_mjx import Recording, Run, Setup, load_robot
-from nermo_mjx.rollout import Saving, Series
+from nermo_mjx.rollout import METRICS, Saving, Series
 from nermo_mjx.rollout.saving import all_signals, chosen_signals
 from nermo_mjx.runs import Interrupted, Watch
 from nermo_mjx.runs.files import DirectoryError
@@ -221,6 +221,23 @@ def test_the_best_are_variants_not_their_luckiest_runs() -> None:
     assert kept_rows(table, Keep(best=1)) == {4: "number 1 by speed"}
     kept = sorted(kept_rows(table, Keep(best=9)).items(), key=lambda item: item[1])
     assert [row for row, _ in kept] == [4, 0, 12, 9, 6]
+
+
+def test_every_metric_with_a_better_direction_can_choose_what_is_kept() -> None:
+    """The highest, the lowest, or the nearest to zero; also of a table whose columns do not name the direction."""
+    directed = [name for name, about in METRICS.items() if about.better]
+    assert {"battery_time", "penetration", "lateral_drift"} < {*directed}
+    for name in directed:
+        assert Sweep.from_dict({**SPEC, "keep": {"best": 1, "metric": name}}).keep == Keep(best=1, metric=name)
+    values = pa.array([0.3, -0.2, 0.1, -0.4])
+    columns = dict.fromkeys(("battery_time", "penetration", "lateral_drift"), values)
+    fields = [pa.field(name, pa.float64(), metadata={"role": "metric"}) for name in columns]
+    rows = {"row": pa.array(range(4)), "variant": pa.array(range(4)), "status": pa.array(["ok"] * 4)}
+    table = Results(
+        pa.table({**rows, **columns}, schema=pa.schema([*(pa.field(n, c.type) for n, c in rows.items()), *fields]))
+    )
+    found = {name: [*kept_rows(table, Keep(best=1, metric=name))] for name in columns}
+    assert found == {"battery_time": [0], "penetration": [3], "lateral_drift": [2]}
 
 
 KEPT: dict[str, Any] = {
