@@ -126,12 +126,15 @@ def scan_case(name: str, worlds: int) -> dict[str, Any]:
 
     walking = jax.block_until_ready(ours.program(session.params, session.fields, session.carry, count))
     states, ctrl = walking.physics, _targets(simulator, batch, ticks)
-    blank = engine.data_among(worlds)
+    model, blank = engine.model, engine.data_among(worlds)
+    if name == "mjx":
+        model = mjx.put_model(simulator.robot.physical)
+        blank = mjx.make_data(model)
     data = jax.jit(jax.vmap(lambda one: one.into(blank)))(states)
 
     def scan(data: mjx.Data, ctrl: jax.Array) -> mjx.Data:
         def tick(data: mjx.Data, target: jax.Array) -> tuple[mjx.Data, None]:
-            return jax.vmap(lambda one, goal: mjx.step(engine.model, one.replace(ctrl=goal)))(data, target), None
+            return jax.vmap(lambda one, goal: mjx.step(model, one.replace(ctrl=goal)))(data, target), None
 
         return jax.lax.scan(tick, data, ctrl)[0]
 

@@ -21,8 +21,8 @@ import numpy as np
 from measuring import compile_cold, seconds
 
 from nermo_mjx.dynamics import differentiable
-from nermo_mjx.dynamics.differentiable import make_constraint
 from nermo_mjx.dynamics.integration import integrate
+from nermo_mjx.dynamics.mjx_copy import adapted
 from nermo_mjx.dynamics.mjx_import import Solved, mjx
 from nermo_mjx.physics.c_engine import CEngine
 from nermo_mjx.physics.mjx_engine import MjxEngine
@@ -41,8 +41,8 @@ MJX_STAGES: Final[dict[str, Stage]] = {
     "kinematics": lambda m, d: mjx.camlight(m, mjx.com_pos(m, mjx.kinematics(m, d))),
     "tendons": mjx.tendon,
     "inertia": mjx.crb,
-    "collision": mjx.collision,
-    "constraint": lambda m, d: mjx.transmission(m, make_constraint(m, d)),
+    "collision": adapted.collision_driver.collision,
+    "constraint": lambda m, d: mjx.transmission(m, differentiable.make_constraint(m, d)),
     "velocity": differentiable.velocity,
     "forces": lambda m, d: differentiable.acceleration(m, mjx.fwd_actuation(m, d)),
     "solver": differentiable.solve,

@@ -100,7 +100,7 @@ def _plain(
 ) -> dict[str, Any]:
     """The error of the gradient of `mjx.step` against the same differences, or why it has none."""
     with jax.enable_x64(True):
-        run = trial(model, data, STEPS, mjx.step)
+        run = trial(model, data, STEPS, mjx)
         try:
             slopes = _Program(jax.grad(lambda point: run.value(point)[0]), run, options)(run.zero)
         except ValueError as error:

@@ -13,10 +13,8 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from nermo_mjx.dynamics import differentiable
+import nermo_mjx.dynamics
 from nermo_mjx.dynamics.integration import positions
-from nermo_mjx.dynamics.mjx_copy import make_data, put_model
-from nermo_mjx.dynamics.mjx_import import mjx
 from nermo_mjx.shapes import Array, Scalar
 
 #: Half-widths of the differences; each entry is moved by that multiple of its unit (m, rad, m/s, ...; 1 for factors).
@@ -163,17 +161,17 @@ def trial(
     model: mujoco.MjModel,
     data: mujoco.MjData | None,
     steps: int,
-    step: Callable[[mjx.Model, mjx.Data], mjx.Data] = differentiable.step,
+    library: Any = nermo_mjx.dynamics,
 ) -> Trial:
     """Some steps as a function of a point; see `check_gradient`.
 
     Args:
         model, data, steps: as there.
-        step: the step function.
+        library: Module with `put_model`, `make_data` and `step`, such as `mujoco.mjx`.
     """
     start = mujoco.MjData(model) if data is None else data
-    device = put_model(model)
-    blank = make_data(device)
+    device = library.put_model(model)
+    blank = library.make_data(device)
     if model.nmocap:
         blank = blank.replace(mocap_pos=jnp.asarray(start.mocap_pos), mocap_quat=jnp.asarray(start.mocap_quat))
     state = [jnp.asarray(each, float) for each in (start.qpos, start.qvel, start.act, start.ctrl)]
@@ -195,7 +193,7 @@ def trial(
 
         def advance(carried: Any, _: None) -> tuple[Any, None]:
             qpos, qvel, act, warm = carried
-            after = step(changed, blank.replace(qpos=qpos, qvel=qvel, act=act, ctrl=ctrl, qacc_warmstart=warm))
+            after = library.step(changed, blank.replace(qpos=qpos, qvel=qvel, act=act, ctrl=ctrl, qacc_warmstart=warm))
             return (after.qpos, after.qvel, after.act, after.qacc_warmstart), None
 
         (qpos, qvel, act, _), _ = jax.lax.scan(advance, (*first, jnp.zeros_like(qvel)), None, length=steps)

@@ -184,13 +184,13 @@ def acceleration(model: Model, data: mjx.Data) -> mjx.Data:
 def _checked(model: mjx.Model, data: mjx.Data) -> Model:
     """The model as the stages take it. Rejects, at trace time, what is not simulated or would fail deep inside MJX."""
     data_makers = "nermo_mjx.dynamics.make_data or put_data"
-    for name, given, kind, maker in (
-        ("model", model, Model, "nermo_mjx.dynamics.put_model; mjx.put_model omits fields that this step reads"),
-        ("data", data, mjx.Data, data_makers),
+    for given, kind, maker in (
+        (model, Model, "nermo_mjx.dynamics.put_model; mjx.put_model omits fields that this step reads"),
+        (data, mjx.Data, data_makers),
     ):
         if not isinstance(given, kind):
             made = f"{type(given).__module__.partition('.')[0]}.{type(given).__name__}"
-            raise ValueError(f"{name} is of {made}: allowed is a result of {maker}.")
+            raise ValueError(f"{kind.__name__.lower()} is of {made}: allowed is a result of {maker}.")
     if data.impl != mjx.Impl.JAX:
         raise ValueError(f"impl of the data is {data.impl.value!r}: allowed is 'jax', the others have no derivatives.")
     if model.opt.integrator not in INTEGRATORS:

@@ -22,37 +22,28 @@ from nermo_mjx.dynamics.coverage import approximated, not_simulated, refused, si
 from nermo_mjx.dynamics.impedance import stiffness_damping_impedance
 from nermo_mjx.dynamics.mjx_import import Model, mjx
 
-
-def _copies(*names: str) -> Any:
-    """Copies of MJX's modules: their functions call each other, and never those of the original modules."""
-    spaces = {f"mujoco.mjx._src.{name}": SimpleNamespace() for name in names}
-    copies: dict[FunctionType, FunctionType] = {}
-
-    def copied(value: Any) -> Any:
-        if isinstance(value, dict):
-            return {key: copied(each) for key, each in value.items()}
-        if isinstance(value, ModuleType):
-            return spaces.get(value.__name__, value)
-        if not isinstance(value, FunctionType) or value.__globals__["__name__"] not in spaces:
-            return value
-        if value not in copies:
-            cells = tuple(CellType(copied(cell.cell_contents)) for cell in value.__closure__ or ())
-            space = vars(spaces[value.__globals__["__name__"]])
-            copies[value] = FunctionType(value.__code__, space, value.__name__, value.__defaults__, cells)
-            copies[value].__kwdefaults__ = value.__kwdefaults__
-            vars(copies[value]).update(vars(value))
-        return copies[value]
-
-    for name, space in spaces.items():
-        vars(space).update(copied(vars(importlib.import_module(name))))
-    return SimpleNamespace(**dict(zip(names, spaces.values(), strict=True)))
+_COPIED: Final = "math support smooth constraint passive forward collision_convex collision_sdf collision_driver io"
+#: Name of each copied module -> its copy.
+_COPIES: Final = {f"mujoco.mjx._src.{name}": SimpleNamespace() for name in _COPIED.split()}
 
 
-#: Copies of MJX's modules, by name, for example `adapted.smooth.tendon`.
-adapted: Final = _copies(
-    *("math", "support", "smooth", "constraint", "passive", "forward"),
-    *("collision_convex", "collision_sdf", "collision_driver", "io"),
-)
+def _copied(value: Any) -> Any:
+    """A value of one of these modules; modules and functions become copies, which call each other."""
+    if isinstance(value, dict):
+        return {key: _copied(each) for key, each in value.items()}
+    if isinstance(value, ModuleType):
+        return _COPIES.get(value.__name__, value)
+    if not isinstance(value, FunctionType) or value.__globals__["__name__"] not in _COPIES:
+        return value
+    names = vars(_COPIES[value.__globals__["__name__"]])
+    cells = tuple(CellType(_copied(cell.cell_contents)) for cell in value.__closure__ or ())
+    return functools.update_wrapper(FunctionType(value.__code__, names, None, value.__defaults__, cells), value)
+
+
+for _name, _copy in _COPIES.items():
+    vars(_copy).update(_copied(vars(importlib.import_module(_name))))
+#: Copies of MJX's modules, for example `adapted.smooth` with the function `adapted.smooth.tendon`.
+adapted: Final[Any] = SimpleNamespace(**dict(zip(_COPIED.split(), _COPIES.values(), strict=True)))
 vars(adapted.math).update(
     closest_segment_point=collision.closest_on_segment, quat_to_axis_angle=jacobians.axis_and_angle
 )
@@ -94,15 +85,14 @@ def put_model(model: mujoco.MjModel, device: jax.Device | None = None) -> Model:
     for what in refused(model):
         raise NotImplementedError(f"{what}.")
     ours = mjx.put_model(model, device, "jax")
-    fields = {field.name: getattr(ours, field.name) for field in mjx.Model.fields()}
     more = {name: getattr(model, name) for name in ("actuator_armature", "actuator_damping", "actuator_dampingpoly")}
     wraps = np.isin(model.wrap_type, (mujoco.mjtWrap.mjWRAP_SPHERE, mujoco.mjtWrap.mjWRAP_CYLINDER))
     within = np.zeros(model.nwrap, bool)
     for side in side_sites(model):
         within[side.wrap] = side.most < side.radius
-    fields["_impl"] = ours._impl.replace(is_wrap_inside=within[wraps])
     said = {"not_simulated": tuple(not_simulated(model)), "approximated": tuple(approximated(model))}
-    return Model(**fields, **jax.device_put(more, device), **said)
+    given = vars(ours) | {"_impl": ours._impl.replace(is_wrap_inside=within[wraps])}
+    return Model(**given, **jax.device_put(more, device), **said)
 
 
 def make_data(model: mjx.Model | mujoco.MjModel, device: jax.Device | None = None) -> mjx.Data:

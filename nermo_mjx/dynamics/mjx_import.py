@@ -3,7 +3,6 @@
 # No `from __future__ import annotations`: MJX reads the types of a class's fields.
 import contextlib
 import io as standard_io
-from typing import Any
 
 import jax
 
@@ -42,12 +41,8 @@ class Solved(mjx.Data):
     @classmethod
     def of(cls, data: mjx.Data) -> "Solved":
         """The data before a solve."""
-        return cls(**_fields(data), residual=jax.numpy.zeros((), data.qpos.dtype))
+        return cls(**vars(data) | {"residual": jax.numpy.zeros((), data.qpos.dtype)})
 
     def plain(self) -> mjx.Data:
         """The data alone."""
-        return mjx.Data(**_fields(self))
-
-
-def _fields(data: mjx.Data) -> dict[str, Any]:
-    return {field.name: getattr(data, field.name) for field in mjx.Data.fields()}
+        return mjx.Data(**{name: value for name, value in vars(self).items() if name != "residual"})
