@@ -272,8 +272,8 @@ class FoundOptimum:
         """The region in words: 3 of 48 points: amplitude 0.3 to 0.4 rad, ..."""
         kept, parts = answer.judged.region, list[str]()
         for name, values in answer.points.items():
-            own = list(dict.fromkeys(sorted(values[kept].tolist())))
-            low, high = (self.text(name, each) for each in (own[0], own[-1]))
+            own = values[kept].tolist()
+            low, high = (self.text(name, each) for each in (min(own), max(own)))
             same = low.partition(" ")[2] == high.partition(" ")[2]  # the unit
             parts.append(high if low == high else f"{low.partition(' ')[0] if same else low} to {high}")
         return f"{kept.sum()} of {len(kept)}: {', '.join(parts)}"
@@ -398,8 +398,7 @@ def find_optimum(results: Results, asked: SoughtOptimum, repeats: int, variants:
                 [each * variants + found.number[side] for each, side in zip(ahead, sides, strict=True)]
             )
             if min(map(len, fresh)) > 1:
-                lines = {name: _measured(metric[name], good[name], seed, fresh) for name in metrics}
-                lines = {name: line for name, line in lines.items() if line}
+                lines = {name: line for name in metrics if (line := _measured(metric[name], good[name], seed, fresh))}
                 both = np.concatenate(fresh)
                 lost = losses(status[both], good[asked.metric][both])
                 told_of = [side[good[asked.metric][side]] for side in fresh]
@@ -511,7 +510,7 @@ def optimum_table(found: FoundOptimum) -> pa.Table:
         for name, line in answer.lines.items()
     ]
     columns, schema = Columns(), found.results.schema
-    for name in dict.fromkeys(itertools.chain(*(line for line in lines))):
+    for name in dict.fromkeys(itertools.chain(*lines)):
         about = meta(schema.field(name)) if name in schema.names else {}
         role = "varied" if about else "index" if name in ("metric", "region") else "metric"
         doc = about.get("description", _FIELDS.get(name, name))

@@ -22,6 +22,7 @@ from pyarrow import csv
 from scipy import stats
 from typing_extensions import TypedDict
 
+from nermo_mjx.control.parameters import PUBLISHED_CLOCK_RATIO
 from nermo_mjx.files import FileError, read_as
 from nermo_mjx.plotting.files import Figures, write_figures
 from nermo_mjx.robot.parameters import GAIT_CODES
@@ -121,12 +122,16 @@ def profiles_of(table: Any) -> list[str]:
 
 
 def profile_text(profiles: Sequence[str]) -> str:
-    """Profiles as headings and the notes of figures name them.
+    """Profiles as headings and the notes of figures name them, and the clock of `as_published`.
 
     >>> profile_text(["exact"]), profile_text(["exact", "as_built"]), profile_text([])
     ('profile exact', 'profiles exact and as_built', 'profile not recorded')
+    >>> profile_text(["as_published"])
+    'profile as_published (as_published simulates 2.5 times the given frequency by default)'
     """
-    return f"profile{'s' * (len(profiles) > 1)} {' and '.join(profiles) or 'not recorded'}"
+    named = f"profile{'s' * (len(profiles) > 1)} {' and '.join(profiles) or 'not recorded'}"
+    clock = f" (as_published simulates {1 / PUBLISHED_CLOCK_RATIO:g} times the given frequency by default)"
+    return named + clock * ("as_published" in profiles)
 
 
 def labelled(table: Any) -> list[str]:

@@ -472,7 +472,8 @@ def test_a_difference_names_its_profiles(drawing, tmp_path: Path) -> None:
     one = compare(tmp_path / "exact", by="spine.amplitude", groups=["frequency"])
     assert (one.about()["profiles"], named(one)) == (["exact"], {"profile exact"})
     two = compare(tmp_path / "exact", tmp_path / "published")
-    assert (two.profiles, named(two)) == (("exact", "as_published"), {"profiles exact and as_published"})
+    clock = "(as_published simulates 2.5 times the given frequency by default)"
+    assert (two.profiles, named(two)) == (("exact", "as_published"), {f"profiles exact and as_published {clock}"})
     varied = {name: each for name, each in RANDOM.items() if name != "vary"} | {
         "vary": {"profile": ["exact", "as_published"], "spine.amplitude": [0.0, 0.4]}
     }
