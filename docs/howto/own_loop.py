@@ -5,8 +5,7 @@ import functools
 import jax
 import jax.numpy as jnp
 
-from nermo_mjx import Setup, compiler_options
-from nermo_mjx.learn import Environment, Task
+from nermo_mjx import Environment, Setup, Task, compiler_options
 
 PAIRS, STEPS, GENERATIONS, SPREAD, RATE = 2, 20, 3, 0.05, 0.02
 environment = Environment(Setup(physics="fast"), engine="mjx", worlds=2 * PAIRS, task=Task(episode_length=5.0))

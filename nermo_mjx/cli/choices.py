@@ -21,36 +21,33 @@ def __getattr__(name: str) -> tuple[str, ...]:
 def of_package() -> dict[str, list[str]]:
     """The names, from where they are declared; the first is an option's default."""
     from nermo_mjx.bench import CASES
-    from nermo_mjx.control.head_and_tail import HEADS, TAIL_MOTIONS
-    from nermo_mjx.control.parameters import PROFILES, STEERING
     from nermo_mjx.control.spine_modes import MODES, NO_MODE
-    from nermo_mjx.control.stepping import FREE
-    from nermo_mjx.control.trajectory import FORMS
     from nermo_mjx.experiments import cases
     from nermo_mjx.experiments.run import EXPERIMENTS
     from nermo_mjx.physics.making import ENGINES
     from nermo_mjx.plotting.files import FORMATS
-    from nermo_mjx.robot import GAIT_CODES, GAITS
-    from nermo_mjx.robot.assembly import PRESETS, ROBOTS, TAILS
+    from nermo_mjx.robot import GAIT_CODES
+    from nermo_mjx.robot.quantity import allowed_names
     from nermo_mjx.robot.scene import scenes
-    from nermo_mjx.rollout import METRICS, all_parameters
+    from nermo_mjx.rollout import METRICS, Setup, all_parameters
     from nermo_mjx.specs.walk import PilotFields
     from nermo_mjx.view import CAMERAS, OVERLAYS
 
+    chosen = allowed_names(Setup)
     named = {
         "ENGINES": ENGINES,
         "BENCH_CASES": CASES,
-        "ROBOTS": ROBOTS,
-        "TAILS": TAILS,
-        "PHYSICS": PRESETS,
-        "GAITS": GAITS,
+        "ROBOTS": chosen["robot"],
+        "TAILS": chosen["tail"],
+        "PHYSICS": chosen["physics"],
+        "GAITS": chosen["gait"],
         "GAIT_CODES": GAIT_CODES,
         "SPINE_MODES": (NO_MODE, *MODES),
-        "TRAJECTORIES": (*FORMS, FREE),
-        "HEADS": HEADS,
-        "TAIL_MOTIONS": TAIL_MOTIONS,
-        "STEERINGS": STEERING,
-        "PROFILES": PROFILES,
+        "TRAJECTORIES": chosen["trajectory"],
+        "HEADS": chosen["head"],
+        "TAIL_MOTIONS": chosen["tail_motion"],
+        "STEERINGS": chosen["steering"],
+        "PROFILES": chosen["profile"],
         "EXPERIMENTS": EXPERIMENTS,
         "EXPERIMENT_PROFILES": cases.PROFILES,
         "OVERLAYS": OVERLAYS,

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
-from typing import Any, Final, NamedTuple, Protocol, TypeVar, runtime_checkable
+from typing import Any, Final, Literal, NamedTuple, Protocol, TypeVar, get_args, runtime_checkable
 
 import jax.numpy as jnp
 import numpy as np
@@ -188,7 +188,8 @@ _HEADS: Final[dict[str, HeadLike]] = {
     "none": Appendage("head", head_held),
     GAZE: Appendage("head", head_held, gaze, on_course=True),
 }
-HEADS: Final = tuple(_HEADS)
+HeadName = Literal["none", "gaze"]
+HEADS: Final = get_args(HeadName)
 
 
 def named_head(name: str = "none") -> HeadLike:
@@ -284,7 +285,8 @@ _TAILS: Final[dict[str, TailLike]] = {
     COUNTER_YAW: Appendage("tail", tail_held, counter_yaw, on_course=True),
     COUNTER_ROLL: Appendage("tail", tail_held, counter_roll),
 }
-TAIL_MOTIONS: Final = tuple(_TAILS)
+TailMotionName = Literal["none", "swing", "counter_yaw", "counter_roll"]
+TAIL_MOTIONS: Final = get_args(TailMotionName)
 
 
 def named_tail(name: str = "none") -> TailLike:

@@ -7,7 +7,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Mapping
-from typing import Any, Final
+from typing import Any, Final, Literal, get_args
 
 import numpy as np
 
@@ -326,6 +326,7 @@ AS_PUBLISHED_BODY: Final = {
     "build.tendon_impedance": 0.95,
 }
 #: Weights (leg, spine) of the three published turning strategies.
+SteeringName = Literal["leg", "spine", "mix"]
 STEERING: dict[str, tuple[float, float]] = {"leg": (1.0, 0.0), "spine": (0.0, 1.0), "mix": (1.0, 1.0)}
 
 
@@ -357,7 +358,8 @@ GRIP: dict[str, float] = {"leg": 0.525, "spine": 1.13, "mix": 1.04}
 #: from 27 August 2021 (192674c) on.
 AS_BUILT = {"tracking.foot_gain": tracking_share(80.0), "spine.max_servo_angle": 0.3, "stride": 0.8}
 AS_BUILT_BODY = {"build.spine_slack": 0.0006, "build.asymmetry": 0.1, "stiffness.spine": 0.9}
-PROFILES: tuple[str, ...] = ("exact", "as_published", "as_built")
+ProfileName = Literal["exact", "as_published", "as_built"]
+PROFILES: tuple[str, ...] = get_args(ProfileName)
 #: Profiles of the published simulation, which experiments show side by side.
 SIMULATED: tuple[str, ...] = PROFILES[:2]
 

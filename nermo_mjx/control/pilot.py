@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
-from typing import Any, Final, NamedTuple, Protocol, runtime_checkable
+from typing import Any, Final, Literal, NamedTuple, Protocol, get_args, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from nermo_mjx.control import turning
 from nermo_mjx.control.parameters import PUBLISHED_RATE, ControlParameters, Pilot
-from nermo_mjx.control.path import PATHS, Course, PathPoint, locate, straight
+from nermo_mjx.control.path import Course, PathPoint, locate, straight
 from nermo_mjx.kinematics.spine import joint_angle, yaw
 from nermo_mjx.robot.geometry import Geometry, geometry_of
 from nermo_mjx.robot.parameters import SERVOS, Sensors
@@ -25,7 +25,8 @@ from nermo_mjx.shapes import Array, Scalar, Scalars, Truth
 Command = Callable[[Any], tuple[Any, Any]]
 
 WAYPOINTS: Final = "waypoints"
-PILOTS: Final = ("open_loop", *PATHS, WAYPOINTS, "external")
+PilotName = Literal["open_loop", "straight", "arc", "waypoints", "external"]
+PILOTS: Final = get_args(PilotName)
 
 
 class Drive(NamedTuple):

@@ -20,10 +20,19 @@ from typing import Any, Final, TypeVar
 import jax.numpy as jnp
 import numpy as np
 
-from nermo_mjx.control.head_and_tail import COUNTER_ROLL, COUNTER_YAW, GAZE, HEADS, SWING, TAIL_MOTIONS
-from nermo_mjx.control.parameters import GRIP, HARMONICS, STEERING, ControlParameters, with_gait_factor
+from nermo_mjx.control.head_and_tail import (
+    COUNTER_ROLL,
+    COUNTER_YAW,
+    GAZE,
+    HEADS,
+    SWING,
+    TAIL_MOTIONS,
+    HeadName,
+    TailMotionName,
+)
+from nermo_mjx.control.parameters import GRIP, HARMONICS, STEERING, ControlParameters, SteeringName, with_gait_factor
 from nermo_mjx.control.spine_modes import mode_names
-from nermo_mjx.robot.parameters import GAIT_CODES, GAIT_PATTERNS, LIMBS
+from nermo_mjx.robot.parameters import GAIT_CODES, GAIT_PATTERNS, LIMBS, GaitName
 from nermo_mjx.robot.quantity import (
     ParameterError,
     Quantity,
@@ -74,11 +83,11 @@ class Switch:
 
     at: float
     blend: float = 1.0
-    gait: str | None = None
-    steering: str | None = None
+    gait: GaitName | None = None
+    steering: SteeringName | None = None
     spine: str | None = None
-    head: str | None = None
-    tail_motion: str | None = None
+    head: HeadName | None = None
+    tail_motion: TailMotionName | None = None
     values: Any = ()
 
     def __post_init__(self) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, Final, Protocol, runtime_checkable
+from typing import Any, Final, Literal, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -168,6 +168,7 @@ class Stepping(GaitLike):
 
 #: The name of this trajectory, in addition to `trajectory.FORMS`.
 FREE: Final = "free"
+TrajectoryName = Literal["cubic", "linear", "parabolic", "free"]
 #: Width of the border of the workspace within which feet are moved inside [m]. The published rear feet come within 0.05
 #: mm of it in mid-swing, where their knee servos are almost at their limit.
 BORDER: Final = 4e-5

@@ -11,37 +11,25 @@ docs/howto/step.md shows the use with any model.
 Names are imported on first use: `precision`, for example, works without MJX.
 """
 
+# ruff: noqa: I001  (one statement for each module)
 from __future__ import annotations
 
-import importlib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from nermo_mjx.lazy import lazy_names
 
 if TYPE_CHECKING:
-    from nermo_mjx.dynamics.checking import GradientCheck, check_gradient
-    from nermo_mjx.dynamics.checkpointing import checkpointed_scan
-    from nermo_mjx.dynamics.constants import MassConstants, PlaceConstants
-    from nermo_mjx.dynamics.coverage import approximated, not_simulated
-    from nermo_mjx.dynamics.differentiable import Verdict, forward, step, step_with_verdict
-    from nermo_mjx.dynamics.mjx_copy import make_data, put_data, put_model
-    from nermo_mjx.dynamics.preparing import fitted
-
-_HOMES = {
-    "nermo_mjx.dynamics.checking": ("GradientCheck", "check_gradient"),
-    "nermo_mjx.dynamics.checkpointing": ("checkpointed_scan",),
-    "nermo_mjx.dynamics.constants": ("MassConstants", "PlaceConstants"),
-    "nermo_mjx.dynamics.coverage": ("approximated", "not_simulated"),
-    "nermo_mjx.dynamics.differentiable": ("Verdict", "forward", "step", "step_with_verdict"),
-    "nermo_mjx.dynamics.mjx_copy": ("make_data", "put_data", "put_model"),
-    "nermo_mjx.dynamics.preparing": ("fitted",),
-}
-_HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
-
-__all__ = ["GradientCheck", "MassConstants", "PlaceConstants", "Verdict", "approximated", "check_gradient"]
-__all__ += ["checkpointed_scan", "fitted", "forward", "make_data", "not_simulated", "put_data", "put_model", "step"]
-__all__ += ["step_with_verdict"]
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _HOME_OF:
-        raise AttributeError(f"module 'nermo_mjx.dynamics' has no attribute {name!r}")
-    return getattr(importlib.import_module(_HOME_OF[name]), name)
+    from nermo_mjx.dynamics.checking import GradientCheck as GradientCheck, check_gradient as check_gradient
+    from nermo_mjx.dynamics.checkpointing import checkpointed_scan as checkpointed_scan
+    from nermo_mjx.dynamics.constants import MassConstants as MassConstants, PlaceConstants as PlaceConstants
+    from nermo_mjx.dynamics.coverage import approximated as approximated, not_simulated as not_simulated
+    from nermo_mjx.dynamics.differentiable import (
+        Verdict as Verdict,
+        forward as forward,
+        step as step,
+        step_with_verdict as step_with_verdict,
+    )
+    from nermo_mjx.dynamics.mjx_copy import make_data as make_data, put_data as put_data, put_model as put_model
+    from nermo_mjx.dynamics.preparing import fitted as fitted
+else:
+    __getattr__, __dir__, __all__ = lazy_names(__name__)

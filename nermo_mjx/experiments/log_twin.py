@@ -294,7 +294,7 @@ def _hold(spec: mujoco.MjSpec) -> bool:
 class NermoBody(Body):
     """Nermo-Lite or Nermo 4.1 as it comes with the package, with the parameters of `ModelParameters`."""
 
-    def __init__(self, robot: str, free: Iterable[str]) -> None:
+    def __init__(self, robot: Any, free: Iterable[str]) -> None:
         """
         Args:
             robot: its name.

@@ -1,33 +1,31 @@
-"""Learning: the robot as an environment of many worlds, its rewards, and training and running a policy."""
+"""Learning: the robot as an environment of many worlds, its rewards, and training and running a policy.
 
+Names are imported on first use: running a policy does not need tables, figures and checkpoints, for example.
+"""
+
+# ruff: noqa: I001  (one statement for each module)
 from __future__ import annotations
 
-import importlib
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING
 
-from nermo_mjx.learn.acting import Modulation, Residual, Targets
-from nermo_mjx.learn.algorithms import PPO
-from nermo_mjx.learn.environment import SENTENCES, Environment, State
-from nermo_mjx.learn.observing import Sensed
-from nermo_mjx.learn.policy import Policy, load_policy
-from nermo_mjx.learn.task import TERMS, Moment, Outcome, Task, Term, task_parameters
+from nermo_mjx.lazy import lazy_names
 
 if TYPE_CHECKING:
-    from nermo_mjx.learn.run import TrainingResult, run_training
-    from nermo_mjx.learn.spec import Training
-
-#: Names that import tables, figures and checkpoints, which running a policy does not need.
-_LATER: Final = {"Training": "spec", "TrainingResult": "run", "run_training": "run"}
-
-__all__ = ["PPO", "SENTENCES", "TERMS", "Environment", "Modulation", "Moment", "Outcome", "Policy", "Residual"]
-__all__ += ["Sensed"]
-__all__ += ["State", "Targets", "Task", "Term", "Training", "TrainingResult", "load_policy", "run_training"]
-__all__ += ["task_parameters"]
-
-
-def __getattr__(name: str) -> Any:
-    if name == "ShortHorizon":  # of an AttributeError, `from nermo_mjx.learn import ...` would hide the message
-        raise ImportError("nermo_mjx.learn.ShortHorizon was removed: use PPO.")
-    if name not in _LATER:
-        raise AttributeError(f"module 'nermo_mjx.learn' has no attribute {name!r}")
-    return getattr(importlib.import_module(f"nermo_mjx.learn.{_LATER[name]}"), name)
+    from nermo_mjx.learn.acting import Modulation as Modulation, Residual as Residual, Targets as Targets
+    from nermo_mjx.learn.algorithms import PPO as PPO
+    from nermo_mjx.learn.environment import SENTENCES as SENTENCES, Environment as Environment, State as State
+    from nermo_mjx.learn.evaluation import played_task as played_task
+    from nermo_mjx.learn.observing import Sensed as Sensed
+    from nermo_mjx.learn.policy import Policy as Policy, load_policy as load_policy
+    from nermo_mjx.learn.run import TrainingResult as TrainingResult, run_training as run_training
+    from nermo_mjx.learn.spec import Training as Training
+    from nermo_mjx.learn.task import (
+        TERMS as TERMS,
+        Moment as Moment,
+        Outcome as Outcome,
+        Task as Task,
+        Term as Term,
+        task_parameters as task_parameters,
+    )
+else:
+    __getattr__, __dir__, __all__ = lazy_names(__name__, removed={"ShortHorizon": "use PPO"})

@@ -230,7 +230,7 @@ class Environment:
     (True, 0.01)
 
     On the engine `mjx`, `reset` and `step` are pure functions of arrays, for `jax.jit`, `jax.vmap`, `jax.lax.scan` and
-    `jax.grad`, whose derivatives are those of `physics.step`. On `c` they are calls of this machine's processors, the
+    `jax.grad`, whose derivatives are those of `dynamics.step`. On `c` they are calls of this machine's processors, the
     state is NumPy's, and only the latest one can be stepped on. Equal keys and actions give equal numbers, on `c` bit
     for bit, whatever the number of threads.
 

@@ -18,6 +18,8 @@ except ModuleNotFoundError as error:
 from nermo_mjx.learn.environment import SENTENCES, Environment, State
 from nermo_mjx.robot.quantity import ParameterError
 
+__all__ = ["NermoVectorEnv"]
+
 
 class NermoVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     """A batch of worlds on MuJoCo's C engine.

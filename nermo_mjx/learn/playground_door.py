@@ -29,6 +29,8 @@ from nermo_mjx.robot import ParameterError
 from nermo_mjx.robot.terrains import TERRAINS
 from nermo_mjx.rollout.setup import Setup
 
+__all__ = ["NermoMjxEnv", "default_config", "register"]
+
 _ARRIVED: Final = list(Outcome).index(Outcome.arrived)
 
 

@@ -17,6 +17,8 @@ except ModuleNotFoundError as error:
 from nermo_mjx.learn.environment import Environment
 from nermo_mjx.learn.gymnasium_door import NermoVectorEnv
 
+__all__ = ["NermoVecEnv"]
+
 
 class NermoVecEnv(VecEnv):
     """A batch of worlds on MuJoCo's C engine, in Stable-Baselines3's own interface, which predates Gymnasium's.

@@ -36,8 +36,7 @@ def resolve_engine(name: str) -> str:
 def make_engine(name: str, robot: Robot, loop: Loop, devices: int | None = None, threads: int | None = None) -> Engine:
     """Build an engine by name.
 
-    >>> from nermo_mjx import Setup, load_robot
-    >>> from nermo_mjx.rollout.loop import ClosedLoop
+    >>> from nermo_mjx import ClosedLoop, Setup, load_robot
     >>> robot = load_robot()
     >>> make_engine("c", robot, ClosedLoop(robot, Setup().make_controller())).name
     'c'

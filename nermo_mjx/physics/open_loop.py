@@ -50,7 +50,7 @@ FREE, BALL = int(mujoco.mjtJoint.mjJNT_FREE), int(mujoco.mjtJoint.mjJNT_BALL)
 #: Activations whose next value follows from themselves and the control.
 _SIMPLE: Final = ("NONE", "INTEGRATOR", "FILTER", "FILTEREXACT", "MUSCLE")
 _FULL: Final = mujoco.mjtState.mjSTATE_FULLPHYSICS
-_FIRST_ONLY: Final = "A trajectory on MuJoCo C has first derivatives only: for second ones take nermo_mjx.physics.step."
+_FIRST_ONLY: Final = "A trajectory on MuJoCo C has first derivatives only: for others take nermo_mjx.dynamics.step."
 
 
 def first_order_callback(function: Callable[..., Any], shapes: Any, refusal: str, *given: Array) -> Any:

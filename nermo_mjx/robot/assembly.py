@@ -8,7 +8,7 @@ limbs are mirrored.
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 import mujoco
 import numpy as np
@@ -29,15 +29,24 @@ from nermo_mjx.robot.equipment import (
 from nermo_mjx.robot.geometry import Geometry, standing
 from nermo_mjx.robot.masses import mass_values
 from nermo_mjx.robot.model_parameters import ModelParameters, gravity_vector
-from nermo_mjx.robot.parameters import LEGS, LIMBS, PRESETS, ROUTINGS, PhysicsPreset, PresetTimestep, ProfileChoice
+from nermo_mjx.robot.parameters import (
+    LEGS,
+    LIMBS,
+    PRESETS,
+    PhysicsPreset,
+    PresetName,
+    PresetTimestep,
+    ProfileChoice,
+    RoutingName,
+)
 from nermo_mjx.robot.parts import load_part, mirror, stance_height
-from nermo_mjx.robot.quantity import ParameterError, replace_quantities, static, with_attributes
+from nermo_mjx.robot.quantity import ParameterError, allowed_names, replace_quantities, static, with_attributes
 from nermo_mjx.robot.scene import Scene, load_scene, resolve_scene, scene_geoms, scene_name
 
-ROBOTS: Final = ("nermo_lite", "nermo_41")
-TAILS: Final = ("rigid", "articulated")
-FEET: Final = ("spheres", "capsules")
-CONES: Final = ("elliptic", "pyramidal")
+RobotName = Literal["nermo_lite", "nermo_41"]
+TailName = Literal["rigid", "articulated"]
+ConeName = Literal["elliptic", "pyramidal"]
+FeetName = Literal["spheres", "capsules"]
 #: The torso's cameras that follow the robot without turning with it.
 FOLLOWING: Final = ("track_side", "track_top", "track_three_quarter")
 #: Field of view of the head's two cameras.
@@ -49,41 +58,38 @@ EYES: Final = ("left_eye", "right_eye")
 class RobotConfig:
     """Which robot to build; every name is resolved before anything compiles."""
 
-    robot: str = static("nermo_lite", "`nermo_41` has vertical spine joints, and a head that tilts", ROBOTS)
+    robot: RobotName = static("nermo_lite", "`nermo_41` has vertical spine joints, and a head that tilts")
     scene: Scene = static(
         "flat", "a scene of mjcf/scenes, or a custom one as the path of an MJCF file or as MJCF itself, which is stored"
     )
-    tail: str = static(
+    tail: TailName = static(
         ProfileChoice("rigid"),
         "rigid is a third faster, articulated has 19 joints; same mass and centre of mass; in as_published by default "
         "articulated",
-        TAILS,
     )
-    routing: str = static(
+    routing: RoutingName = static(
         "type3",
         "of the knee's tendon: type3 through the hip axis (the robot), type3_idler around an idler on that axis; see "
         "`robot.geometry.pull`",
-        ROUTINGS,
     )
-    cone: str = static("elliptic", "friction cone", CONES)
-    physics: str = static("reference", "time step and contact pairs, see `PRESETS`", tuple(PRESETS))
+    cone: ConeName = static("elliptic", "friction cone")
+    physics: PresetName = static("reference", "time step and contact pairs, see `PRESETS`")
     timestep: float = static(
         PresetTimestep("nan"),
         "physics step [s]: the control period 0.01 s divided by a whole number; takes precedence over that of physics",
     )
-    feet: str = static(
+    feet: FeetName = static(
         ProfileChoice("spheres"),
         "form of the soles; capsules: 7 mm wide, and front ankles touch, too; in as_published by default capsules",
-        FEET,
     )
     hinges: int = static(1, f"of each compliant joint of legs and spine, from 1 to {MOST_HINGES}; see `flexure`")
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "scene", resolve_scene(self.scene))
-        for field in dataclasses.fields(RobotConfig):
-            if (allowed := field.metadata["allowed"]) and getattr(self, field.name) not in allowed:
+        for name, allowed in allowed_names(RobotConfig).items():
+            if getattr(self, name) not in allowed:
                 raise ParameterError(
-                    f"{field.name} is {getattr(self, field.name)!r}: allowed is {' or '.join(map(repr, allowed))}."
+                    f"{name} is {getattr(self, name)!r}: allowed is {' or '.join(map(repr, allowed))}."
                 )
         if isinstance(self.timestep, PresetTimestep):
             object.__setattr__(self, "timestep", PresetTimestep(self.preset.timestep))
@@ -130,7 +136,7 @@ def assemble(config: RobotConfig | None = None, parameters: ModelParameters | No
 
 
 def assemble_leg(
-    limb: str, routing: str = "type3", parameters: ModelParameters | None = None, hinges: int = 1
+    limb: str, routing: RoutingName = "type3", parameters: ModelParameters | None = None, hinges: int = 1
 ) -> mujoco.MjSpec:
     """One leg on a test stand: its hip axis is fixed at the world's origin, without gravity or ground."""
     if limb not in LIMBS:
@@ -144,7 +150,7 @@ def assemble_leg(
 
 
 def assemble_spine(
-    parameters: ModelParameters | None = None, robot: str = "nermo_lite", hinges: int = 1
+    parameters: ModelParameters | None = None, robot: RobotName = "nermo_lite", hinges: int = 1
 ) -> mujoco.MjSpec:
     """The spine on a test stand: its base is fixed at the world's origin, without gravity; the hip hangs free."""
     config, parameters = RobotConfig(robot, hinges=hinges), parameters or default_parameters(robot)

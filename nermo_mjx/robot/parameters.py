@@ -13,7 +13,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Mapping, Sequence
-from typing import Final
+from typing import Final, Literal, get_args
 
 import jax
 import jax.numpy as jnp
@@ -22,10 +22,12 @@ from jaxtyping import Float
 from nermo_mjx.shapes import Array, PerLimb, Quaternion, Scalars, Spatial
 
 LIMBS: Final = ("front_left", "front_right", "rear_left", "rear_right")
-GAITS: Final = ("trot", "walking_trot", "lateral_walk", "bound", "gallop")
+GaitName = Literal["trot", "walking_trot", "lateral_walk", "bound", "gallop"]
+GAITS: Final = get_args(GaitName)
 #: The author's codes of gaits, which are accepted in place of their names, and shown nowhere.
 GAIT_CODES: Final = {"trt": "trot", "trt1": "walking_trot", "lat": "lateral_walk"}
-ROUTINGS: Final = ("type1", "type2", "type3", "type3_idler")
+RoutingName = Literal["type1", "type2", "type3", "type3_idler"]
+ROUTINGS: Final = get_args(RoutingName)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -316,6 +318,7 @@ class PresetTimestep(float):
     """A time step [s] that was not given: it is that of the preset and changes with the preset."""
 
 
+PresetName = Literal["reference", "fast"]
 #: `reference` is the model as it was identified. `fast` keeps speeds at the published frequencies within 1.5 % of it,
 #: roll and duty within 2.3 %; slip and servo work change more.
 PRESETS: Final[Mapping[str, PhysicsPreset]] = {

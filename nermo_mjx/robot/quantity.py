@@ -14,7 +14,7 @@ import importlib.util
 import math
 import re
 from collections.abc import Iterable, Iterator, Mapping
-from typing import Any, Final, TypeVar, dataclass_transform
+from typing import Any, Final, Literal, TypeVar, dataclass_transform, get_args, get_origin, get_type_hints
 
 import jax
 import numpy as np
@@ -316,25 +316,39 @@ def group(sub: type[T]) -> Any:
 
 
 # ---
-# Choices made before anything compiles: a field of a frozen dataclass, with its meaning and the names that it may have.
+# Choices made before anything compiles: a field of a frozen dataclass, with its meaning; its type lists the names.
 
 
-def static(default: Any, doc: str, allowed: Iterable[str] = ()) -> Any:
+def static(default: Any, doc: str) -> Any:
     """Declare a dataclass field that holds a choice, a name or an object, made before anything compiles.
+
+    The type of the field states the allowed names, as a `Literal`: see `allowed_names`.
 
     Args:
         default: what it is if nothing is given.
         doc: its meaning.
-        allowed: the names that it may have; the class checks them.
     """
-    return dataclasses.field(default=default, metadata={"doc": doc, "allowed": tuple(allowed)})
+    return dataclasses.field(default=default, metadata={"doc": doc})
+
+
+@functools.cache
+def allowed_names(cls: type) -> dict[str, tuple[str, ...]]:
+    """Return the allowed names of each field of a class whose type is a `Literal`: field -> names.
+
+    >>> class Mat:
+    ...     pile: Literal["short", "long"]
+    ...     width: float
+    >>> allowed_names(Mat)
+    {'pile': ('short', 'long')}
+    """
+    return {name: get_args(kind) for name, kind in get_type_hints(cls).items() if get_origin(kind) is Literal}
 
 
 def with_attributes(cls: type[T]) -> type[T]:
     """Class decorator: the docstring of a dataclass lists the fields that `static` declares."""
-    lines = []
+    lines, allowed = [], allowed_names(cls)  # type: ignore[arg-type]
     for field in dataclasses.fields(cls):  # type: ignore[arg-type]
-        names = field.metadata["allowed"] if len(field.metadata["allowed"]) <= 12 else ()
+        names = allowed.get(field.name, ())
         lines.append(f"{field.name}: {field.metadata['doc']}{'; one of ' * bool(names)}{', '.join(names)}.")
     cls.__doc__ = "\n        ".join((f"{cls.__doc__}\n    Attributes:", *lines)) + "\n"
     return cls

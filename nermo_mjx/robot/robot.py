@@ -15,13 +15,21 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from nermo_mjx.robot.assembly import RobotConfig, assemble, default_parameters
+from nermo_mjx.robot.assembly import (
+    ConeName,
+    FeetName,
+    RobotConfig,
+    RobotName,
+    TailName,
+    assemble,
+    default_parameters,
+)
 from nermo_mjx.robot.equipment import COMPLIANT, TAIL_DAMPING, chain_of, compliant_kind
 from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.masses import MassModel, is_front, physical_model, reduced_model
 from nermo_mjx.robot.meshes.body import redraw
 from nermo_mjx.robot.model_parameters import Build, Damping, gravity_values
-from nermo_mjx.robot.parameters import LIMBS, Sensors, reading_names
+from nermo_mjx.robot.parameters import LIMBS, PresetName, RoutingName, Sensors, reading_names
 from nermo_mjx.robot.quantity import ParameterError, quantities, replace_quantities, values_of
 from nermo_mjx.robot.scene import Scene, Terrain, scene_geoms, scene_name
 from nermo_mjx.shapes import Array
@@ -320,15 +328,15 @@ def _ids(model: mujoco.MjModel, geoms: tuple[str, ...]) -> tuple[int, ...]:
 
 
 def load_robot(
-    robot: str | RobotConfig = "nermo_lite",
+    robot: RobotName | RobotConfig = "nermo_lite",
     scene: Scene = "flat",
-    tail: str = "rigid",
-    routing: str = "type3",
-    cone: str = "elliptic",
-    physics: str = "reference",
+    tail: TailName = "rigid",
+    routing: RoutingName = "type3",
+    cone: ConeName = "elliptic",
+    physics: PresetName = "reference",
     timestep: float | None = None,
     hinges: int = 1,
-    feet: str = "spheres",
+    feet: FeetName = "spheres",
 ) -> Robot:
     """Assemble a robot in a scene. The same arguments compile once; each call returns a robot with models of its own.
 

@@ -12,18 +12,18 @@ import numpy as np
 from jaxtyping import Float
 
 from nermo_mjx.control.controller import Controller, published_controller
-from nermo_mjx.control.head_and_tail import HEADS, TAIL_MOTIONS
+from nermo_mjx.control.head_and_tail import TAIL_MOTIONS, HeadName, TailMotionName
 from nermo_mjx.control.parameters import (
-    PROFILES,
-    STEERING,
     ControlParameters,
+    ProfileName,
+    SteeringName,
     body_values,
     published_values,
     robot_choices,
     steering_of,
     with_geometry,
 )
-from nermo_mjx.control.pilot import Command
+from nermo_mjx.control.pilot import Command, PilotName
 from nermo_mjx.control.protocol import (
     ActsUpon,
     ChecksParameters,
@@ -35,15 +35,14 @@ from nermo_mjx.control.protocol import (
     user_code,
 )
 from nermo_mjx.control.schedule import MODES, MOST, Schedule, Switch, check_schedule, schedule_of
-from nermo_mjx.control.spine_modes import SAGITTAL_MODES, SPINES, SpineModes, mode_names
-from nermo_mjx.control.stepping import FREE
-from nermo_mjx.control.trajectory import FORMS
-from nermo_mjx.robot import GAIT_CODES, GAITS, ParameterError, Robot, RobotConfig, load_robot
+from nermo_mjx.control.spine_modes import SAGITTAL_MODES, SpineModes, mode_names
+from nermo_mjx.control.stepping import TrajectoryName
+from nermo_mjx.robot import GAIT_CODES, ParameterError, Robot, RobotConfig, load_robot
 from nermo_mjx.robot.equipment import check_servo, highest_kp, highest_kv
 from nermo_mjx.robot.geometry import Geometry, check_geometry, names_geometry
 from nermo_mjx.robot.masses import mass_values
 from nermo_mjx.robot.model_parameters import ModelParameters, gravity_values
-from nermo_mjx.robot.parameters import ProfileChoice
+from nermo_mjx.robot.parameters import GaitName, ProfileChoice
 from nermo_mjx.robot.quantity import (
     Quantity,
     check_quantities,
@@ -209,35 +208,28 @@ class Setup(RobotConfig):
         ParameterError: an unknown name, or choices that cannot be combined; the message says what is allowed.
     """
 
-    gait: str = static(
-        "trot",
-        "defaults of duty, offsets and gait factor",
-        GAITS,
-    )
+    gait: GaitName = static("trot", "defaults of duty, offsets and gait factor")
     spine: str = static(
         "none",
         "its auxiliary modes, none or several joined by +: stride_extension, balance, harmonics, and with the robot "
         "nermo_41 sagittal_extension and pitch_balance",
-        SPINES,
     )
-    steering: str = static(
-        steering_of("exact"), "what turns the robot; in the profile as_published by default spine", STEERING
+    steering: SteeringName = static(
+        steering_of("exact"), "what turns the robot; in the profile as_published by default spine"
     )
-    profile: str = static(
-        "exact",
-        "as_published is the published simulation with its body, as_built has the body of the built robot",
-        PROFILES,
+    profile: ProfileName = static(
+        "exact", "as_published is the published simulation with its body, as_built has the body of the built robot"
     )
-    pilot: str = static("straight", "what steers the robot: straight, arc, waypoints, open_loop or external")
+    pilot: PilotName = static("straight", "what steers the robot")
     waypoints: tuple[tuple[float, float], ...] | None = static(
         None, "for the pilot waypoints, (x, y) of each [m], see `control.path.course_through`"
     )
     command: Command | None = static(None, "for the pilot external, see `control.pilot.tabulated`")
-    trajectory: str = static(
-        "cubic", "form of the foot path; free: cubic, with movable points and numbers of limbs", (*FORMS, FREE)
+    trajectory: TrajectoryName = static(
+        "cubic", "form of the foot path; free: cubic, with movable points and numbers of limbs"
     )
-    head: str = static("none", "gaze keeps its direction in the world", HEADS)
-    tail_motion: str = static("none", "what the articulated tail does", TAIL_MOTIONS)
+    head: HeadName = static("none", "gaze keeps its direction in the world")
+    tail_motion: TailMotionName = static("none", "what the articulated tail does")
     controller: ControllerLike | str | None = static(
         None, "another controller (see `ControllerLike`): FILE.py:NAME or FILE.npz, a policy, or MODULE:NAME"
     )

@@ -23,7 +23,7 @@ from nermo_mjx.control.stepping import FREE
 from nermo_mjx.robot import GAITS, identified
 from nermo_mjx.robot.equipment import MOST_HINGES
 from nermo_mjx.robot.parameters import ProfileChoice
-from nermo_mjx.robot.quantity import ParameterError, Quantity, did_you_mean
+from nermo_mjx.robot.quantity import ParameterError, Quantity, allowed_names, did_you_mean
 from nermo_mjx.robot.scene import resolve_scene, scenes
 from nermo_mjx.robot.terrains import scenes_reading, terrain_values
 from nermo_mjx.rollout import Metric, Run, Setup, all_metrics, all_parameters
@@ -114,7 +114,7 @@ SceneField = Annotated[
 def _in_a_file(name: str) -> tuple[Any, Any]:
     """A choice of the setup as a field of a file: one of several names, by default that of `Setup`."""
     field = Setup.__dataclass_fields__[name]
-    about, allowed = field.metadata["doc"], list[Any](field.metadata["allowed"])
+    about, allowed = field.metadata["doc"], [*(SPINES if name == "spine" else allowed_names(Setup).get(name, ()))]
     if name in ("timestep", "controller"):
         return float if name == "timestep" else str, optional(about)
     if isinstance(field.default, ProfileChoice):  # changes with the profile, which no JSON has

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from nermo_mjx.recording import Recording, RecordingError, model_hash, recording_of
 from nermo_mjx.robot.quantity import of_type
+from nermo_mjx.view import offscreen
 from nermo_mjx.view.page import Page
 from nermo_mjx.view.playing import play, write_keyframes
 from nermo_mjx.view.recorded import robot_of, shown_model
@@ -19,6 +20,7 @@ __all__ = [
     "VideoError",
     "check_video",
     "model_hash",
+    "offscreen",
     "play",
     "recording_of",
     "render",

@@ -7,8 +7,6 @@ import os
 import subprocess
 import sys
 
-import pytest
-
 #: Compares all attributes of the loaded modules of MJX and JAX by identity, at two times, with the entries of
 #: dictionaries and the attributes of classes. New entries count in MJX only: JAX itself registers in its own tables.
 #: `replaced` also lists attributes that were replaced and restored, which another thread would see.

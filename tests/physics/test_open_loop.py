@@ -203,5 +203,5 @@ def test_what_cannot_be_done_is_refused_in_a_sentence() -> None:
         motion(jnp.zeros(3), still, jnp.zeros((4, 1)))
     with pytest.raises(ParameterError, match=r"ctrl has shape \(4, 2\): expected \(steps, 1\)"):
         motion(still, still, jnp.zeros((4, 2)))
-    with pytest.raises(ParameterError, match=r"first derivatives only: .* nermo_mjx.physics.step"):
+    with pytest.raises(ParameterError, match=r"first derivatives only: .* nermo_mjx.dynamics.step"):
         jax.hessian(lambda u: motion(still, still, u).qpos[-1, 0])(jnp.zeros((4, 1)))
