@@ -111,8 +111,17 @@ def pytest_xdist_auto_num_workers() -> int | None:
     return max(1, processes)
 
 
+def _mark_cases(item: pytest.Item) -> None:
+    """Remove the mark `release(cases=...)` of a parametrized test from all cases but those that the mark lists."""
+    for mark in [mark for mark in item.own_markers if mark.name == "release" and "cases" in mark.kwargs]:
+        if item.callspec.id not in mark.kwargs["cases"]:
+            item.own_markers.remove(mark)
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    for item in items:
+        _mark_cases(item)
     order = {name: place for place, name in enumerate(FIRST)}
     items.sort(key=lambda item: order.get(item.path.name, len(order)))
     config.stash[LONG] = [item.nodeid for item in items if item.get_closest_marker("long")]

@@ -106,6 +106,7 @@ def test_a_displayed_formula_has_room(site: Path, browser: chromium.Browser) -> 
     assert [(needed, there) for needed, there in heights if needed > there] == []
 
 
+@pytest.mark.release
 def test_recordings_of_the_pages_are_of_the_robot_that_there_is() -> None:
     paths = sorted((ROOT / "docs").rglob("walks/*/*.npz"))
     assert len(paths) > 10

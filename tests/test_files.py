@@ -272,6 +272,7 @@ def kinds_of_files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[
     return found
 
 
+@pytest.mark.release
 @pytest.mark.parametrize("share", [0, *(pytest.param(share, marks=pytest.mark.release) for share in range(1, 4))])
 def test_mutants_of_all_kinds_of_files_end_in_a_sentence(kinds_of_files: Any, share: int) -> None:
     """2,000 in all."""
@@ -347,6 +348,16 @@ def test_a_file_that_is_none_is_refused(load: Any, kind: str, tmp_path: Path) ->
     assert "not a regular file" in said or "there is no such file" in said
 
 
+@pytest.mark.release(
+    cases=(
+        "metrics.json-pipe",
+        "plots-device",
+        "sweep.yaml-pipe",
+        "metrics.json-device",
+        "sweep.yaml-device",
+        "plots-pipe",
+    )
+)
 @SPECIAL
 @pytest.mark.parametrize("name", ["run.json", "sweep.yaml", "sweep.json", "metrics.json", "results/part", "plots"])
 def test_a_special_file_in_a_directory_ends_in_a_sentence(kinds_of_files: Any, kind: str, name: str, tmp_path: Path):
@@ -404,6 +415,7 @@ def test_nothing_else_opens_what_is_read() -> None:
     assert {name: count for name, count in found.items() if count} == NOT_READ_FOR_A_PERSON | {"files.py": 5}
 
 
+@pytest.mark.release(cases=("variant", "fell", "speed", "frequency", "code"))
 @pytest.mark.parametrize("name", ["row", "variant", "status", "code", "frequency", "speed", "fell"])
 def test_a_null_in_a_typed_column_is_a_sentence_or_a_gap(kinds_of_files: Any, name: str, tmp_path: Path) -> None:
     """In a part that is sealed: its name has its digest."""

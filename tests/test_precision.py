@@ -52,6 +52,7 @@ def stick() -> tuple[Any, Any]:
     return model, make_data(model)
 
 
+@pytest.mark.release
 def test_a_step_of_physics_and_its_derivatives_have_it(stick: tuple[Any, Any]) -> None:
     """Forward and reverse mode, also where JAX traces the derivative after the step, outside of it."""
     model, data = stick
@@ -72,6 +73,7 @@ def test_the_controller_between_two_ticks_of_c_has_it(simulator: Any) -> None:
     assert "DEFAULT, DEFAULT" not in products(Lanes(metrics.result)._program, state, batch.mass)
 
 
+@pytest.mark.release
 def test_a_tick_of_the_robot_in_mjx_has_it(simulator: Any) -> None:
     """Of all worlds of a device, as `advance` runs it, and of one world, as a rollout does."""
     sim = simulator("mjx", spine="stride_extension")
@@ -82,6 +84,7 @@ def test_a_tick_of_the_robot_in_mjx_has_it(simulator: Any) -> None:
     assert highest(products(sim.engine.tick, *one))
 
 
+@pytest.mark.release
 def test_one_setup_serves_programs_in_32_and_in_64_bits():
     """Also while a program of the other kind is kept; the oracle is a setup that has only been used in one."""
 

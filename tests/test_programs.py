@@ -57,6 +57,7 @@ def test_a_constant_that_is_changed_at_run_time_counts(monkeypatch: pytest.Monke
     assert height() == pytest.approx(before - 1e-3, abs=1e-7)
 
 
+@pytest.mark.release
 def test_a_process_does_not_find_a_program_of_other_code(tmp_path: Path) -> None:
     """The first one keeps what it compiled of a changed constant; the second has the constant of the sources."""
     cache = {"JAX_COMPILATION_CACHE_DIR": str(tmp_path / "jax"), "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0"}
@@ -66,6 +67,7 @@ def test_a_process_does_not_find_a_program_of_other_code(tmp_path: Path) -> None
     assert changed == pytest.approx(plain - 1e-3, abs=1e-7)
 
 
+@pytest.mark.release
 def test_a_handful_of_programs_are_compiled_to_start_the_c_engine() -> None:
     """Operations on single arrays, each compiled by itself, took longer than what a walk needs.
 

@@ -344,6 +344,7 @@ REFUSED: dict[Callable[[Any], Any], list[tuple[Any, str]]] = {
 }
 
 
+@pytest.mark.release
 @pytest.mark.parametrize(
     ("act", "given", "said"),
     [pytest.param(act, *case, id=case[1][:60]) for act, cases in REFUSED.items() for case in cases],

@@ -43,6 +43,7 @@ def test_each_result_of_the_docs_is_listed_once():
         assert name in stamped or result.made, f"{name}: neither a stamp, nor when it was made"
 
 
+@pytest.mark.release
 def test_what_is_stale_is_told():
     """Not an error: who changes the body makes its results later. A warning stands at the end of a run of the tests."""
     changed = {name: results.stale(name, result) for name, result in LISTED.items()}
@@ -78,6 +79,7 @@ def test_the_table_of_the_readme_is_that_of_the_sweeps():
     assert results.numbers()["answers"] == module.table(files)
 
 
+@pytest.mark.release
 def test_a_digest_follows_what_changes_a_result(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     source = tmp_path / "nermo_mjx" / "control" / "a.py"
     source.parent.mkdir(parents=True)

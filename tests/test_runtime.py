@@ -50,6 +50,7 @@ print((dict(os.environ), dict(jax.config.values)) == before, xla_bridge.backends
 """
 
 
+@pytest.mark.release
 def test_importing_changes_nothing_in_the_process() -> None:
     """Neither the package nor any of its modules sets a variable or an option of JAX, or starts JAX."""
     lines = run(IMPORT)
@@ -64,17 +65,20 @@ SHOW = (
 )
 
 
+@pytest.mark.release
 def test_a_small_machine_gets_threads_enough_and_a_large_one_is_left_alone() -> None:
     """While JAX starts; the environment is as before afterwards."""
     assert run(SHOW.format(cores=2, before="")) == ["8 None True"]
     assert run(SHOW.format(cores=16, before="")) == ["None None True"]
 
 
+@pytest.mark.release
 def test_a_choice_of_the_user_is_kept_and_guarded_where_it_would_hang() -> None:
     assert run(SHOW.format(cores=2, before="os.environ['PJRT_NPROC'] = '1'")) == ["1 None True"]
     assert run(SHOW.format(cores=2, before="os.environ['PJRT_NPROC'] = '2'")) == [f"2 {runtime.GUARDED_BATCH} True"]
 
 
+@pytest.mark.release
 def test_batches_are_limited_where_jax_started_before_us() -> None:
     assert run(SHOW.format(cores=2, before="import jax; jax.devices()")) == [f"{runtime.GUARDED_BATCH} True"]
     assert run(SHOW.format(cores=2, before="import jax")) == ["8 None True"], "imported is not started"
@@ -91,6 +95,7 @@ print(Simulator(Setup(), "c").run({}, Run(duration=0.05, warmup=0.0)).status[0])
 """
 
 
+@pytest.mark.release
 def test_a_robot_walks_with_an_xla_that_knows_none_of_our_options() -> None:
     """They go with each program, and what XLA does not know is left out; as a flag it would end the process."""
     assert known_flags("--xla_of_tomorrow=1 --xla_nor_this") == ""
@@ -113,6 +118,7 @@ print(runtime.compiler_options() == known)
 """
 
 
+@pytest.mark.release
 def test_the_compilers_options_are_those_that_xla_knows_and_give_way_to_the_users() -> None:
     assert run(OPTIONS, JAX_PLATFORMS="cpu") == ["True"]
     users = "--xla_cpu_use_fusion_emitters=true"
@@ -154,6 +160,7 @@ def test_the_cache_is_on_where_we_compile_and_has_a_size(tmp_path: Path, first: 
     assert int(size) == runtime.MOST_CACHE_BYTES
 
 
+@pytest.mark.release
 def test_the_users_cache_is_kept_and_a_directory_that_cannot_be_written_is_no_error(tmp_path: Path) -> None:
     script = CACHE.format(first="")
     assert run(script, JAX_COMPILATION_CACHE_DIR=str(tmp_path)) == [f"{tmp_path} -1"]

@@ -25,6 +25,7 @@ profile_step = importlib.import_module("profile_step")
 MODELS = dict(step_models.installed_models())
 
 
+@pytest.mark.release
 @pytest.mark.parametrize(
     "name",
     [
@@ -44,6 +45,7 @@ def test_the_gradient_is_that_of_the_differences(name: str) -> None:
     assert (found["contacts"] > 0) == (name == "mjx/quadratic_frictionloss")
 
 
+@pytest.mark.release
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=[pytest.mark.release] * (name == "a rope")) for name in IN_THEIR_PLACE]
 )

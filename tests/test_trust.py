@@ -93,6 +93,7 @@ def directories(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[str, Pa
     return request.param, tmp_path / "a", tmp_path / "b", log
 
 
+@pytest.mark.release
 def test_no_code_of_a_directory_is_run(directories: tuple[str, Path, Path, Path]) -> None:
     """Yet units, sides, meanings, the section `compare`, and how many runs there will be are known."""
     own, a, b, log = directories
@@ -152,6 +153,7 @@ def test_a_policy_names_no_code(named: dict[str, str], tmp_path: Path, canary: P
     assert not canary.exists()
 
 
+@pytest.mark.release
 def test_a_recording_names_no_code(tmp_path: Path, canary: Path) -> None:
     recording = Recording.load(RECORDED)
     setup = dict(recording.metadata["setup"] or {}) | {"controller": "own.py:stiff", "metrics": ["own.py"]}

@@ -55,6 +55,7 @@ def test_help_fits_80_columns_and_ends_with_an_example(command: tuple[str, ...])
     assert "  nermo-mjx " in text[text.index("Options:") :]
 
 
+@pytest.mark.release
 @pytest.mark.parametrize(
     ("script", "heavy"),
     [
@@ -167,6 +168,7 @@ def test_what_is_no_recording_or_an_old_one_is_refused_with_the_remedy(command: 
     assert sorted(tmp_path.iterdir()) == there
 
 
+@pytest.mark.release
 @pytest.mark.parametrize(
     ("variable", "command", "remedy"),
     [
@@ -203,6 +205,7 @@ def test_a_failure_is_exit_code_1_and_one_sentence(tmp_path: Path, monkeypatch: 
     assert result.stderr.startswith("nermo-mjx: stopped; ")
 
 
+@pytest.mark.release
 @pytest.mark.parametrize("sent", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.long)])
 def test_a_stopped_sweep_says_how_to_go_on_and_goes_on(tmp_path: Path, sent: int) -> None:
     spec, out = tmp_path / "sweep.yaml", tmp_path / "out"
@@ -243,6 +246,7 @@ def test_walk_json_is_one_object_with_the_promised_fields(tmp_path: Path) -> Non
     assert report["versions"]["mujoco"] == mujoco.__version__
 
 
+@pytest.mark.release
 def test_options_reach_the_simulation(tmp_path: Path) -> None:
     options = ("--spine", "stride_extension", "--spine-amplitude", "0.3", "--spine-phase", "0.5", "--stride", "0.8")
     more = (
@@ -286,6 +290,7 @@ def test_the_seed_decides_the_start() -> None:
     assert _shifted_start(1) == _shifted_start(1) != _shifted_start(2)
 
 
+@pytest.mark.release(cases=("options1-101\\\\.[5-7]",))
 @pytest.mark.parametrize(
     ("options", "theory"),
     [((), r"80\.4"), (("--spine", "stride_extension"), r"101\.[5-7]"), (("--set", "duty=0.8"), r"50\.[23]")],
@@ -300,6 +305,7 @@ def test_walk_sums_up_in_millimetres_and_degrees(options: tuple[str, ...], theor
     assert (result.exit_code, result.stdout, result.stderr) == (0, "", "")
 
 
+@pytest.mark.release
 @pytest.mark.usefixtures("drawing")
 def test_a_recorded_walk_can_be_rendered(tmp_path: Path) -> None:
     record, video = tmp_path / "walk.npz", tmp_path / "walk.gif"
@@ -499,6 +505,7 @@ def test_the_pace_leaves_compilation_out(monkeypatch: pytest.MonkeyPatch, second
     assert stream.getvalue().splitlines()[-1] == f"tune: 20%, 2 of 10 evaluations, {told}"
 
 
+@pytest.mark.release
 @pytest.mark.parametrize(
     ("name", "short"), [("trot", "trot"), ("walking_trot", "walking_trot"), ("lateral_walk", "lateral_walk")]
 )

@@ -28,6 +28,7 @@ def folder(tmp_path_factory) -> Path:
     return folder
 
 
+@pytest.mark.release
 def test_a_log_is_shown_back_and_checked(folder) -> None:
     found = json_of("log", folder / "robot.csv")
     assert [each["quantity"] for each in found["channels"][:2]] == ["command", "angle"]
@@ -65,6 +66,7 @@ def test_commands_act_at_their_times(folder) -> None:
         assert held[tick] == pytest.approx(last, abs=1e-6)
 
 
+@pytest.mark.release
 def test_a_twin_of_the_robots_delay_is_nearer(folder, tmp_path) -> None:
     """The residual tells a better twin from a worse one: the same log without its delay."""
     write_log(tmp_path, seconds=4.0, **{**FAULTS, "delay": 0.0})
@@ -73,6 +75,7 @@ def test_a_twin_of_the_robots_delay_is_nearer(folder, tmp_path) -> None:
     assert all(nearer[name] < 0.6 * found[name] for name in ("pos_spine", "pos_neck", "heading"))
 
 
+@pytest.mark.release
 def test_view_and_plot_lay_measured_over_simulated(folder, tmp_path) -> None:
     from nermo_mjx.view.recorded import beside_log
 
@@ -102,6 +105,7 @@ def test_compare_says_how_far_logs_and_recordings_are_apart(folder) -> None:
     assert "deg" in call("compare", folder / "robot.csv", folder / "twin.npz").stdout
 
 
+@pytest.mark.release
 def test_a_track_alone_is_enough(folder, tmp_path) -> None:
     """All that a robot without sensors can give: commands, and a marker in a video."""
     lines = (folder / "robot.yaml").read_text().splitlines()
@@ -150,6 +154,7 @@ def test_a_command_of_no_servo_is_refused(folder, tmp_path) -> None:
     assert "channel 'cmd_spine' is 'spin': did you mean 'spine'?" in result.stderr
 
 
+@pytest.mark.release
 def test_a_drive_without_a_robot_prints_and_logs(tmp_path) -> None:
     result = call("drive", "--connect", "print:", "--headless", "--seconds", "0.5", "--record", tmp_path / "r.csv")
     assert result.exit_code == 0, result.stderr

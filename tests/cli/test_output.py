@@ -49,6 +49,7 @@ def test_what_does_not_fit_ends_in_a_sentence(error: Any, tmp_path: Path, monkey
     assert result.stderr.count("\n") == 1
 
 
+@pytest.mark.release
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full")
 @pytest.mark.parametrize(("stream", "code"), [("stdout", 1), ("stderr", 0)])
 def test_a_full_disk_under_the_log_stops_nothing(tmp_path: Path, stream: str, code: int) -> None:

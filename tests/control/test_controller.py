@@ -93,6 +93,7 @@ def erratic():
     return jax.jit(run)
 
 
+@pytest.mark.release
 @settings(max_examples=25, deadline=None)
 @given(
     seed=st.integers(0, 2**32 - 1),
@@ -156,6 +157,15 @@ def walks_along(controller, params, values, ticks=TICKS):
 WINDING = tabulated(np.linspace(0.0, 4.0, 201), 1.0, 0.8 * np.sin(np.linspace(0.0, 20.0, 201)))
 
 
+@pytest.mark.release(
+    cases=(
+        "walking_trot-duty-0.6-0.606-external",
+        "walking_trot-offset.front_left-0.5-0.505-external",
+        "lateral_walk-tracking.clock_ratio-0.4-0.404-external",
+        "trot-frequency-0.8-0.808-external",
+        "trot-frequency-0.8-0.808-open_loop",
+    )
+)
 @pytest.mark.parametrize("pilot", ["open_loop", "external"])
 @pytest.mark.parametrize(
     ("gait", "name", "low", "high"),
@@ -194,6 +204,7 @@ def test_the_feet_do_not_jump_when_a_switch_falls_into_another_tick(gait, name, 
     assert (moved <= 1.02 * allowed * apart[:, None, None] + 1e-9).all()
 
 
+@pytest.mark.release
 @pytest.mark.parametrize("duty", [0.5, 0.68, 0.95, 0.99])
 def test_the_feet_are_where_a_much_faster_controller_has_them(duty):
     """100 Hz against 5 kHz at 2 Hz; with the longest duty a swing lasts half a tick, and 100 Hz see one in two."""
@@ -207,6 +218,7 @@ def test_the_feet_are_where_a_much_faster_controller_has_them(duty):
     np.testing.assert_allclose(slow.foot, fast.foot[:, 49::50], atol=1e-9)
 
 
+@pytest.mark.release
 def test_the_derivatives_of_the_feet_are_those_of_finite_differences():
     """Of every foot at every tick with respect to what sets the instants of the switches, while it is steered."""
     controller, gait = published_controller(pilot="external", command=WINDING), control_parameters("walking_trot")
@@ -249,6 +261,7 @@ def test_the_first_posture_is_the_gaits_own(gait, phase):
     jax.tree.map(np.testing.assert_array_equal, first, now)
 
 
+@pytest.mark.release
 def test_the_servo_angles_put_the_feet_where_they_are_commanded():
     """Forward kinematics is the oracle; the tolerance is float32 rounding over an arccosine."""
     states, servo = walk(published_controller(), control_parameters("lateral_walk", frequency=0.8))
@@ -265,6 +278,7 @@ def test_a_positive_turn_rate_shortens_the_left_strides():
     assert (stroke[[1, 3]] > 0.058).all()
 
 
+@pytest.mark.release
 def test_the_published_lag_shortens_a_stride_of_60_mm_by_a_tenth():
     """At 0.8 Hz and 80 Hz control, 11 % a tick, the author's code made 54 mm of it. Exact kinematics keep the 60 mm."""
     controller = published_controller(control_rate=80.0, pilot_rate=40.0)
@@ -279,6 +293,7 @@ def test_the_published_lag_shortens_a_stride_of_60_mm_by_a_tenth():
 # -- clock ---------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.release
 @pytest.mark.parametrize("rate", [50.0, 100.0, 200.0])
 def test_the_phase_does_not_depend_on_the_control_rate(rate):
     states, _ = walk(published_controller(control_rate=rate), control_parameters(frequency=0.67), ticks=int(2 * rate))
@@ -286,6 +301,7 @@ def test_the_phase_does_not_depend_on_the_control_rate(rate):
     assert states.phase[-1] == pytest.approx(1.34 % 1.0, abs=1e-4)
 
 
+@pytest.mark.release
 def test_the_published_clock_makes_0_8_hz_two_cycles_a_second():
     """Spec 4: 0.4 simulated seconds per second of the controller."""
     params = control_parameters(frequency=0.8, profile="as_published")
@@ -297,6 +313,7 @@ def test_the_published_clock_makes_0_8_hz_two_cycles_a_second():
 # -- spine ---------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.release
 def test_stride_extension_is_a_cosine_of_the_phase_and_without_a_mode_the_spine_rests():
     """q_sp = A cos(2 pi phase + psi), (5.33)."""
     np.testing.assert_array_equal(walk(published_controller(), control_parameters(frequency=0.8))[1].spine, 0.0)
@@ -319,6 +336,7 @@ def test_spine_based_steering_bends_the_spine_and_leaves_the_strides():
     assert (np.ptp(states.foot[..., 0], axis=0) > 0.058).all()
 
 
+@pytest.mark.release
 def test_balance_rests_on_four_feet_and_acts_when_one_is_lifted():
     feet = trajectory.neutral_feet(control_parameters().stance)
     all_down, lifted = jnp.ones(4, bool), jnp.asarray([True, True, False, True])
@@ -328,6 +346,7 @@ def test_balance_rests_on_four_feet_and_acts_when_one_is_lifted():
     assert 0.0 < abs(float(angle)) <= 0.1 + 1e-6
 
 
+@pytest.mark.release
 def test_two_modes_are_on_together_without_blocking_each_other():
     """The sum of the single modes, clipped to the servo's limit."""
     params = control_parameters("lateral_walk", **{"spine.amplitude": 0.1})
@@ -460,6 +479,7 @@ def _walked(params, states):
     return jax.vmap(lambda s: turning.walked(params, s.gait.points, s.stance, s.turn_rate))(states)
 
 
+@pytest.mark.release
 @pytest.mark.parametrize("gait", GAIT_PATTERNS)
 def test_the_turn_expected_of_the_strides_is_that_of_the_turn_rate_held_long_enough(gait):
     """And in the first half cycle after a change it is still the one before."""
@@ -473,6 +493,7 @@ def test_the_turn_expected_of_the_strides_is_that_of_the_turn_rate_held_long_eno
     assert float(yaw_rate[1004] / speed[1004]) < 0.8 * float(curvature)
 
 
+@pytest.mark.release
 @pytest.mark.parametrize("harmonic", [1, 3])
 @pytest.mark.parametrize("steering", ["leg", "mix"])
 def test_guidance_does_not_steer_against_the_sway(steering, harmonic):
@@ -591,6 +612,7 @@ def one_update():
     return shapes, jax.jit(gradient)
 
 
+@pytest.mark.release
 @settings(max_examples=60, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_no_finite_state_sensors_or_parameters_give_nan(one_update, seed):
@@ -601,6 +623,7 @@ def test_no_finite_state_sensors_or_parameters_give_nan(one_update, seed):
         assert np.isfinite(leaf).all()
 
 
+@pytest.mark.release
 def test_new_values_do_not_compile_again_and_a_batch_equals_its_members():
     """vmap over parameters and phase; float32 rounding differs between the two programs."""
     controller, compilations = published_controller(spine="stride_extension"), []

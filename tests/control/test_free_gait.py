@@ -56,6 +56,7 @@ def random_gait(seed: int, share: float) -> dict[str, float]:
     }
 
 
+@pytest.mark.release
 def test_the_published_gaits_are_points_of_the_space_bit_for_bit() -> None:
     """With nothing added, each operation gives a batch of worlds the same numbers: feet, control points, spine, servos.
 
@@ -114,6 +115,7 @@ def test_touch_down_and_lift_off_are_moved() -> None:
     assert high[1] == pytest.approx(-0.055 + 0.010 + 0.004, abs=1e-6)
 
 
+@pytest.mark.release
 def test_a_turn_shortens_the_whole_stride_of_a_free_path() -> None:
     """At full turn rate the inner feet step on the spot, at half of their stride they go half as far; the outer ones as
     far as before."""
@@ -131,6 +133,7 @@ def test_a_turn_shortens_the_whole_stride_of_a_free_path() -> None:
     np.testing.assert_array_equal(full[[1, 3]], straight[[1, 3]])
 
 
+@pytest.mark.release
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_any_path_is_closed_continuous_and_in_the_workspace(seed: int) -> None:
     """Steps shrink as the time between them does, across every switch; every knee servo is within its range."""
@@ -189,6 +192,7 @@ def test_the_spines_series_holds_the_published_wave_and_has_a_derivative_at_zero
     np.testing.assert_allclose(slope, waves, atol=1e-6)
 
 
+@pytest.mark.release
 def test_the_derivative_by_every_number_equals_differences() -> None:
     """Of what the servos are told at 40 phases, along four random directions of 120 numbers, in double precision."""
     names = FREE_NAMES
@@ -213,6 +217,7 @@ def test_the_derivative_by_every_number_equals_differences() -> None:
             np.testing.assert_allclose(exact, secant, rtol=1e-5, atol=1e-7)
 
 
+@pytest.mark.release
 def test_a_servo_table_has_trims_and_the_moved_path() -> None:
     setup = Setup(trajectory="free")
     plain = servo_table(setup, {"frequency": 0.8}, rate=40.0)

@@ -99,6 +99,7 @@ def test_the_course_goes_along_with_a_steady_turn_and_leaves_sway_out() -> None:
     assert np.sqrt(2.0) * left.std() == pytest.approx(expected, rel=0.02)
 
 
+@pytest.mark.release
 def test_a_gradient_goes_through_the_gaze() -> None:
     """Also where the robot stands upright on its course, which is a zero of roots and arcs."""
 
@@ -113,6 +114,7 @@ def test_a_gradient_goes_through_the_gaze() -> None:
         assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(slopes))
 
 
+@pytest.mark.release
 def test_the_head_looks_into_a_turn_and_where_it_is_held() -> None:
     """Without a gaze: `pan` and `into_turn` times the turn rate, in the open loop of a servo table."""
     values = {"head.pan": 0.1, "head.into_turn": 0.5, "pilot.turn_rate": 0.4, "frequency": 1.0}
@@ -120,6 +122,7 @@ def test_the_head_looks_into_a_turn_and_where_it_is_held() -> None:
     np.testing.assert_allclose(table.angles[:, SERVOS.index("neck")], np.degrees(0.3), atol=1e-4)
 
 
+@pytest.mark.release
 @pytest.mark.parametrize(("speed", "amplitude"), [(0.2, 0.18), (1.0, 0.5)])
 def test_the_tail_swings_as_in_the_authors_software(speed: float, amplitude: float) -> None:
     """min(4.5 v^2, 0.5) cos(2 pi phase), his positive angle to the right, where ours is negative."""
@@ -166,6 +169,7 @@ def test_the_gaze_halves_the_yaw_of_the_head_and_more(gazing) -> None:
     assert gaze["speed"] == pytest.approx(held["speed"], rel=0.03)
 
 
+@pytest.mark.release
 def test_a_head_that_tilts_holds_its_pitch(gazing) -> None:
     """On Nermo 4.1 the picture is level, and moves half as much as where the neck alone turns."""
     torso, head = gazing["tilting"].metrics["pitch_std"], gazing["tilting"].metrics["head_pitch_std"]

@@ -60,6 +60,7 @@ def commanded(setups: list[Setup], rate: float, seconds: float):
     return walk, at_phases, (control, schedule)
 
 
+@pytest.mark.release
 @pytest.mark.parametrize("switches", ["gaits", pytest.param("spine", marks=pytest.mark.release)])
 def test_feet_and_servos_are_continuous(switches):
     """In a tick of 1 ms a foot moves by 0.1 mm more than in a steady walk at most, and no servo faster than it can."""
@@ -83,6 +84,7 @@ def test_feet_and_servos_are_continuous(switches):
     assert (changed > 0.05).all()  # each switch did switch
 
 
+@pytest.mark.release
 def test_derivatives_through_a_switch_are_those_of_differences():
     setup = Setup(pilot="open_loop", schedule=(Switch(AT, gait="lateral_walk", values={"stride": 0.8}),))
     with jax.enable_x64(True):
@@ -101,6 +103,7 @@ def test_derivatives_through_a_switch_are_those_of_differences():
     np.testing.assert_allclose(slope, differences, rtol=1e-5)
 
 
+@pytest.mark.release
 def test_a_walk_is_that_without_a_schedule_until_its_first_switch():
     switched = Setup(pilot="open_loop", schedule=(Switch(1.5, gait="lateral_walk", spine="stride_extension"),))
     lateral = Setup(pilot="open_loop", gait="lateral_walk", spine="stride_extension")
@@ -143,6 +146,7 @@ def test_the_time_to_the_new_speed_is_half_a_ramp_and_the_constant_of_an_approac
     np.testing.assert_allclose(found["transition_slip"], 0.02, rtol=1e-3)
 
 
+@pytest.mark.release
 def test_a_run_with_a_schedule_has_the_metrics_of_its_transition():
     setup = Setup(schedule=(Switch(AT, values={"stride": 0.5}),))
     assert set(all_metrics(setup)) - set(all_metrics()) == set(transitions.TRANSITION)

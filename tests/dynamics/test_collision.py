@@ -109,6 +109,18 @@ def poses_of(model: mujoco.MjModel) -> list[np.ndarray]:
     return found
 
 
+@pytest.mark.release(
+    cases=(
+        "capsule-capsule",
+        "plane-ellipsoid",
+        "plane-box",
+        "plane-cylinder",
+        "plane-sphere",
+        "capsule-ellipsoid",
+        "ellipsoid-ellipsoid",
+        "sphere-ellipsoid",
+    )
+)
 @pytest.mark.parametrize("pair", PAIRS, ids="-".join)
 def test_contacts_are_those_of_c_or_it_is_said(pair: tuple[str, str]) -> None:
     model = model_of(*(GEOMS[kind] for kind in pair))
@@ -154,6 +166,7 @@ def test_coincident_centres_have_the_normal_of_c(kind: str) -> None:
         assert max(apart(ours, in_c(data, at))) < 1e-14
 
 
+@pytest.mark.release
 @pytest.mark.parametrize("kind", ["sphere", "capsule", "ellipsoid"])
 def test_a_contact_of_an_ellipsoid_has_its_derivative(kind: str) -> None:
     """In both modes, against differences of the values, which are C's; aligned, across, and at random."""

@@ -104,6 +104,7 @@ def test_constants_of_every_model_at_hand_are_mujocos() -> None:
     assert tried > 40
 
 
+@pytest.mark.release
 def test_constants_by_mjxs_kinematics_are_mujocos() -> None:
     """Of the models above, and with bodies elsewhere."""
     for name, xml in OWN.items():

@@ -236,6 +236,7 @@ def test_what_mjx_refuses_is_said_of_the_element(name: str) -> None:
         mjx.make_data(mjx.put_model(model))
 
 
+@pytest.mark.release
 @pytest.mark.parametrize("name", ["condim 1", "condim 1 of a priority", "condim 1 of a pair"])
 def test_contacts_without_friction_are_made_fit(name: str) -> None:
     """They get so little friction that they move as in C, which has none."""

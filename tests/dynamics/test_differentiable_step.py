@@ -240,6 +240,7 @@ def small(request):
     return Measured(state, slopes @ weights, reverse, ends[0], (high - low) / (2 * widths))
 
 
+@pytest.mark.release
 def test_forward_and_reverse_mode_agree(small):
     """The rule is linear, and JAX transposes it: both modes give the same numbers."""
     np.testing.assert_allclose(small.reverse, small.ahead, rtol=1e-8, atol=1e-12)

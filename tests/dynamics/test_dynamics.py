@@ -38,6 +38,7 @@ def test_the_room_imports_nothing_of_the_robot() -> None:
             assert all(any(name == one or name.startswith(f"{one}.") for one in allowed) for name in ours), path
 
 
+@pytest.mark.release
 def test_importing_the_step_brings_nothing_of_the_robot() -> None:
     code = (
         "import sys; from nermo_mjx.dynamics import forward, step; import nermo_mjx.dynamics as room;"
@@ -67,6 +68,7 @@ def test_what_it_refuses_is_said_in_a_sentence() -> None:
                 function(*given)
 
 
+@pytest.mark.release
 def test_what_is_none_of_mjx_is_refused() -> None:
     """In a process without the tests' own check of types."""
     code = f"""
@@ -110,6 +112,7 @@ WOUND = """
 """
 
 
+@pytest.mark.release
 def test_tendons_have_their_moment_arms_for_a_derivative() -> None:
     """Also those that touch nothing, or in one point: the derivative of MJX's own is NaN there. The oracle is C."""
     model = mujoco.MjModel.from_xml_string(WOUND)
@@ -134,6 +137,7 @@ def test_tendons_have_their_moment_arms_for_a_derivative() -> None:
     np.testing.assert_allclose(slopes, arms, atol=1e-9)
 
 
+@pytest.mark.release
 def test_a_cylinder_collides_with_a_derivative() -> None:
     """A capsule that lies on it: MJX looks for the closest points by descent, whose own derivative is NaN inside."""
     xml = """<mujoco><worldbody><geom type="cylinder" size=".1 .2" euler="90 0 0"/>
@@ -167,6 +171,7 @@ def test_a_muscle_has_a_derivative_in_float32(width: float) -> None:
     assert fall == pytest.approx(-1.0 / 0.0065 - 0.3 * 0.015 / 0.0065**2, rel=1e-5)
 
 
+@pytest.mark.release
 def test_the_check_finds_a_derivative_that_is_cut(monkeypatch: pytest.MonkeyPatch) -> None:
     """With ours all is well; without the solution's derivative, as if contacts had none, it is not."""
     model = mujoco.MjModel.from_xml_string(BALL)

@@ -101,6 +101,7 @@ def _problems(kind: str) -> tuple[Layout, Callable[[Any], ConstraintProblem]]:
     return Layout(equality, dry, cones), problem
 
 
+@pytest.mark.release
 @pytest.mark.parametrize("kind", KINDS)
 def test_second_derivatives_of_the_rows(kind: str) -> None:
     """By every array of the problem at once."""
@@ -125,6 +126,7 @@ def _turned(numbers: Any) -> Any:
     return math.quat_to_mat(quaternion / jnp.linalg.norm(quaternion))
 
 
+@pytest.mark.release
 @pytest.mark.parametrize(
     ("collider", "half"),
     [
@@ -150,6 +152,7 @@ def test_second_derivatives_of_an_ellipsoids_closest_point(collider: Any, half: 
     assert max(found.values()) < 1e-6, found
 
 
+@pytest.mark.release
 def test_second_derivatives_of_a_tendon_inside_a_ring() -> None:
     """By both ends and the radius: of the point that it touches."""
 
@@ -209,6 +212,7 @@ MODELS = {
 }
 
 
+@pytest.mark.release
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=() if name == "a contact" else pytest.mark.long) for name in MODELS]
 )

@@ -122,6 +122,7 @@ def error(found: np.ndarray, right: np.ndarray, problem: ConstraintProblem) -> n
     return np.sqrt(size[0] / size[1])
 
 
+@pytest.mark.release
 @pytest.mark.parametrize("real", [np.float64, np.float32])
 @pytest.mark.parametrize("kind", ["elliptic", "pyramidal", "maze", pytest.param("ends", marks=pytest.mark.release)])
 def test_solutions_are_those_of_c(kind: str, real: type) -> None:
@@ -138,6 +139,7 @@ def test_solutions_are_those_of_c(kind: str, real: type) -> None:
     assert error(found, right, problem)[converged].max() < (1e-7 if real is np.float64 else 2e-6)
 
 
+@pytest.mark.release
 def test_the_last_step_leaves_no_solution_that_rounding_put_across_a_border() -> None:
     """From C's solutions, off by a few roundings, which decide whether a row that is on the border slides or sticks."""
     layout, problem, _, right = problems("ends", 30)
@@ -162,6 +164,7 @@ def test_a_small_step_out_of_a_contact_is_not_the_last() -> None:
     assert found.qacc == pytest.approx([2.0], rel=1e-12)
 
 
+@pytest.mark.release
 def test_a_solver_that_is_stopped_too_early_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     """With two rounds, what counts as converged is solved; and what is far from the solution is counted as not."""
     layout, problem, warm, right = problems("elliptic")
@@ -174,6 +177,7 @@ def test_a_solver_that_is_stopped_too_early_says_so(monkeypatch: pytest.MonkeyPa
     assert set(rounds[wrong > 1e-4]) == {3}
 
 
+@pytest.mark.release
 def test_a_world_without_numbers_leaves_the_others_alone() -> None:
     """It takes one round and not all, and the solution beside it is the same to the last bit."""
     layout, problem, warm, _ = problems("elliptic")

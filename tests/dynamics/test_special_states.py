@@ -47,6 +47,7 @@ def _is_right(name: str) -> str:
     return "" if right and found.is_finite else f"{name}: {found}"
 
 
+@pytest.mark.release
 @pytest.mark.parametrize("name", [*CHOSEN, pytest.param("weld of a spinning body", marks=pytest.mark.release)])
 def test_a_special_state_is_that_of_c(name: str) -> None:
     assert _is_right(name) == ""
@@ -73,6 +74,7 @@ FIELDS = (
 )
 
 
+@pytest.mark.release
 def test_a_field_that_was_zero_has_its_derivative() -> None:
     """Of a tendon's friction, which C has where it is positive, the mean of both sides."""
     model = mujoco.MjModel.from_xml_string(FROM_ZERO)
@@ -120,6 +122,7 @@ type="box"
 size=".05 .05 .05" mass="1"/></body></worldbody></mujoco>"""
 
 
+@pytest.mark.release
 @pytest.mark.parametrize("double", [False, True], ids=["float32", "float64"])
 @pytest.mark.parametrize("cone", ["pyramidal", "elliptic"])
 def test_the_solver_is_quick_at_rest(cone: str, double: bool) -> None:
@@ -223,6 +226,7 @@ SINGULAR: dict[str, tuple[Callable[[Any], Any], list[list[float]]]] = {
 }
 
 
+@pytest.mark.release(cases=("impedance", "arc"))
 @pytest.mark.parametrize("name", SINGULAR)
 def test_a_singular_input_has_a_finite_derivative(name: str) -> None:
     """In both modes, which agree; and that of a rotation at the identity is the identity, not zero."""
@@ -267,6 +271,7 @@ def made(make: Callable[..., Any], model: Any, data: Any, largest: Any) -> tuple
     return found.efc_D, found.efc_aref
 
 
+@pytest.mark.release
 @pytest.mark.parametrize("solref", ["0.005 1", "0.03 1.5", "-3000 -40"])
 @pytest.mark.parametrize("refsafe", ["enable", "disable"])
 def test_slopes_are_those_of_mjxs_rows(refsafe: str, solref: str) -> None:

@@ -66,6 +66,7 @@ def after(kind: str, sparse: bool) -> tuple[mujoco.MjModel, mujoco.MjData, Any]:
     return model, data, found
 
 
+@pytest.mark.release(cases=("rigid-False", "all joints-False", "articulated-True"))
 @pytest.mark.parametrize(
     ("kind", "sparse"), [("all joints", False), ("all joints", True), ("rigid", False), ("articulated", True)]
 )

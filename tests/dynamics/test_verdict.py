@@ -64,6 +64,7 @@ def _compared(double: bool, states: np.ndarray = STATES) -> tuple[np.ndarray, An
     return np.abs(np.asarray(found) - ends).max(axis=1) / largest, jax.tree.map(np.asarray, verdicts)
 
 
+@pytest.mark.release
 @pytest.mark.parametrize("double", [False, True], ids=["float32", "float64"])
 def test_light_links_in_stiff_contacts_move_as_in_c(double: bool) -> None:
     """In float32 to about 100 times the rounding of the inputs; the verdict says so."""
@@ -74,6 +75,7 @@ def test_light_links_in_stiff_contacts_move_as_in_c(double: bool) -> None:
     assert verdict.rounds.max() > 20
 
 
+@pytest.mark.release
 def test_a_solve_that_is_stopped_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     """With five rounds, what is wrong has not converged, and its residual is large."""
     monkeypatch.setattr(solver, "ROUNDS", 5)
@@ -93,6 +95,7 @@ TWO = """<mujoco><worldbody><geom type="plane" size="3 3 .1"/><body pos="0 0 .04
 <geom size=".03" pos=".1 0 .1" mass=".1"/></body></body></worldbody></mujoco>"""
 
 
+@pytest.mark.release
 @pytest.mark.parametrize(
     ("way", "joint"),
     [("closed over", ""), ("an argument", ""), ("randomized", ""), ("randomized", 'frictionloss=".1" range="-10 10"')],

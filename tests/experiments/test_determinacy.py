@@ -65,6 +65,7 @@ def test_intervals_of_correlated_noise_are_wider_and_cover_too() -> None:
     assert 0.8 <= np.mean(inside) <= 0.98
 
 
+@pytest.mark.release
 def test_where_many_bodies_explain_the_data_the_interval_is_over_all_of_them() -> None:
     """Errors that grow and turn with time, as those of a walk after its contacts: the truth is one minimum of many."""
 

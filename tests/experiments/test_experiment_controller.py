@@ -70,6 +70,7 @@ def test_full_lock_is_left_out_for_a_policy_that_needs_a_path(files, monkeypatch
     assert walks.walk_turns(settings(files["blind"])).columns["radius"].tolist() == [0.5, walks.FULL_LOCK]
 
 
+@pytest.mark.release
 def test_another_controller_is_another_setting_and_its_copy_is_kept(files, tmp_path, monkeypatch):
     for name in ("maze", "balance"):
         walks = EXPERIMENTS[name].walks

@@ -146,6 +146,7 @@ def entries(figure):
     return [text.get_text() for legend in figure.legends for text in legend.get_texts()]
 
 
+@pytest.mark.release
 @pytest.mark.parametrize("experiment", EXPERIMENTS)
 def test_each_picture_is_a_png_and_an_svg(experiment, tmp_path):
     """Both files of each, named after the experiment, and nothing else; the PNG is not blank."""
@@ -192,6 +193,7 @@ def test_a_single_case_is_drawn():
     assert not {"speed-over-stride", "offset-compensation"} & set(drawn)
 
 
+@pytest.mark.release
 @pytest.mark.parametrize("experiment", EXPERIMENTS)
 def test_axes_carry_their_units(experiment):
     """Every axis with a scale says its unit: degrees, mm, mm/s, N, s, Hz, or 1 for a pure number."""
@@ -256,6 +258,7 @@ def test_bars_show_the_mean_and_the_spread_in_shown_units():
     assert {round(line.get_ydata()[0], 6) for line in theory} == {100.0, 40.0}
 
 
+@pytest.mark.release
 def test_failed_repeats_are_marked_and_do_not_count():
     """A fallen or NaN repeat leaves the mean of the others and a cross; with no other there is the cross alone."""
 
@@ -274,6 +277,7 @@ def test_failed_repeats_are_marked_and_do_not_count():
     assert "a repeat without result" in entries(figure)
 
 
+@pytest.mark.release
 def test_paths_not_followed_are_hatched():
     """Bars of the spine-based turns, which strayed, are hatched, the others are not; the legend says why."""
     figure = figures_of(turned(profiles=("exact",)))["speed"]
@@ -317,6 +321,7 @@ def test_the_maze_is_seen_from_above():
     assert "end not reached" in entries(drawn)
 
 
+@pytest.mark.release
 def test_verdicts_say_what_was_published_and_what_differs():
     """A tile a source; where ours is not as published, it is framed."""
     outcome = balanced(passed=lambda row: row["sbc"] or (row["leg"] != "front_left" and row["repeat"] == 0))

@@ -70,6 +70,7 @@ def snapshot(out):
 # --- what is written
 
 
+@pytest.mark.release
 def test_the_directory_holds_what_other_programs_rely_on(fakes, tmp_path):
     """Files, columns with unit, meaning and role; what comes back is what was measured."""
     given = fakes["turning"].run(Settings(("exact",), repeats=2, progress=lambda share: None))
@@ -511,6 +512,7 @@ def test_a_machine_that_cannot_draw_makes_no_video_and_says_so(fakes, tmp_path, 
     assert result.videos == ()
 
 
+@pytest.mark.release
 @pytest.mark.usefixtures("drawing")
 def test_a_video_is_made_once_and_linked(fakes, tmp_path):
     result = run_experiment("maze", tmp_path)

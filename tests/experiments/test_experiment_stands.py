@@ -54,6 +54,7 @@ def slopes(pair: str, routing: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]
         return tuple(map(np.asarray, found(jnp.asarray(servo, float), jnp.asarray(foot))))
 
 
+@pytest.mark.release(cases=("rear-type3_idler", "front-type1"))
 @pytest.mark.parametrize("routing", ROUTINGS)
 @pytest.mark.parametrize("pair", PAIRS)
 def test_speed_and_coupling_are_those_of_the_kinematics(of_leg, pair, routing):
@@ -81,6 +82,7 @@ def test_force_is_that_of_virtual_work(pair, routing):
     assert measured == pytest.approx(min(knee_servo, *(each for each in hip_servo if each > 0)), rel=0.05)
 
 
+@pytest.mark.release
 def test_work_of_a_bend_is_the_energy_of_the_springs(of_spine):
     """Half of k theta^2 of each joint, and 3 % that damping takes; twice as much in both planes."""
     for plane, joints in (("lateral", 4), ("vertical", 4), ("combined", 8)):

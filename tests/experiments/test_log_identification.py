@@ -119,6 +119,7 @@ def test_what_is_determined_is_found_and_covered(path: Path) -> None:
         assert low - (high - low) <= truth[name] <= high + (high - low)
 
 
+@pytest.mark.release
 def test_a_wrong_class_is_named_and_what_it_lacks(path: Path) -> None:
     found = identified_arm(path, ("damping", "bias"), logged())
     said = " ".join(found.sentences())
@@ -288,6 +289,7 @@ def written(tmp_path: Path, log: Log) -> list[str]:
     return ["identify", "--log", str(tmp_path / "log.csv"), "--channels", str(tmp_path / "log.yaml")]
 
 
+@pytest.mark.release
 def test_the_command_writes_a_report_the_model_and_what_to_measure_next(
     path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -329,6 +331,7 @@ def test_the_command_writes_a_report_the_model_and_what_to_measure_next(
     assert "holds a sweep, and not an identification from a log" in capsys.readouterr().err
 
 
+@pytest.mark.release
 def test_what_was_killed_goes_on_after_its_last_step(path: Path, tmp_path: Path) -> None:
     log, computed = logged(2.0), list[int]()
     (tmp_path / "out").mkdir()
@@ -420,6 +423,7 @@ def test_a_training_draws_from_a_directory_as_a_sweep_does(tmp_path: Path) -> No
         Training.from_dict({"randomize": {"from": str(tmp_path)}, "task": {"bodies": True}})
 
 
+@pytest.mark.release
 def test_bodies_of_an_identification_are_drawn_and_walked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "ensemble.csv").write_text(
         "# made\nservo.kp,mass.front,objective,weight\n12,0.15,1,0.5\n14,0.16,1,0.5\n"

@@ -29,6 +29,7 @@ def published():
     return servo_table(setup, {"frequency": 0.8}, channels="published")
 
 
+@pytest.mark.release
 def test_the_published_order_is_that_of_the_authors_software(published) -> None:
     """Leg by leg, then tail, neck, head and spine, at 30 Hz, cut to whole degrees, with the tail against ours."""
     assert list(published.names) == [*ORDER, "tail", "neck", "head", "spine"]
@@ -175,6 +176,7 @@ class Broker(threading.Thread):
         self.socket.close()
 
 
+@pytest.mark.release
 def test_a_broker_that_goes_away_is_noticed_and_the_password_unquoted() -> None:
     pytest.importorskip("paho.mqtt.client")
     broker = Broker(0.5)

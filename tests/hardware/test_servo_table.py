@@ -46,6 +46,7 @@ GAITS = [
 ]
 
 
+@pytest.mark.release
 @pytest.mark.parametrize(("setup", "values"), GAITS, ids=["trot", "turn", "modes", "published"])
 def test_a_table_is_what_the_simulation_commands(setup: Setup, values: dict[str, float]) -> None:
     """The simulated servos are given the same angles, cycle for cycle: tick k of a steady cycle is row k."""
@@ -80,6 +81,7 @@ def test_a_servo_is_where_the_leg_needs_it_at_the_end_of_stance() -> None:
     assert half[SERVOS.index("front_left_knee")] == pytest.approx(servo[1], abs=0.05)
 
 
+@pytest.mark.release(cases=("30.0-0.5", "120.0-0.83", "50.0-0.83", "120.0-0.67", "120.0-0.5"))
 @pytest.mark.parametrize("frequency", [0.5, 0.67, 0.83])
 @pytest.mark.parametrize("rate", [30.0, 50.0, 120.0])
 def test_whole_cycles_are_whole_rows(frequency: float, rate: float) -> None:
@@ -111,6 +113,7 @@ def test_left_and_right_turns_mirror_each_other() -> None:
     assert left[:, SERVOS.index("spine")].mean() > 5.0
 
 
+@pytest.mark.release
 def test_columns_are_the_robots_servos_in_the_order_of_ctrl() -> None:
     model = load_robot().model
     table = servo_table(rate=30.0)
@@ -128,6 +131,7 @@ CHANNELS = {
 }
 
 
+@pytest.mark.release
 def test_channels_order_turn_and_shift_the_columns(tmp_path: Path) -> None:
     setup = Setup(spine="stride_extension")
     plain = servo_table(setup, rate=30.0)
@@ -162,6 +166,7 @@ def test_the_csv_is_read_by_pandas_and_by_hand() -> None:
     assert isinstance(table, ServoTable)
 
 
+@pytest.mark.release
 def test_the_command_writes_the_table(tmp_path: Path) -> None:
     """The same numbers as from Python, and nothing but JSON on standard output."""
     out = tmp_path / "new" / "gait.csv"
@@ -175,6 +180,7 @@ def test_the_command_writes_the_table(tmp_path: Path) -> None:
     np.testing.assert_allclose(pd.read_csv(out, comment="#").to_numpy()[:, 1:], table.angles, atol=5.1e-4)
 
 
+@pytest.mark.release
 def test_a_recorded_walk_gives_what_was_commanded(tmp_path: Path) -> None:
     """By a controller that answers to its sensors: at each tick the angle of the recording, in between on a line."""
     setup = Setup(spine="stride_extension", pilot="straight")
@@ -202,6 +208,7 @@ def test_a_recorded_walk_gives_what_was_commanded(tmp_path: Path) -> None:
         recorded_table(recording, setup.load(), rate=1.0)
 
 
+@pytest.mark.release
 @pytest.mark.parametrize("side", [0, 1], ids=["left", "right"])
 def test_parts_that_would_touch_are_named_with_the_time(side: int, tmp_path: Path) -> None:
     """A front foot far back meets the rear foot far forward where the spine bends to their side, and only there."""
@@ -224,6 +231,7 @@ def test_parts_that_would_touch_are_named_with_the_time(side: int, tmp_path: Pat
     assert not (tmp_path / "bent.csv").exists()
 
 
+@pytest.mark.release
 def test_a_cycle_and_three_cycles_are_the_same_gait() -> None:
     one = servo_table(Setup(gait="lateral_walk"), {"frequency": 0.5}, rate=50.0)
     three = servo_table(Setup(gait="lateral_walk"), {"frequency": 0.5}, rate=50.0, cycles=3)

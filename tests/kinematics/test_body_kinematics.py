@@ -220,6 +220,7 @@ def test_the_spine_bends_towards_balance():
     assert before < 0 < after
 
 
+@pytest.mark.release
 def test_balance_without_a_published_lift_reaches_the_limit():
     """A lift that no angle can reach gives the limit, whatever the limit."""
     stance = np.array([True, True, False, True])
@@ -227,6 +228,7 @@ def test_balance_without_a_published_lift_reaches_the_limit():
         assert abs(float(balance_angle(MASSES, BALANCING, stance, ROBOT, 0.5, limit))) == pytest.approx(limit, rel=1e-4)
 
 
+@pytest.mark.release
 def test_balance_is_differentiable():
     """The implicit derivatives with respect to feet and lift are central differences of the solution."""
     stance, feet = np.array([True, False, True, True]), BALANCING
@@ -271,6 +273,7 @@ def numbers(dtype):
     return hnp.arrays(dtype, 10, elements=any_finite | st.floats(-0.125, 0.125, width=width))
 
 
+@pytest.mark.release
 @pytest.mark.parametrize("real", [np.float32, np.float64])
 def test_any_numbers_give_finite_values_and_derivatives(real):
     """Any finite angle, lift and feet, for every stance, give finite results and derivatives."""

@@ -250,6 +250,7 @@ def test_huge_feet_and_servos_saturate(routing):
     assert not slack.reachable
 
 
+@pytest.mark.release
 @pytest.mark.parametrize("routing", ROUTINGS)
 def test_jacobian_is_the_finite_difference(routing):
     """d(y, z)/d(q1, q2) equals a central difference of the forward kinematics, for all four legs."""
@@ -325,6 +326,7 @@ def pairs(dtype):
     return hnp.arrays(dtype, (4, 2), elements=any_finite | st.floats(-0.125, 0.125, width=width))
 
 
+@pytest.mark.release
 @pytest.mark.parametrize("real", [np.float32, np.float64])
 def test_any_numbers_give_finite_values_and_derivatives(real):
     """Servo angles or feet may be any finite numbers: values, jvp and grad hold no NaN and no infinity."""

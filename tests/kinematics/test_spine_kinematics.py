@@ -140,6 +140,7 @@ def test_servo_range_bends_the_joints_by_their_limit():
     assert angle == pytest.approx(inner, rel=0.015)
 
 
+@pytest.mark.release
 def test_displacement_is_inverted_over_the_whole_range():
     """angle_for_displacement undoes the spine end's x, which rises all the way, and saturates beyond."""
     theta = np.linspace(-1, 1, 41) * spine.max_joint_angle()
@@ -181,6 +182,7 @@ def everything(value):
     return results(value), jax.jacfwd(results)(value), gradient
 
 
+@pytest.mark.release
 @pytest.mark.parametrize("real", [np.float32, np.float64])
 def test_any_number_gives_finite_values_and_derivatives(real):
     """Any finite angle, servo angle or displacement gives finite results and derivatives."""

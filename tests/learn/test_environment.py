@@ -73,6 +73,7 @@ def sensors(**given) -> Sensors:
     return Sensors(**(zero | given))
 
 
+@pytest.mark.release
 def test_without_an_action_the_published_controller_walks(environment):
     """As far, and with as much work, as in a run of it: every world with the frequency, friction and mass drawn."""
     state = environment.reset(5)
@@ -89,6 +90,7 @@ def test_without_an_action_the_published_controller_walks(environment):
     assert len(set(values["frequency"])) == 3
 
 
+@pytest.mark.release
 def test_a_world_does_not_depend_on_the_others_nor_on_the_number_of_threads(states):
     """Bit for bit, over the beginning of a second episode."""
     for few, many in zip(states, walked(Environment(SETUP, worlds=40, task=TASK, threads=2)), strict=True):
@@ -121,6 +123,7 @@ def test_episodes_begin_with_a_gait_whose_feet_and_limbs_have_parameters():
     assert qpos.shape == (robot.model.nq,)
 
 
+@pytest.mark.release
 def test_staggered_worlds_do_not_end_their_episodes_together():
     """The first ends after a share of the duration that differs between worlds, and all later ones last it out."""
     environment = Environment(SETUP, worlds=12, task=TASK, staggered=True)
@@ -135,6 +138,7 @@ def test_staggered_worlds_do_not_end_their_episodes_together():
     np.testing.assert_array_equal(np.sum(ends, axis=0), 2)
 
 
+@pytest.mark.release
 @pytest.mark.parametrize("staggered", [True, False])
 def test_mjx_staggers_the_first_episodes_and_no_later_ones(staggered):
     """How long they are to last; steps that wait for their ends would compile physics for a minute."""

@@ -23,6 +23,7 @@ def door():
     return NermoVectorEnv(Environment(Setup(physics="fast"), worlds=1, task=Task(episode_length=0.03)))
 
 
+@pytest.mark.release
 def test_gymnasium_finds_nothing_to_say_and_an_end_is_told_beside_the_next_beginning():
     from gymnasium.utils.env_checker import data_equivalence
     from gymnasium.vector import AutoresetMode
@@ -78,6 +79,7 @@ class OneWorld(gymnasium.Env):
         return last, float(reward[0]), bool(terminated[0]), bool(truncated[0]), infos
 
 
+@pytest.mark.release
 @pytest.mark.filterwarnings("error", "ignore:.*Box observation space m.* value is -?infinity")
 def test_the_checker_of_gymnasium_passes_a_world(door):
     from gymnasium.utils.env_checker import check_env
@@ -94,6 +96,7 @@ def three():
     return NermoVectorEnv(setup=Setup(physics="fast"), worlds=3, task=task)
 
 
+@pytest.mark.release
 def test_each_world_has_its_seed(three):
     """Of a list, a tuple or an array, wherever it stands there, and in all episodes that follow."""
 
@@ -172,6 +175,7 @@ def test_stable_baselines_takes_its_form(door):
     np.testing.assert_array_equal(env.reset(), first)
 
 
+@pytest.mark.release
 def test_seeds_beyond_32_bits_are_others_and_masks_are_refused() -> None:
     from nermo_mjx.learn.gymnasium_door import NermoVectorEnv
 

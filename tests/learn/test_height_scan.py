@@ -81,6 +81,7 @@ def observed_by(monkeypatch, loop, params, readings) -> list[np.ndarray]:
     return seen
 
 
+@pytest.mark.release
 def test_a_walk_observes_bit_for_bit_what_a_training_does(trained, monkeypatch):
     """Late and noisy readings of the same ticks, on stairs of a shape of their own."""
     policy, environment = trained
@@ -131,6 +132,7 @@ def test_a_policy_that_sees_the_stairs_walks_in_a_simulator_as_in_its_environmen
     assert {"position", "orientation"} <= needed_sensors(dataclasses.replace(STAIRS, controller=policy))
 
 
+@pytest.mark.release
 def test_a_critic_sees_what_the_policy_may(trained):
     _, environment = trained
     state = environment.reset(0)
@@ -158,6 +160,7 @@ def test_own_points_of_the_ground_can_be_observed_and_a_loop_without_ground_says
         Environment(STAIRS, worlds=1, task=Task(observe=("heightscan",)))
 
 
+@pytest.mark.release
 def test_a_diverged_world_observes_no_nan(trained):
     """Its readings are zero, which is a place on the ground."""
     _, environment = trained

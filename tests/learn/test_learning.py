@@ -145,6 +145,7 @@ def test_an_untrained_policy_does_nothing():
     assert float(jnp.exp(learned.actor.log_std[0])) == pytest.approx(QUICK.std)
 
 
+@pytest.mark.release
 def test_one_seed_gives_the_same_weights_bit_for_bit_and_another_does_not():
     """Also where each step is a call of the host, as on the engine c."""
     host, again, scan, other = (
@@ -156,6 +157,7 @@ def test_one_seed_gives_the_same_weights_bit_for_bit_and_another_does_not():
     assert bits(scan) != bits(other)
 
 
+@pytest.mark.release
 def test_ppo_learns_to_hold_the_mass():
     """From the return of doing nothing to near that of the exact gradient; it lasts, and the critic knows why."""
     learned, rows = long_training()

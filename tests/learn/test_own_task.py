@@ -73,6 +73,7 @@ def done(tmp_path_factory):
     return run_training(small(folder), folder / "out")
 
 
+@pytest.mark.release
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
@@ -162,6 +163,7 @@ def speeds(key, steps):
     return {"command.speed": 0.1 + 0.1 * jnp.clip(steps / 100, 0.0, 1.0), "sensing.delay": 0.015}
 
 
+@pytest.mark.release
 def test_own_functions_give_what_those_of_the_package_give():
     """Beside those of the package that are the same, with their delay; what the sampler draws depends on the steps."""
     task = Task(
@@ -216,6 +218,7 @@ def always(sensors):
     return sensors.position[2] > -1.0
 
 
+@pytest.mark.release
 def test_an_own_termination_fails_the_episode_and_the_walk_of_an_evaluation(tmp_path, monkeypatch):
     environment = Environment(SETUP, worlds=2, task=Task(terminations=(always,), rewards={"failed": -2.0}))
     state = environment.reset(0)
@@ -234,6 +237,7 @@ def test_an_own_termination_fails_the_episode_and_the_walk_of_an_evaluation(tmp_
         assert table["success"].to_pylist() == [bool(share)] * 2
 
 
+@pytest.mark.release
 def test_a_training_with_own_code_is_resumed_and_its_directory_can_be_moved(tmp_path, done):
     """Killed in its second section: the same bits. The copy is the code that counts, and changed code is refused."""
     assert set(done.history.names) >= {"term.bending", "term.speed"}
@@ -261,6 +265,7 @@ def test_a_training_with_own_code_is_resumed_and_its_directory_can_be_moved(tmp_
     assert 0.05 <= drawn.min() < 0.08
 
 
+@pytest.mark.release
 def test_a_policy_with_an_own_observation_says_what_it_needs(tmp_path, done):
     """Its file runs no code: whoever wants to use it names the code, and it must be that of the training."""
     code = done.out / "own_task.py"
@@ -292,6 +297,7 @@ def test_a_policy_with_an_own_observation_says_what_it_needs(tmp_path, done):
     assert Sweep.from_text(sweep.to_yaml()) == sweep
 
 
+@pytest.mark.release
 @pytest.mark.parametrize("module", [False, True])
 def test_what_only_reads_runs_no_own_code_of_a_training(tmp_path, monkeypatch, done, module):
     """Status, plot and page of a stranger's directory."""

@@ -41,6 +41,7 @@ def way(recording) -> float:
     return float(np.linalg.norm(recording.qpos[-1, :2] - recording.qpos[0, :2]))
 
 
+@pytest.mark.release
 def test_zero_is_the_controller_alone_and_obeys_a_command(training):
     drawn = {name: float(each[0]) for name, each in unseen_bodies(training, training.task, Draws(1, UNSEEN)).items()}
     slow, fast = (played_task(training, "zero", seconds=4.0, values={"command.speed": each}) for each in (0.05, 0.15))
@@ -53,6 +54,7 @@ def test_zero_is_the_controller_alone_and_obeys_a_command(training):
     np.testing.assert_allclose(walk.qpos, alone.qpos, atol=1e-5)
 
 
+@pytest.mark.release
 def test_random_actions_are_drawn_anew_and_are_the_same_in_every_run(training):
     one, again = (played_task(training, "random", scene="planks", values={"terrain.height": 0.003}) for _ in range(2))
     np.testing.assert_array_equal(one.qpos, again.qpos)
@@ -113,6 +115,7 @@ def test_a_video_shows_the_policy_of_each_checkpoint(at_work):
     assert all(each.std() > 10 for each in frames)
 
 
+@pytest.mark.release
 @pytest.mark.usefixtures("drawing")
 def test_a_page_follows_a_training_until_it_has_ended(at_work, tmp_path, monkeypatch):
     """A page for each checkpoint in one file, which a browser loads anew until the training is complete."""

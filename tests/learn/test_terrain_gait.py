@@ -58,6 +58,7 @@ def test_the_search_counts_a_way_beside_the_path(howto):
     assert narrow == pytest.approx(10.0 * wide)
 
 
+@pytest.mark.release
 def test_the_gaits_of_the_page_differ_in_the_spine_alone(howto):
     """One frequency, the same bodies around the default one as in the training file, the same walks of each seed."""
     found = howto.gaits()

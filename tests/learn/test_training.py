@@ -84,6 +84,7 @@ def policy():
     return Policy.of(environment, dataclasses.replace(learned, actor=actor)), environment
 
 
+@pytest.mark.release
 def test_its_page_has_curves_evaluation_and_the_policy_in_3d(tmp_path, done, monkeypatch):
     """Of an unfinished training what there is; the directory is only read."""
     out = tmp_path / "walker"
@@ -115,6 +116,7 @@ def test_its_page_has_curves_evaluation_and_the_policy_in_3d(tmp_path, done, mon
     assert json.loads(run.stdout)["samples"] == 50
 
 
+@pytest.mark.release
 def test_a_killed_training_ends_with_the_same_numbers(tmp_path, done):
     """Killed in its first section, and again in its second: weights, moments and history, bit for bit."""
     for stop in (2, 5):
@@ -134,6 +136,7 @@ def test_a_killed_training_ends_with_the_same_numbers(tmp_path, done):
     assert train(tmp_path).iterations_run == 0
 
 
+@pytest.mark.release
 def test_another_training_is_refused_and_more_steps_are_not(tmp_path, done):
     out = Path(shutil.copytree(done.out, tmp_path / "copy"))
     with pytest.raises(WrongDirectory, match=r"holds another training, with another seed \(0 there, 3 here\)"):
@@ -145,6 +148,7 @@ def test_another_training_is_refused_and_more_steps_are_not(tmp_path, done):
     np.testing.assert_equal(lasting(out).slice(0, 7).to_pydict(), lasting(done.out).to_pydict())
 
 
+@pytest.mark.release
 def test_a_resolved_file_is_the_same_training():
     """With all defaults written out, in every form."""
     given = {
@@ -164,6 +168,7 @@ def test_a_resolved_file_is_the_same_training():
         assert again.digest() == training.digest()
 
 
+@pytest.mark.release
 def test_a_policy_walks_in_a_simulator_as_in_its_environment(policy):
     """Ten ticks, an action held for two; friction tells the worlds apart. Both round to float32, here and there."""
     policy, environment = policy
@@ -331,6 +336,7 @@ def test_a_choice_that_was_killed_is_made_again(choosing, tmp_path):
     assert "the choice begins anew" in warned[0]
 
 
+@pytest.mark.release
 def test_a_training_ends_when_its_validation_is_enough(tmp_path, monkeypatch):
     """At the first checkpoint that is; killed before it was noted, it ends with the same. A rerun learns nothing."""
     shares = {0: 0.0, 96: 0.5, 192: 0.95, 224: 1.0}
@@ -362,6 +368,7 @@ def test_a_training_ends_when_its_validation_is_enough(tmp_path, monkeypatch):
         assert (tmp_path / "killed" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
 
 
+@pytest.mark.release
 def test_a_walk_that_is_too_slow_is_no_success_of_the_validation(policy):
     """With `until`, and only there."""
     fields = {"run": {"duration": 0.3}, "validation": 4, "evaluate": {"bodies": 4}}
@@ -478,6 +485,7 @@ def test_an_evaluation_without_todays_metrics_is_still_summed_up(evaluated):
     assert summary_of(before)["flat"]["alone"]["distance"] > 0.0
 
 
+@pytest.mark.release
 def test_another_policys_weights_compile_nothing(policy, compilations):
     """They are parameters of a program: one policy of a training after the other walks, or several in one batch."""
     policy, run = policy[0], Run(duration=0.1, warmup=0.0)
@@ -588,6 +596,7 @@ def test_a_policy_follows_another_path(policy, tmp_path):
         Setup(controller=str(path), pilot="open_loop")
 
 
+@pytest.mark.release
 def test_walk_takes_a_policy(policy, tmp_path):
     """In place of the published controller, and says whose walk it is."""
     path = tmp_path / "policy.npz"

@@ -57,6 +57,7 @@ def walked(driving: Driving, ticks: int, commands=(), after=lambda: None) -> tup
     return made.qpos, made.ctrl
 
 
+@pytest.mark.release
 def test_without_a_command_it_is_a_walk_bit_for_bit():
     """With a given controller, whose program has no more modes."""
     setup = Setup(controller=published_controller(("stride_extension",), "open_loop"))
@@ -66,6 +67,7 @@ def test_without_a_command_it_is_a_walk_bit_for_bit():
     np.testing.assert_array_equal(ctrl, trace.ctrl[0, :120])
 
 
+@pytest.mark.release
 def test_it_switches_as_a_schedule_does():
     """A gait and a mode that it did not start with; the frequency, on which a blend's length hangs, stays."""
     switch = Switch(0.8, gait="lateral_walk", spine="stride_extension", values={"stride": 0.7})
@@ -76,6 +78,7 @@ def test_it_switches_as_a_schedule_does():
     np.testing.assert_allclose(qpos[:, :3], trace.qpos[0, :250, :3], atol=2e-3)
 
 
+@pytest.mark.release
 def test_commands_within_a_blend_are_continuous_and_make_the_run_again_bit_for_bit(running):
     commands = [
         (50, Switch(0, gait="lateral_walk")),
@@ -263,6 +266,7 @@ def test_a_second_page_takes_over_and_one_that_goes_away_pauses(drive, page):
         said(third, wanted=lambda told: not told["paused"], pause=False)
 
 
+@pytest.mark.release
 def test_a_drive_is_made_again_bit_for_bit(tmp_path):
     driving = Driving(Setup(pilot="open_loop", schedule=(Switch(0.4, values={"stride": 0.8}),)), {"frequency": 0.8})
     for tick in range(150):
@@ -285,6 +289,7 @@ def test_a_drive_is_made_again_bit_for_bit(tmp_path):
     assert table["rows"] > 50
 
 
+@pytest.mark.release
 def test_a_sweep_walks_as_was_driven(tmp_path):
     """The file that `replay --sweep` writes; more commands than a schedule has are refused in a sentence."""
     driving = Driving(Setup(pilot="open_loop"), {"frequency": 0.8, "pilot.turn_rate": 0.2})
@@ -462,6 +467,7 @@ def recorded(tmp_path, running):
     thread.join(30)
 
 
+@pytest.mark.release
 def test_what_is_driven_is_in_a_journal_at_every_moment(recorded, tmp_path):
     """Copies of the file, as a killed process or a power cut would leave it: each makes the samples that were."""
     made, page, thread = recorded
@@ -555,6 +561,7 @@ def test_a_file_that_exists_is_never_replaced(tmp_path, running):
     assert all(path.read_text() == "mine" for path in (*kept.values(), tmp_path / "f.npz"))
 
 
+@pytest.mark.release
 @pytest.mark.parametrize(
     "number",
     [signal.SIGKILL, *(pytest.param(each, marks=pytest.mark.release) for each in (signal.SIGHUP, signal.SIGUSR1))],

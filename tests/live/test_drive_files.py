@@ -36,6 +36,7 @@ def told(recording: Recording, driven: Any = None, **setup: Any) -> Recording:
     return dataclasses.replace(recording, metadata=about)
 
 
+@pytest.mark.release(cases=("npz-own.py:stiff",))
 @pytest.mark.parametrize("named", ["own.py:stiff", "{0}/own.py:stiff", "own:stiff", "own.under:stiff"])
 @pytest.mark.parametrize("form", ["npz", "jsonl"])
 def test_replay_runs_no_code_that_a_drive_names(named: str, form: str, driven: Any, tmp_path: Path, canary: Path):
@@ -55,6 +56,7 @@ def test_replay_runs_no_code_that_a_drive_names(named: str, form: str, driven: A
     assert not canary.exists()
 
 
+@pytest.mark.release
 def test_a_drive_by_a_controller_of_ones_own_is_made_again_with_it(tmp_path: Path, canary: Path) -> None:
     driving = Driving(Setup(controller="own.py:stiff"))
     for _ in range(3):

@@ -182,6 +182,7 @@ def test_over_topics_it_walks_as_far_as_without_and_almost_so_with_delay_and_los
     assert driving.driven.holds == 0
 
 
+@pytest.mark.release
 def test_servos_go_slowly_from_where_the_robot_is_to_the_start_of_the_gait(driving) -> None:
     both = Together(driving, values={"start.phase": 0.5})
     away = both.measured.pose.copy()

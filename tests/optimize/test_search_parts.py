@@ -52,6 +52,7 @@ def test_both_ends_of_a_measures_range_are_in_the_atlas():
     assert cells.tolist() == [0, 47, 42, 9, -1, -1, -1, -1]
 
 
+@pytest.mark.release(cases=("cma_me",))
 @pytest.mark.parametrize("spec", [SPEED, FRONT, ATLAS], ids=["cma", "nsga2", "cma_me"])
 def test_points_stay_within_the_bounds_whatever_happens(spec):
     """Even if every run falls, or all points are equal."""
@@ -129,6 +130,7 @@ def test_a_search_reads_back_as_itself(spec):
     assert Search.from_text(search.to_yaml()) == search
 
 
+@pytest.mark.release
 @pytest.mark.usefixtures("shared_simulators")
 def test_the_command_searches_keeps_and_draws(tmp_path):
     """A search of two runs of a fifth of a second each, on MuJoCo C, as a user gives it; status and plot know it."""

@@ -240,6 +240,7 @@ def test_a_search_that_is_stopped_goes_on_with_the_same_numbers(spec, tmp_path):
     assert numbers(tmp_path / "out") == numbers(tmp_path / "whole")
 
 
+@pytest.mark.release
 def test_a_kill_at_any_moment_loses_a_batch_at_most(tmp_path):
     """SIGKILL at two moments of one search; the last process ends with the numbers of a search without kills."""
     out, log = tmp_path / "out", tmp_path / "log"

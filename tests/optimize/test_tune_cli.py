@@ -46,6 +46,7 @@ def fakes(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
 # --- tune
 
 
+@pytest.mark.release
 def test_tune_json_is_one_object_in_si_units(fakes: dict[str, Any], spec: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     result = json_of("tune", spec, "--out", out)
@@ -59,6 +60,7 @@ def test_tune_json_is_one_object_in_si_units(fakes: dict[str, Any], spec: Path, 
     assert len(fakes["problems"]) == 1
 
 
+@pytest.mark.release
 def test_options_stand_for_fields_of_the_file(fakes: dict[str, Any], spec: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     spec.write_text(spec.read_text().replace("plots: false", "plots: true"))

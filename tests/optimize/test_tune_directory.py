@@ -236,6 +236,7 @@ def swapped(out, step):
     shutil.copytree(out / "checkpoints" / str(step - 1) / "tuning", out / "checkpoints" / str(step) / "tuning")
 
 
+@pytest.mark.release(cases=("empty", "swapped"))
 @pytest.mark.parametrize("damage", [cut, flip_bits, empty, without_about, flipped_about, without_numbers, swapped])
 def test_a_damaged_checkpoint_falls_back_to_the_one_before(done, damage):
     """If the newest is damaged in any way, it is moved aside, the iteration is repeated, and the result is the same."""

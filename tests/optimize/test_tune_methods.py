@@ -75,6 +75,7 @@ def test_a_point_counts_as_fallen_if_a_neighbour_falls():
     assert found.evaluate(np.array([[0.1, 0.0], [0.199, 0.0]]), True).ok.tolist() == [True, False]
 
 
+@pytest.mark.release
 def test_differences_tune_to_the_closed_form(tmp_path: Path) -> None:
     """With the same optimizer as by gradient; best.json and history have the same form."""
     spec = DIFFERENCES | {"iterations": 30}
@@ -102,6 +103,7 @@ def test_each_method_says_its_cost_before(monkeypatch: pytest.MonkeyPatch, tmp_p
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.release
 def test_a_stopped_tuning_ends_with_the_same_numbers(tmp_path: Path) -> None:
     spec = DIFFERENCES
     tuning = Tuning.from_dict(spec)

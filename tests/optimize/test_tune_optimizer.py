@@ -22,6 +22,7 @@ def walk(optimizer, steps=12):
     return np.stack(path)
 
 
+@pytest.mark.release
 def test_every_optimizer_with_gradients_alone_is_offered():
     """All of optax that has a learning rate is known by name; what works from gradients alone is accepted."""
     refused = {"lbfgs", "noisy_sgd"}

@@ -109,6 +109,7 @@ def stars(figure):
 # --- figures over the iterations
 
 
+@pytest.mark.release
 def test_a_tuning_leaves_its_figures(drawn):
     """PNG and SVG of each, and no blank picture."""
     result, _ = drawn

@@ -101,6 +101,7 @@ def test_the_first_iteration_is_the_given_start(reference):
     assert row["gradient.spine.phase"] == pytest.approx(0.2 * np.sin(2.5 - BEST[1]), rel=1e-4)
 
 
+@pytest.mark.release
 def test_the_effort_counts_gradients_at_their_cost(reference):
     """5 s a world, three times that with its gradient: two starts and seven evaluations make 210 s."""
     assert reference.best["simulated_seconds"] == 7 * 2 * 5.0 * 3.0
@@ -108,6 +109,7 @@ def test_the_effort_counts_gradients_at_their_cost(reference):
     assert at_best == (reference.best["iteration"] + 1) * 2 * 5.0 * 3.0
 
 
+@pytest.mark.release
 def test_starts_are_shared_among_workers_in_shares_of_one_size(tmp_path):
     """Five starts for three workers are three shares of two, and find what one batch finds, to float precision."""
     change = {"starts": 5}
@@ -144,6 +146,7 @@ def test_what_workers_cannot_do_is_said(tmp_path, error, raised, sentence):
 # --- worlds that do not walk
 
 
+@pytest.mark.release
 def test_worlds_that_fall_poison_nothing(tmp_path):
     """Worlds below an amplitude of 0.1 fall: they are counted, and every number that steers stays finite."""
     change = {"starts": 4, "iterations": 12}
@@ -215,6 +218,7 @@ def test_a_problem_that_says_ok_to_nan_is_not_believed():
 # --- going on
 
 
+@pytest.mark.release
 @pytest.mark.parametrize(
     ("name", "stops"),
     [("gradient", (0, 3, 6)), ("differences", (4,))],
@@ -282,6 +286,7 @@ def test_a_directory_belongs_to_one_tuning(tmp_path, change, word):
 # --- files
 
 
+@pytest.mark.release
 def test_the_directory_holds_what_other_programs_rely_on(reference):
     """best.json, history.parquet, checkpoints/ and the rest, and nothing half-written."""
     names = sorted(path.name for path in reference.out.iterdir() if path.name[0] != ".")
@@ -347,6 +352,7 @@ def test_progress_tells_how_far_and_how_good(tmp_path, reference):
 # --- the end
 
 
+@pytest.mark.release
 def test_a_tuning_stops_when_nothing_more_is_gained(tmp_path):
     """Long before its iterations are done, with a sentence; the same call adds nothing, and a longer patience adds."""
     change = {"iterations": 200, "patience": 3, "optimizer": "controlled_adam", "starts": 1}
@@ -368,6 +374,7 @@ def test_a_tuning_stops_when_nothing_more_is_gained(tmp_path):
     assert longer.history.column("objective").to_pylist()[: done + 1] == first.history.column("objective").to_pylist()
 
 
+@pytest.mark.release
 def test_one_start_that_still_gains_goes_on(tmp_path):
     """A tuning of two starts ends when neither gains; one of both that always falls is not waited for."""
     change = {"iterations": 60, "patience": 3, "optimizer": "controlled_adam"}
@@ -396,6 +403,7 @@ def test_start_and_best_are_walked_again_from_unseen_starts(tmp_path):
         assert found[point]["objective"] == pytest.approx(given["objective"], rel=1e-5)
 
 
+@pytest.mark.release
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
 def test_a_killed_process_is_gone_on_with(tmp_path, reference, number):
     """Killed by a signal in its fourth evaluation, the tuning loses no more than that one."""

@@ -55,6 +55,7 @@ def test_a_problem_travels_without_the_file_that_it_compares_with(problem):
     np.testing.assert_array_equal(there.reference.qpos, poses)
 
 
+@pytest.mark.release
 def test_the_robot_ends_faster_than_it_began(tuned):
     """After four steps of Adam along the gradient of a tenth of a second."""
     _, history = tuned
@@ -62,6 +63,7 @@ def test_the_robot_ends_faster_than_it_began(tuned):
     assert speed[-1] > speed[0] + 2e-4
 
 
+@pytest.mark.release
 def test_the_objective_is_the_speed_that_a_sweep_measures(tuned, simulator):
     """The C engine walks the best point at the same speed."""
     result, _ = tuned

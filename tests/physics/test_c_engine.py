@@ -53,6 +53,7 @@ def same(left: dict[str, np.ndarray], right: dict[str, np.ndarray]) -> None:
         np.testing.assert_array_equal(left[name], right[name], err_msg=name)
 
 
+@pytest.mark.release
 def test_neither_the_batch_nor_the_place_in_it_changes_a_bit(simulator, walks) -> None:
     """Alone, in a small batch, and in the whole one in another order."""
     sim = simulator(spine="stride_extension")
@@ -64,6 +65,7 @@ def test_neither_the_batch_nor_the_place_in_it_changes_a_bit(simulator, walks) -
         same(sim.run(some(walks, np.array(ids)), RUN).metrics, some(whole, np.array(ids)))
 
 
+@pytest.mark.release
 @pytest.mark.parametrize("threads", [1, 3, 64])
 def test_the_number_of_threads_changes_no_bit(simulator, walks, threads: int) -> None:
     """Fewer threads than blocks, as many, and more."""
@@ -147,6 +149,7 @@ def test_what_shares_its_batch_changes_no_bit_of_a_run(on_threads, walks, alone,
             assert_same_run(found, place, alone(run, int(i), "plain"), alone(run, int(i), "both"))
 
 
+@pytest.mark.release
 @pytest.mark.parametrize("profile", ["exact", "as_published"])
 @pytest.mark.parametrize("scene", ["flat", "rough"])
 def test_what_shares_its_batch_changes_no_bit_of_a_body_or_a_start(simulator, profile, scene) -> None:
@@ -168,6 +171,7 @@ def test_what_shares_its_batch_changes_no_bit_of_a_body_or_a_start(simulator, pr
             np.testing.assert_array_equal(np.asarray(left)[i], np.asarray(right)[0])
 
 
+@pytest.mark.release
 @pytest.mark.parametrize(
     ("run", "duration"),
     [
@@ -204,6 +208,7 @@ def test_worlds_that_rest_do_not_change_the_others(simulator, walks) -> None:
         np.testing.assert_array_equal(left[~rest], right[~rest])
 
 
+@pytest.mark.release
 def test_a_batch_in_double_precision_runs_on_all_cores(simulator, walks) -> None:
     """Precision is a setting of each thread in JAX; the engine's threads have that of who opened the batch."""
     sim = simulator(spine="stride_extension")

@@ -117,6 +117,7 @@ def test_no_device_waits_for_another(four_devices):
     assert "all-reduce" in four_devices["left to jax"]
 
 
+@pytest.mark.release
 def test_the_controller_of_c_runs_on_a_processor_beside_an_accelerator(simulator, monkeypatch):
     """Another CPU client stands for the processor of a machine on which JAX computes on an accelerator."""
     sim = simulator()

@@ -20,6 +20,7 @@ from nermo_mjx.physics.c_engine import CEngine
 from nermo_mjx.rollout import Run
 
 
+@pytest.mark.release
 def test_c_engine_equals_one_mj_step_at_a_time(simulator):
     """A batch of the C engine is bit for bit what `mj_step` gives for the same servo targets, world by world.
 
@@ -81,6 +82,7 @@ def test_auto_takes_the_c_engine_on_a_cpu():
         assert resolve_engine("auto") == "c"
 
 
+@pytest.mark.release
 def test_mjx_makes_each_tick_of_a_walk_as_c_does(walks, simulator):
     """From each state of MJX's walks C goes on for a tick with the same servo targets, and comes to MJX's next state.
 
@@ -107,6 +109,7 @@ def test_mjx_makes_each_tick_of_a_walk_as_c_does(walks, simulator):
     assert apart[0].max() < 5e-3
 
 
+@pytest.mark.release
 def test_mjx_and_c_measure_the_same_gait(walks):
     """Over four measured cycles the engines' gait metrics agree within 3 %; angles within 3 % or 0.1 degrees."""
     c, mjx = walks("c"), walks("mjx")
@@ -148,6 +151,7 @@ def test_mjx_varies_the_body_within_a_batch_as_c_does(simulator, compilations):
     assert not np.array_equal(others.metrics["speed"], mjx["speed"])
 
 
+@pytest.mark.release(cases=("mjx",))
 @pytest.mark.parametrize("engine", ["c", "mjx"])
 def test_a_run_that_may_end_early_measures_its_last_tick(walks, simulator, engine: str) -> None:
     """Whatever is beside it: runs that end within the same tick, the last one of a block, or later ones."""
@@ -162,6 +166,7 @@ def test_a_run_that_may_end_early_measures_its_last_tick(walks, simulator, engin
         np.testing.assert_allclose(*same, rtol=1e-5, atol=1e-7, err_msg=name)
 
 
+@pytest.mark.release
 def test_new_values_never_recompile_on_mjx(walks, simulator, compilations):
     """Other parameters, and another length of the run, use the program that is there."""
     walks("mjx")
@@ -202,6 +207,7 @@ def _in_a_process_of_its_own(cache: Path, engine: str, worlds: int) -> dict[str,
     return json.loads(done.stdout)
 
 
+@pytest.mark.release
 @pytest.mark.parametrize(("engine", "worlds"), [("c", 2), pytest.param("mjx", 64, marks=pytest.mark.long)])
 def test_the_next_process_reuses_compiled_programs(tmp_path, engine, worlds):
     """The first process fills the persistent cache, the second finds every program there, and neither hangs.
@@ -243,6 +249,7 @@ def test_worlds_do_not_disturb_each_other(simulator):
     np.testing.assert_allclose(alone.qpos[0, :40], together.qpos[4, :40], atol=1e-5)
 
 
+@pytest.mark.release
 def test_c_engine_does_not_depend_on_the_number_of_threads(simulator):
     """One thread and two give the same trajectory, bit for bit."""
     sim = simulator(spine="stride_extension")

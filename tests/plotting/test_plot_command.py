@@ -54,6 +54,7 @@ def test_each_kind_names_a_function_for_its_figures_and_one_for_its_status(kind:
     assert kind is RECORDING or callable(kind.load(kind.status))
 
 
+@pytest.mark.release
 def test_two_commands_do_not_draw_into_one_folder(sweep: Path, tmp_path: Path) -> None:
     (tmp_path / "there").mkdir()
     held = hold(tmp_path / "there")
@@ -67,11 +68,13 @@ def test_two_commands_do_not_draw_into_one_folder(sweep: Path, tmp_path: Path) -
     assert plot(sweep, "--out", tmp_path / "there", "--format", "png").exit_code == 0
 
 
+@pytest.mark.release
 def test_a_sweep_that_is_being_written_is_drawn(sweep: Path) -> None:
     with RunDirectory(sweep, "sweep"):
         assert plot(sweep, "--format", "png").exit_code == 0
 
 
+@pytest.mark.release
 def test_a_sweeps_figures_are_remade_to_the_last_byte(sweep: Path, swept: Path) -> None:
     shutil.rmtree(sweep / "plots")
     result = plot(sweep)
@@ -81,6 +84,7 @@ def test_a_sweeps_figures_are_remade_to_the_last_byte(sweep: Path, swept: Path) 
     assert "speed-over-frequency-and-spine.phase.svg" in content(sweep / "plots")
 
 
+@pytest.mark.release
 def test_json_lists_the_files_and_nothing_else(sweep: Path, tmp_path: Path) -> None:
     report = json.loads(plot(sweep, "--out", tmp_path / "new", "--format", "png", "--json").stdout)
     assert report["kind"] == "sweep"
@@ -88,6 +92,7 @@ def test_json_lists_the_files_and_nothing_else(sweep: Path, tmp_path: Path) -> N
     assert {Path(file).suffix for file in report["files"]} == {".png"}
 
 
+@pytest.mark.release
 def test_an_unfinished_sweep_is_drawn_as_far_as_it_is(sweep: Path) -> None:
     chunk = part_of(sweep, 1)
     there = 36 - pq.read_metadata(chunk).num_rows
@@ -99,6 +104,7 @@ def test_an_unfinished_sweep_is_drawn_as_far_as_it_is(sweep: Path) -> None:
     assert all(f"{there} of 36 runs so far" in svg for svg in svgs)
 
 
+@pytest.mark.release
 def test_columns_of_choice(sweep: Path, tmp_path: Path) -> None:
     result = plot(sweep, "--x", "frequency", "--y", "spine.phase", "--color", "roll_std", "--out", tmp_path / "a")
     assert sorted(content(tmp_path / "a")) == [
@@ -160,6 +166,7 @@ def test_what_has_no_figures_says_why(sweep: Path, tmp_path: Path) -> None:
     assert "choose columns of a sweep" in plot(tmp_path / "walk.npz", "--x", "speed", "--out", tmp_path / "a").stderr
 
 
+@pytest.mark.release
 @pytest.mark.parametrize("walker", [FakeWalker(), None])
 def test_a_tunings_figures_are_remade_with_the_landscape_it_keeps(walker: FakeWalker | None, tmp_path: Path) -> None:
     tuning = Tuning.from_dict(TUNE_SPEC | {"plots": True})

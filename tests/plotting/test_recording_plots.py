@@ -86,6 +86,7 @@ def texts(figure: matplotlib.figure.Figure) -> str:
     return " ".join(text.get_text() for text in figure.findobj(matplotlib.text.Text))
 
 
+@pytest.mark.release
 def test_all_figures_are_written_with_units_and_are_no_blanks(recording: Recording, tmp_path: Path) -> None:
     files, notes = drawn_of(recording, tmp_path)
     assert notes == []

@@ -246,6 +246,7 @@ def test_less_is_better_where_it_is() -> None:
     assert "highest" in texts(figures(data, "duration")["duration-parallel"])
 
 
+@pytest.mark.release
 def test_a_scatter_of_too_many_points_is_thinned(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The note says how many of all are drawn; correlations and the star still count all of them."""
     monkeypatch.setattr("nermo_mjx.sweep.plots.MOST_POINTS", 20)

@@ -117,6 +117,7 @@ def settled(model: mujoco.MjModel, order: list[int], angles: np.ndarray) -> mujo
     return data
 
 
+@pytest.mark.release
 def test_the_neutral_feet_are_where_his_model_has_them():
     """Within 0.2 mm, without gravity and ground. With legs and tendons as drawn they are 5 and 6 mm off."""
     errors = []
@@ -165,6 +166,7 @@ def walked(model: mujoco.MjModel, order: list[int], compensated: int, cycles: in
     return 400.0 * np.hypot(x[-1] - x[0], y[-1] - y[0]) / (0.004 * (len(x) - 1)), float(np.degrees(roll.std()))
 
 
+@pytest.mark.release
 def test_compensation_lowers_the_roll_under_his_own_commands():
     """His model: 87 mm/s and roll 4.6 and 3.3 degrees, a ratio of 0.72; published 0.85. As drawn it was 1.9."""
     (speed, roll), (_, compensated) = (walked(*body(), which) for which in (0, 1))
@@ -201,6 +203,7 @@ def published():
     return {"speed": 400.0 * means.pop("speed")} | {name: np.degrees(value) for name, value in means.items()}
 
 
+@pytest.mark.release
 def test_the_published_simulation_walks_as_published(published):
     """Published: 86.4 mm/s at 0.8 Hz, 5 % to 22 % faster with the spine; Table 6.6 at 0.67 Hz, 3.09 and 4.13 degrees of
     roll, 0.75 and 1.25 of pitch. The bounds are those that were set before this profile was made."""
@@ -216,6 +219,7 @@ def test_the_published_simulation_walks_as_published(published):
     assert 0.8 < pitch[1, 1] < 1.45
 
 
+@pytest.mark.release
 def test_the_published_robot_stands_with_its_nose_up():
     """The author's model: -0.55 degrees. Neutral feet, no gait."""
     standing = {"commanded_speed": 0.0, "stance.swing_amplitude": 0.0, "stance.stance_amplitude": 0.0}

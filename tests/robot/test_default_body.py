@@ -18,6 +18,7 @@ from nermo_mjx.robot import LIMBS, ModelParameters, ParameterError, Sensors, loa
 from nermo_mjx.rollout import Run, Setup, Simulator, electrical
 
 
+@pytest.mark.release
 def test_the_speed_is_smooth_where_a_tuner_looks():
     """Along the phase of the trot the speed is within a micrometre per second of a parabola, over 1 % of its range.
 
@@ -42,6 +43,7 @@ def standing(values: dict[str, float]) -> float:
     return min(float(data.geom(f"{limb}_sole").xpos[2]) for limb in LIMBS)
 
 
+@pytest.mark.release
 def test_soft_soles_stand_where_hard_ones_do():
     """A sole's centre is at most 0.1 mm lower than on balls of 2 mm that yield by 0.43 mm."""
     hard = {"geometry.foot.radius": 0.002, "contact.time_constant": 0.008, "contact.damping_ratio": 2.0}
@@ -130,6 +132,7 @@ def test_energy_is_conserved_and_the_metrics_say_where_it_goes():
     assert found["limited_rear_knees"] == pytest.approx((torque[:, 6:8] > 0.1569).mean(), abs=1e-6)
 
 
+@pytest.mark.release
 @pytest.mark.parametrize(
     "build",
     [{}, pytest.param({"hinges": 2, "tail": "articulated"}, marks=pytest.mark.release)],

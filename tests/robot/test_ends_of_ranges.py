@@ -126,6 +126,7 @@ def test_each_parameter_alone():
     check(setup, chosen, 0.5)
 
 
+@pytest.mark.release
 @pytest.mark.parametrize("scene", [pytest.param("planks", marks=pytest.mark.release), "rough", *LONG_TERRAINS])
 def test_each_parameter_of_a_terrain(scene):
     setup = Setup(scene=scene, physics="fast")
@@ -150,6 +151,7 @@ def combined(choices: dict[str, str], count: int, seed: int) -> None:
     check(setup, worlds, 1.0)
 
 
+@pytest.mark.release
 @pytest.mark.parametrize(
     "choices",
     [COMBINED[0], *(pytest.param(each, marks=pytest.mark.release) for each in COMBINED[5::5])],

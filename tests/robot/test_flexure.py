@@ -152,6 +152,7 @@ def test_a_walk_with_chains_is_that_with_hinges(simulator):
     np.testing.assert_allclose(chained["roll_std"], one["roll_std"], rtol=0.02)
 
 
+@pytest.mark.release
 def test_mjx_steps_a_chain_as_c_does():
     """Several hinges on one body, with a taut tendon: 20 steps of a leg's stand."""
     spec = assemble_leg("rear_left", hinges=2)

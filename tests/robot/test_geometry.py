@@ -127,6 +127,7 @@ def test_links_are_drawn_as_long_as_they_are():
     np.testing.assert_allclose(shift[:, 0], [-0.005, 0.005], atol=1e-4)
 
 
+@pytest.mark.release
 @pytest.mark.parametrize(
     ("tail", "names"),
     [
@@ -150,6 +151,7 @@ def test_a_world_of_a_batch_is_the_robot_assembled_with_its_geometry(tail, names
         np.testing.assert_allclose(varied, wanted, rtol=1e-9, atol=atol, err_msg=name)
 
 
+@pytest.mark.release
 def test_constants_and_their_derivatives_are_those_of_assembled_models():
     """What MuJoCo derives from places, and slopes of all fields, against models compiled a little on either side."""
     robot, names = load_robot(), ("spine.segment", "tail.length")
@@ -207,6 +209,7 @@ def test_worlds_stand_on_their_own_legs(simulator):
             assert -0.006 < z - stance[pair][1] < 0.011, limb
 
 
+@pytest.mark.release
 def test_a_sweep_over_legs_spine_and_amplitude_is_one_batch_and_compiles_once(simulator, compilations):
     """Worlds of three robots walk in one batch; other numbers of the same names compile nothing."""
     sim, run = simulator(spine="stride_extension"), Run(cycles=1, warmup_cycles=0)
@@ -219,6 +222,7 @@ def test_a_sweep_over_legs_spine_and_amplitude_is_one_batch_and_compiles_once(si
     assert not np.array_equal(again, speed)
 
 
+@pytest.mark.release
 def test_a_world_with_the_published_numbers_is_the_published_robot(simulator):
     """Named with its default, a length changes a walk by rounding only; without one, controllers have constants."""
     sim, run = simulator(spine="stride_extension"), Run(cycles=1, warmup_cycles=0)

@@ -84,6 +84,7 @@ def test_the_same_joint_angles_put_the_hip_where_mujoco_has_it(robot):
             np.testing.assert_allclose(seen_from_torso(data, foot), feet[place], atol=1e-6)
 
 
+@pytest.mark.release
 def test_a_world_of_its_own_geometry_has_its_hips_where_the_kinematics_say(robot):
     """Longer segments, a smaller pulley and a wider hip: hip axis within 1e-6 m, and no tendon slack or tight."""
     values = {"geometry.spine.segment": 0.018, "geometry.spine.pulley_radius": 0.0055, "geometry.hip.x": 0.045}
@@ -178,6 +179,7 @@ def test_the_sagittal_extension_flexes_at_touch_down_and_steering_leaves_less_of
     assert angle(0.5, -1.0) == pytest.approx(0.0, abs=1e-6)
 
 
+@pytest.mark.release
 @pytest.mark.parametrize(("mode", "least", "most"), [("none", 0.0, 0.04), ("sagittal_extension", 0.08, 0.13)])
 def test_a_bound_walks_forward_with_and_without_the_vertical_spine(simulator, mode, least, most):
     """It neither falls nor stands. At 0.4 rad of servo the vertical joints bend by about 0.1 rad; held, they give way
@@ -201,6 +203,7 @@ def test_pitch_balance_calms_the_torso_without_costing_speed(simulator):
     assert result.metrics["speed"][1] > 0.95 * result.metrics["speed"][0]
 
 
+@pytest.mark.release
 def test_it_starts_on_its_feet_whatever_the_spine_does(simulator):
     """In the cycle's phase where the spine flexes most, too: neither a foot nor the tail starts in the ground."""
     sim = simulator(**BOUND, spine="sagittal_extension")

@@ -253,6 +253,7 @@ def test_a_walk_half_a_metre_up_is_the_walk_on_the_flat(simulator):
         np.testing.assert_allclose(up.metrics[name], flat.metrics[name], rtol=1e-3, err_msg=name)
 
 
+@pytest.mark.release
 @pytest.mark.parametrize("height", [-1.0, 0.5])
 def test_a_robot_that_lies_on_its_belly_has_fallen_at_any_height(height):
     """Released with its legs in the ground it may stand up or not; with its torso at the ground it has fallen at
@@ -265,6 +266,7 @@ def test_a_robot_that_lies_on_its_belly_has_fallen_at_any_height(height):
     np.testing.assert_array_equal(session.loop_state.metrics.fell, [False, True])
 
 
+@pytest.mark.release
 def test_who_walks_off_an_edge_has_fallen():
     """A platform without a floor: beside it, lower than its foot is a fall."""
     plank = scene("<geom name='floor' type='box' size='0.3 0.2 0.1' pos='0 0 0.4'/>")
@@ -292,6 +294,7 @@ def test_the_defaults_of_the_ground_are_the_scenes_gravity():
     np.testing.assert_allclose(named, sim.robot.model.opt.gravity, atol=1e-6)
 
 
+@pytest.mark.release
 def test_a_slope_takes_its_share_of_the_weight(simulator):
     """In steady walks the mean force on feet and tail is m g cos(slope), and the mass's; uphill the rear bears more."""
     values = {

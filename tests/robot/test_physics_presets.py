@@ -59,6 +59,7 @@ def six_walks(**fixed: float) -> dict[str, np.ndarray]:
 # --- the same gait
 
 
+@pytest.mark.release
 @pytest.mark.parametrize(
     ("spine", "turn_rate"),
     [
@@ -88,6 +89,7 @@ def test_fast_keeps_every_gait_metric_within_its_bound(simulator, spine, turn_ra
         np.testing.assert_allclose(fast, exact, rtol=bound, err_msg=name)
 
 
+@pytest.mark.release
 def test_a_fall_is_reported_by_both(simulator):
     """A robot let go while it leans by 65 degrees has fallen, in the same tick; the one beside it walks on."""
     fell = []

@@ -82,6 +82,7 @@ def test_no_torque_passes_until_the_motor_has_crossed_the_play(backlash):
     np.testing.assert_allclose(torque[whole + 1 :], STALL, rtol=1e-9)
 
 
+@pytest.mark.release
 def test_a_batch_has_servos_with_and_without_play(simulator):
     """A world without play walks as it does without the parameters.
 
@@ -99,6 +100,7 @@ def test_a_batch_has_servos_with_and_without_play(simulator):
     assert play["servo_current"][1] < 0.8 * play["servo_current"][0]
 
 
+@pytest.mark.release
 def test_servos_of_either_end_of_their_ranges_can_be_simulated(simulator):
     """None of them makes the simulation lose its numbers, and charge and times are positive."""
     names = ("supply_voltage", "back_emf", "dead_band", "backlash", "idle_current", "stall_current")

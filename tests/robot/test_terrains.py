@@ -40,6 +40,7 @@ def ray_height(model: mujoco.MjModel, data: mujoco.MjData, scene: str, x: float,
         height -= 1e-6
 
 
+@pytest.mark.release
 @pytest.mark.parametrize("scene", GROUNDS)
 def test_the_height_of_a_shape_is_that_of_the_model_with_its_fields(scene):
     """At 150 places about the way, of a shape that is not the compiled one: what a batch's worlds are told is there."""
@@ -55,6 +56,7 @@ def test_the_height_of_a_shape_is_that_of_the_model_with_its_fields(scene):
     assert np.abs(heights - before).max() > 1e-3
 
 
+@pytest.mark.release
 def test_terrains_have_the_sizes_of_the_published_ones():
     """Height along the middle of the way, by default."""
     ahead = np.arange(0.0, 2.0, 0.005) + 0.0025
@@ -89,6 +91,7 @@ def test_the_spiral_stair_rises_along_its_circle_and_gates_alternate():
     np.testing.assert_allclose((left + right)[:2] / 2, gates(TerrainShape(**TERRAINS["slalom"].defaults))[0])
 
 
+@pytest.mark.release(cases=("rough", "ramp", "spiral_stairs", "slalom"))
 @pytest.mark.parametrize("scene", TERRAINS)
 def test_a_world_of_a_batch_stands_on_its_own_ground(scene):
     """Dropped ahead of the start, two worlds of a batch end where the robot does in a model of each alone."""
@@ -112,6 +115,7 @@ def test_a_world_of_a_batch_stands_on_its_own_ground(scene):
     assert np.abs(qpos[0] - qpos[1]).max() > 1e-4
 
 
+@pytest.mark.release
 def test_an_environment_draws_a_ground_for_each_episode():
     task = Task(randomize={"terrain.height": (0.0, 0.02), "terrain.shift": (-0.3, -0.2)}, episode_length=0.05)
     environment = Environment(Setup(scene="planks", physics="fast"), worlds=2, task=task)

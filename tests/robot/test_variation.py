@@ -79,6 +79,7 @@ def test_nothing_named_gives_no_fields():
     assert variation.batch(ModelParameters(), 4, ("frequency", "spine.phase", "start.yaw", "stance.front_z")) == {}
 
 
+@pytest.mark.release
 @pytest.mark.parametrize("tail", ["rigid", pytest.param("articulated", marks=pytest.mark.release)])
 def test_defaults_are_the_values_of_the_compiled_model(tail):
     """Named with their defaults, the parameters give the numbers that assembly has written."""
@@ -183,6 +184,7 @@ def test_faults_of_the_built_robot_reach_what_they_name():
         assert fields["jnt_stiffness"][0, i] == pytest.approx(share * model.jnt_stiffness[i], rel=1e-12), name
 
 
+@pytest.mark.release
 def test_slack_and_another_geometry_add_up():
     """A tendon of longer legs is longer by its slack, too."""
     robot, name = load_robot(), "geometry.front_leg.lower"
@@ -319,6 +321,7 @@ BUILT = {
 }
 
 
+@pytest.mark.release
 @pytest.mark.parametrize("tail", ["rigid", "articulated"])
 @pytest.mark.parametrize("routing", ["type2", "type3"])
 def test_a_built_robot_is_the_same_in_a_batch_and_assembled(routing, tail):
@@ -337,6 +340,7 @@ def test_a_built_robot_is_the_same_in_a_batch_and_assembled(routing, tail):
         np.testing.assert_allclose(field[0], getattr(robot.physical, name), atol=1e-15, err_msg=name)
 
 
+@pytest.mark.release
 def test_turned_mounts_carry_the_feet_and_slack_lowers_them():
     """A rear leg turned by -0.0855 rad has its foot 3.9 mm further forward; the start stands on all feet as built."""
     simulator = Simulator(Setup(), engine="c")
@@ -360,6 +364,7 @@ def test_turned_mounts_carry_the_feet_and_slack_lowers_them():
     np.testing.assert_allclose(slack[:2, 1:], drawn[:2, 1:], atol=1e-6)
 
 
+@pytest.mark.release
 def test_derivatives_by_the_build_are_those_of_compiled_models():
     """Of the places of legs, tendons and what MuJoCo derives from them, by tilt and softness."""
     robot, names = load_robot(), ("build.rear_tilt", "build.rear_softness", "build.front_slack")

@@ -405,6 +405,7 @@ def test_a_touch_is_no_load():
     assert np.isnan(result["slip"])
 
 
+@pytest.mark.release
 def test_a_light_load_counts_in_part():
     """Nothing at the lighter of `LOADED`, all from the heavier on, half midway, without a jump or a kink between."""
     light, heavy = metrics.LOADED
@@ -610,6 +611,7 @@ def test_a_window_may_begin_and_end_within_a_tick(seed):
     assert free["turning_radius"] == pytest.approx(np.sqrt(fit[2] + fit[0] ** 2 + fit[1] ** 2), rel=1e-6)
 
 
+@pytest.mark.release
 @pytest.mark.parametrize("cycles", [4, 5, 6])
 def test_a_window_of_whole_cycles_has_them_all_whatever_the_rounding(cycles):
     """In single precision, as in a batch; every rate gives another rounding."""
@@ -650,6 +652,7 @@ def _derivative(on_line: bool) -> Any:
     return jax.jit(lambda at, towards: jax.jvp(lambda *at: run(*at)[0], at, towards))
 
 
+@pytest.mark.release(cases=("0-False-False", "0-False-True"))
 @pytest.mark.parametrize("on_line", [True, False])
 @pytest.mark.parametrize("whole_ticks", [False, True])
 @pytest.mark.parametrize("seed", range(4))
@@ -714,6 +717,7 @@ def _jacobian(on_line: bool) -> Any:
     return jax.jit(jax.jacrev(lambda *at: run(*at)[0], argnums=(0, 1, 2)))
 
 
+@pytest.mark.release(cases=("at rest-True", "at rest-False"))
 @pytest.mark.parametrize("on_line", [True, False])
 @pytest.mark.parametrize("name", DEGENERATE)
 def test_derivatives_are_finite(name, on_line):

@@ -82,6 +82,7 @@ def bound() -> Simulator:
 # --- in a simulator
 
 
+@pytest.mark.release
 def test_a_controller_of_thirty_lines_walks(bound: Simulator) -> None:
     """Its parameters are named beside those of the body, and are as many."""
     values = {"reach": np.array([0.0, 0.05]), "contact.friction": 1.2}
@@ -125,6 +126,7 @@ def test_a_policy_is_for_all_worlds_or_for_each(bound: Simulator) -> None:
         bound.prepare({}, policy=[0.03])
 
 
+@pytest.mark.release
 def test_metrics_know_a_path_and_planned_contact_where_the_controller_has_them() -> None:
     simulator = Simulator(engine="c", controller=Watched())
     measured = simulator({"height": np.array([0.04, 0.045])}, SHORT)
@@ -133,6 +135,7 @@ def test_metrics_know_a_path_and_planned_contact_where_the_controller_has_them()
     assert np.isnan(measured["swing_loaded_front"]).all()
 
 
+@pytest.mark.release
 def test_the_controller_sees_each_tick_once_and_keeps_its_whole_numbers() -> None:
     simulator = Simulator(engine="c", controller=Still())
     batch = simulator.prepare({}, SHORT)
@@ -319,6 +322,7 @@ def without_touch(network: Any) -> Any:
     return Blind()
 
 
+@pytest.mark.release
 def test_the_gradient_of_the_commands_by_the_policy_is_that_of_finite_differences() -> None:
     """Of all servos' targets after some ticks of controller, metrics and limits, on readings that are made up."""
     with jax.enable_x64(True):

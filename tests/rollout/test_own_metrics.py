@@ -89,6 +89,7 @@ def reduced(readings: np.ndarray, begin: float, end: float) -> dict[str, float]:
 # --- reductions
 
 
+@pytest.mark.release
 def test_reductions_are_those_of_numpy() -> None:
     """Over whole ticks, in both of which readings stand for the step before them: NumPy over the same readings."""
     random = np.random.default_rng(0).normal(size=(12, STEPS)).astype(np.float32)
@@ -142,6 +143,7 @@ def test_a_metric_of_a_stride_is_reduced_from_touch_down_to_touch_down() -> None
             assert float(found[f"{reduce}_{across}"]) == pytest.approx(value, rel=2e-3), (reduce, across)
 
 
+@pytest.mark.release
 def test_a_metric_is_continuous_where_the_measuring_begins_and_ends() -> None:
     """Of a yaw rate that grows by 1 rad/s a second: the extremes are the values at both ends of any window."""
     ramp = (DT * np.arange(-1, 11)[:, None] + DT * np.arange(1, STEPS + 1) / STEPS).astype(np.float32)
@@ -155,6 +157,7 @@ def test_what_was_never_measured_is_not_a_number() -> None:
     assert all(math.isnan(value) for value in reduced(np.ones((3, STEPS)), 1.0, 2.0).values())
 
 
+@pytest.mark.release
 def test_what_is_not_measured_does_no_harm_to_value_and_slope() -> None:
     """The root of a force has no slope at zero, which it reads before the first tick and where numbers are lost."""
     root = own("mean", lambda sensors: jnp.sqrt(sensors.foot_force[0]))
@@ -179,6 +182,7 @@ def test_what_is_not_measured_does_no_harm_to_value_and_slope() -> None:
 # --- in a simulator
 
 
+@pytest.mark.release
 def test_a_simulator_measures_what_its_recording_shows(shake: Path) -> None:
     """The readings of a tick's end, of a signal that five steps hardly change; other metrics keep their last bit."""
     run = Run(duration=0.4, warmup=0.1)

@@ -43,6 +43,7 @@ def test_entries_count_that_something_returned_depends_on(function: Any, expecte
     assert np.flatnonzero(read_entries(program, 6)).tolist() == list(expected)
 
 
+@pytest.mark.release(cases=("names3", "names2", "names1", "names0"))
 @pytest.mark.parametrize("names", [("position",), ("velocity", "touch"), ("orientation",), (), tuple(PLACES)])
 def test_sensors_that_are_read_have_their_values_and_places(names: tuple[str, ...]) -> None:
     """After a step with contact, as if all were computed; the others read zero."""
@@ -57,6 +58,7 @@ def test_sensors_that_are_read_have_their_values_and_places(names: tuple[str, ..
     np.testing.assert_allclose(part, np.where(read, whole, 0.0), rtol=1e-6, atol=1e-6)
 
 
+@pytest.mark.release
 def test_the_walk_does_not_compute_its_accelerometer() -> None:
     """The one sensor of the robot that needs a pass over the tree and back."""
     robot = load_robot()

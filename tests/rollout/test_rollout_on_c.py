@@ -52,6 +52,7 @@ def speed_of(walk: Rollout):
     return speed
 
 
+@pytest.mark.release
 def test_the_derivative_is_that_of_mjx_in_float64() -> None:
     """Of how far the robot has come after 250, 1,000 and 3,000 steps; `data/walk_mjx64.py` made the numbers."""
     kept = np.load(Path(__file__).parents[1] / "data" / "walk_mjx64.npz")
@@ -91,6 +92,7 @@ def test_three_widths_give_the_same_derivative_at_twelve_points(long_walk: Rollo
         assert (apart[2] < 1e-4) == (i != JUMP), i
 
 
+@pytest.mark.release
 def test_a_jump_within_the_width_is_told(long_walk: Rollout) -> None:
     """By the spread of two widths, and by a warning."""
     values = twelve_points()[JUMP]
@@ -117,6 +119,7 @@ def test_three_widths_give_the_same_derivative_by_ten_numbers_of_the_body_at_fou
         assert (apart < 1e-4).all(), (amplitude, phase, apart)
 
 
+@pytest.mark.release
 def test_all_transformations_agree_to_the_last_bit(walk: Rollout) -> None:
     speed, point = speed_of(walk), jnp.asarray(POINT)
     slope = jax.grad(speed)(point)
@@ -167,6 +170,7 @@ def test_the_path_is_differentiable_and_as_the_metrics_are(walk: Rollout) -> Non
     assert np.abs(ctrl).max() > 0.0
 
 
+@pytest.mark.release
 def test_a_frequency_needs_no_slowest_one_but_for_a_path() -> None:
     walk = Rollout(run=Run(cycles=0.3, warmup_cycles=0.0), engine="c")
     assert np.isfinite(jax.grad(lambda f: walk({"frequency": f})["speed"])(0.82))
@@ -179,6 +183,7 @@ def test_at_a_bound_the_derivative_is_one_sided(walk: Rollout) -> None:
     assert slope(0.0) == pytest.approx(float(slope(1e-5)), rel=0.01)
 
 
+@pytest.mark.release
 def test_a_kink_within_the_width_is_told() -> None:
     """At 0.8 Hz the measured time ends with a tick, where the measured way has a kink; at 0.82 Hz it has none."""
     walk = Rollout(run=Run(cycles=0.4, warmup_cycles=0.0), engine="c")
@@ -193,6 +198,7 @@ def test_a_kink_within_the_width_is_told() -> None:
             slope(0.82)
 
 
+@pytest.mark.release
 def test_the_spread_of_two_widths_is_small_away_from_kinks(walk: Rollout) -> None:
     """Beside the kink at 0.8 Hz, which the wider differences contain and the narrower do not, it is not small."""
     spread = walk.gradient_spread({"frequency": 0.8, "spine.amplitude": 0.2, "spine.phase": -0.5}, NAMES)
@@ -303,6 +309,7 @@ print(float(slope(0.2)) == float(found[0]))
 """
 
 
+@pytest.mark.release
 @pytest.mark.parametrize("threads", ["1", pytest.param("2", marks=pytest.mark.release)])
 def test_it_works_where_the_user_started_jax_first(threads: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """With asynchronous dispatch, as in a notebook, and as few threads as there can be: no deadlock."""

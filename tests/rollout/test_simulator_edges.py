@@ -27,6 +27,7 @@ BODY = [name for name, _ in quantities(ModelParameters) if name not in ("servo.d
 PRESETS = ("reference", "fast")
 
 
+@pytest.mark.release
 def test_compile_seconds_are_those_of_compiling() -> None:
     """A new simulator spends some; the same batch once more none, however long it runs."""
     simulator, run = Simulator(Setup(), "c"), Run(duration=1.0, warmup=0.0)
@@ -52,6 +53,7 @@ def servo_jump(kp: float, kv: float, timestep: float, **damping: float) -> float
     return jump(compile_model(robot, values), standing(robot))
 
 
+@pytest.mark.release
 @pytest.mark.parametrize("physics", [pytest.param("reference", marks=pytest.mark.release), "fast"])
 def test_at_the_ends_of_every_range_of_the_body_no_servo_chatters(physics: str) -> None:
     """With all else at its default, the robot stands: finite, and no torque alternates.

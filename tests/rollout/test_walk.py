@@ -11,6 +11,7 @@ FREQUENCIES = np.array([0.5, 0.67, 0.8])
 LONG = Run(cycles=10, warmup_cycles=2)
 
 
+@pytest.mark.release
 @pytest.mark.parametrize("gait", ["trot", "walking_trot", "lateral_walk"])
 @pytest.mark.parametrize("spine", ["none", "stride_extension"])
 def test_every_gait_walks_without_falling(simulator, gait, spine):
@@ -21,12 +22,14 @@ def test_every_gait_walks_without_falling(simulator, gait, spine):
     assert np.all(np.abs(result.metrics["roll_mean"]) < np.radians(2))
 
 
+@pytest.mark.release
 def test_trot_speed_without_spine_is_near_the_theory_without_slip(simulator):
     """Ideal trot at 0.8 Hz and full stride: 0.080 to 0.100 m/s; (5.21) gives 0.096."""
     result = simulator(gait="trot").run({"frequency": 0.8}, LONG)
     assert 0.080 <= result.metrics["speed"][0] <= 0.100
 
 
+@pytest.mark.release
 def test_the_best_spine_phase_gains_and_the_worst_loses(simulator):
     """At 0.1 rad a joint the best phase walks at least 5 % faster than no spine, the worst slower than no spine."""
     phases = np.linspace(-np.pi, np.pi, 12, endpoint=False)
@@ -43,6 +46,7 @@ def test_the_best_spine_phase_gains_and_the_worst_loses(simulator):
     assert -np.pi / 3 - 1e-9 <= phases[speed[1:].argmax()] <= 0.0  # published prototype: 0 to -30 degrees
 
 
+@pytest.mark.release
 @pytest.mark.parametrize("name", ["frequency", "stride"])
 def test_speed_is_linear_in_frequency_and_stride(simulator, name):
     """The speed law (5.21): R^2 of a line through the speeds is at least 0.98."""
@@ -54,6 +58,7 @@ def test_speed_is_linear_in_frequency_and_stride(simulator, name):
     assert np.all(np.diff(speed) > 0)
 
 
+@pytest.mark.release
 def test_zero_stride_stays_in_place(simulator):
     """Marching on the spot covers less than a tenth of the ground that walking does."""
     result = simulator(gait="trot").run({"frequency": 0.8, "stride": np.array([0.0, 1.0])}, LONG)
@@ -61,6 +66,7 @@ def test_zero_stride_stays_in_place(simulator):
     assert abs(standing) < 0.1 * walking
 
 
+@pytest.mark.release(cases=("mix", "leg"))
 @pytest.mark.parametrize("steering", ["leg", "spine", "mix"])
 def test_positive_turn_rate_turns_left_and_negative_right(simulator, steering):
     """Every strategy follows the one sign convention: positive is left for both yaw and path, and right mirrors
@@ -74,6 +80,7 @@ def test_positive_turn_rate_turns_left_and_negative_right(simulator, steering):
     assert result.metrics["turn_rate"][0] > 0.0 > result.metrics["turn_rate"][1]
 
 
+@pytest.mark.release
 def test_the_straight_pilot_keeps_the_line(simulator):
     """Started 2 cm beside the line and 10 degrees off it, the robot comes back to within 2 cm, its sway included.
 
@@ -85,6 +92,7 @@ def test_the_straight_pilot_keeps_the_line(simulator):
     assert np.all(np.abs(result.trace.sensors["position"][:, -200:, 0]) < 0.02)
 
 
+@pytest.mark.release
 def test_model_parameters_vary_within_a_batch(simulator):
     """Slippery and grippy soles in one batch; light and heavy robots, whose feet and tail carry their weight."""
     sim = simulator(gait="trot")
@@ -123,6 +131,7 @@ def test_the_published_lag_shortens_the_stride(simulator):
     assert result.metrics["speed"][1] < 0.97 * result.metrics["speed"][0]
 
 
+@pytest.mark.release
 def test_as_published_profile_walks(simulator):
     """The published lag and clock ratio together walk upright, and slower than theory: 0.096 m/s on a clock of 0.4."""
     result = simulator(gait="trot", profile="as_published").run({"frequency": 0.8}, LONG)

@@ -252,6 +252,7 @@ def child(out, *shard):
     return subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
 
 
+@pytest.mark.release
 def test_what_killed_processes_stored_is_whole(tmp_path):
     """Three times, at other moments, in one directory: all that they said to be stored is there, undamaged."""
     said, chance = [], random.Random(1)
@@ -270,6 +271,7 @@ def test_what_killed_processes_stored_is_whole(tmp_path):
     assert set(rows) >= {int(line) for line in said if line.endswith("\n")}
 
 
+@pytest.mark.release
 def test_shards_add_at_the_same_time(tmp_path):
     """Three processes, of which one is killed and begun again; a fourth one alone is refused meanwhile."""
     processes = [child(tmp_path, i) for i in range(3)]

@@ -80,6 +80,7 @@ def test_a_wrong_controller_is_refused_with_file_and_line(tmp_path: Path, case: 
     refused(Sweep.from_file, f"s.yaml:2: field 'controller' .*{message}", tmp_path / "s.yaml")
 
 
+@pytest.mark.release
 @pytest.mark.parametrize("engine", ["c", pytest.param("mjx", marks=pytest.mark.long)])
 def test_angles_that_become_nan_are_a_divergence(tmp_path: Path, engine: str) -> None:
     """Whether servos, and not only the body, lose their numbers."""

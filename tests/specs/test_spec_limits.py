@@ -83,6 +83,7 @@ MERGED = (
 )
 
 
+@pytest.mark.release
 @pytest.mark.parametrize(
     ("text", "message"),
     [

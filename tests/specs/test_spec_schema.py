@@ -63,6 +63,7 @@ def test_the_shipped_files_are_valid(schemas, path):
     assert faults(schemas[kind_of(path)], read_file(path).data) == []
 
 
+@pytest.mark.release(cases=("train_own", "train_terrains"))
 @pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
 def test_resolved_files_are_valid(schemas, path):
     """So are those that results hold, with all defaults written out."""
@@ -198,6 +199,7 @@ def sections(kind: type[Fields]) -> Iterator[type[Fields]]:
         yield from sections(each) if each.__subclasses__() else [each]
 
 
+@pytest.mark.release
 def test_no_odd_value_leads_to_anything_but_a_sentence():
     """At each field of each file, and at each field of what stands there."""
     from nermo_mjx.learn import PPO, Modulation, Residual, Task

@@ -173,6 +173,7 @@ def test_an_editor_accepts_what_is_read():
         assert list(check.iter_errors(read_text(wrong, "s").data)), wrong
 
 
+@pytest.mark.release
 def test_python_takes_units(simulator):
     """A walk and a servo table in units are those in SI numbers."""
     setup = Setup(spine="stride_extension")

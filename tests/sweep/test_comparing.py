@@ -573,6 +573,7 @@ def test_a_comparison_changes_no_row(tmp_path: Path) -> None:
     assert read_table(tmp_path / "with").equals(read_table(tmp_path / "without"))
 
 
+@pytest.mark.release
 def test_how_strides_vary_with_the_soles_radius_has_a_command(tmp_path: Path) -> None:
     """A user's sweep: what `compare` says of strides is what pandas finds between touch-downs of the saved series."""
     (tmp_path / "sv.yaml").write_text(

@@ -70,6 +70,7 @@ def shares(landscape: str, noise: str, budget: int) -> dict[str, float]:
     return {name: float(np.mean([line[name] for line in found])) for name in found[0]}
 
 
+@pytest.mark.release
 @pytest.mark.parametrize("budget", [0, pytest.param(200, marks=pytest.mark.release)])
 @pytest.mark.parametrize(
     ("landscape", "noise"),
@@ -87,6 +88,7 @@ def test_the_region_and_the_interval_hold_the_truth_as_often_as_they_say(landsca
     assert found["chosen bias"] >= 0.4, "the winner's curse"
 
 
+@pytest.mark.release
 def test_a_second_stage_narrows_a_clear_optimum():
     """A peak: three points instead of seven or more, none of them lost."""
     first, second = (shares("peak", "normal", budget) for budget in (0, 200))
@@ -206,6 +208,7 @@ def test_gains_and_best_variants_are_told_for_each_structure(tmp_path):
     assert all(each["parameters"]["spine.amplitude"] == 0.4 for each in best)
 
 
+@pytest.mark.release
 @pytest.mark.parametrize("stop", [2, 5, 6, 7])
 def test_it_resumes_anywhere_with_the_same_rows(tmp_path, done, stop):
     """Interrupted in the first stage, the second one, and in fresh runs."""

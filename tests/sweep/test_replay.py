@@ -90,6 +90,7 @@ def losing_its_numbers(monkeypatch: pytest.MonkeyPatch, frequency: float, after:
 # --- the same walk
 
 
+@pytest.mark.release
 def test_every_row_of_a_sweep_is_repeated_bit_for_bit(walks: Path) -> None:
     """On the engine c, whatever part a row stands in, and where in it; fallen robots, too."""
     statuses, parts = set(), set()
@@ -344,6 +345,7 @@ def test_quiet_says_nothing_and_json_has_the_fields_of_a_walk(short: Path) -> No
     assert report["metrics"]["failure_time"] is None
 
 
+@pytest.mark.release
 @pytest.mark.usefixtures("drawing")
 def test_a_row_can_be_watched(short: Path, tmp_path: Path) -> None:
     video = tmp_path / "row.gif"

@@ -136,6 +136,7 @@ def test_runs_without_a_number_are_not_said_to_have_fallen(out: Path) -> None:
     assert notes(speed=speed, status=status.tolist()) == both
 
 
+@pytest.mark.release
 def test_a_share_below_0_is_told_to_be_noise(tmp_path: Path) -> None:
     """RBD-FAST of a linear function that one parameter has no effect on."""
 
@@ -173,6 +174,7 @@ def test_the_design_begins_as_a_smaller_one_and_changes_one_parameter_at_a_time(
     assert Sweep.from_text(pairs.to_yaml()).digest() == pairs.digest() != sweep.digest()
 
 
+@pytest.mark.release
 def test_the_command_writes_what_plot_and_status_know(out: Path, tmp_path: Path) -> None:
     """JSON, a table for people, and figures that come out the same."""
     assert json_of("sensitivity", out, "--out", tmp_path / "report")["indices"][0]["parameter"] == "frequency"

@@ -57,6 +57,7 @@ def goes_on(out, reference, at_most):
 # --- what other programs rely on
 
 
+@pytest.mark.release
 def test_the_directory_holds_what_other_programs_rely_on(done):
     """Files, and in each column its unit, its meaning and its role; readers of Parquet need no other program."""
     pandas = pytest.importorskip("pandas")
@@ -299,6 +300,7 @@ class Beside(FakeSimulator):
         return super().run(*args, **kwargs)
 
 
+@pytest.mark.release
 def test_three_shards_make_the_table_of_one(tmp_path, simulator):
     """Real walks in MuJoCo C, by one process and by shards 0/3 to 2/3: the same numbers, to the last bit."""
     walks = {"vary": {"frequency": {"linspace": [0.7, 1.2, 7]}}, "run": {"cycles": 2, "warmup_cycles": 1}}

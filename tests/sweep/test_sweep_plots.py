@@ -25,6 +25,7 @@ def grid(tmp_path_factory):
     return {path.name: path for path in plots_of(SPEC | {"plots": True}, tmp_path_factory.mktemp("plots"))}
 
 
+@pytest.mark.release
 def test_three_parameters_give_a_heat_map_for_each_pair(grid):
     """PNG and SVG of each of the three pairs, and of the spine's gain; the PNG is a picture of some size."""
     assert set(grid) == {
@@ -121,6 +122,7 @@ def gain_figure(table):
         return next(figure for name, figure in figures_of_results(Results(table)) if name == GAIN)
 
 
+@pytest.mark.release
 def test_gain_figure_shows_speed_relative_to_the_stiff_spine_in_percent(tmp_path):
     """Each panel is 100 (v / v at amplitude 0 - 1) of its own frequency; white is 0; marks carry their percentage."""
     vary = SPEC["vary"] | {"spine.phase": [-3.0, 0.0, 1.0]}
@@ -185,6 +187,7 @@ def test_no_gain_figure_without_a_stiff_spine_to_compare_with(tmp_path, vary):
     assert GAIN not in [name for name, _ in figures_of_results(Results(result.table))]
 
 
+@pytest.mark.release(cases=("change3-names3-texts3", "change5-names5-texts5", "change4-names4-texts4"))
 @pytest.mark.parametrize(
     ("change", "names", "texts"),
     [

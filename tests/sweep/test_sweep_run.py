@@ -45,6 +45,7 @@ def stop_half_way(tmp_path, number):
     return out, process.returncode, printed
 
 
+@pytest.mark.release
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
 def test_a_stopped_sweep_goes_on_and_gives_the_same_table(tmp_path, reference, number):
     """Killed in its fourth chunk, a sweep keeps the first two; only of the third the writing may not be over."""
@@ -269,6 +270,7 @@ SWEEPS = [
 ]
 
 
+@pytest.mark.release(cases=("sagittal_spine",))
 @pytest.mark.parametrize("path", SWEEPS)
 def test_the_sweeps_of_the_repository_run(tmp_path, path):
     """Every shipped sweep file is valid, makes a table, and its repeats and sizes are as its text says.
@@ -286,6 +288,7 @@ def test_the_sweeps_of_the_repository_run(tmp_path, path):
         assert read_table(tmp_path).num_rows == sweep.variants
 
 
+@pytest.mark.release
 def test_figures_go_into_a_directory_that_is_named_from_here(tmp_path, monkeypatch):
     """As the README's command names it: `--out runs/quickstart`."""
     monkeypatch.chdir(tmp_path)

@@ -160,6 +160,7 @@ def test_finished_chunks_are_not_kept_in_memory(tmp_path):
     assert late - early < result.table.nbytes / 120 * 5
 
 
+@pytest.mark.release
 def test_a_table_that_does_not_fit_is_read_column_by_column(tmp_path, monkeypatch):
     """The summary and the figures of a sweep are the same where only one column fits into memory at a time."""
     spec = SPEC | {"plots": True, "randomize": {"repeats": 2, "contact.friction": {"uniform": [1.0, 1.6]}}}

@@ -126,6 +126,7 @@ def test_what_cannot_be_played_is_said(recording: Recording, tmp_path: Path, mon
             play(recording)
 
 
+@pytest.mark.release
 def test_the_robots_mjcf_by_itself_has_the_same_physics(tmp_path: Path) -> None:
     """`model --xml`, copied to an empty folder: MuJoCo without this package steps it to the same state."""
     file = tmp_path / "robot.xml"

@@ -194,6 +194,7 @@ def trotting(model: mujoco.MjModel, seconds: float = 4.0) -> Recording:
     return Recording(bare.time, bare.qpos, bare.qvel, angle, sensors=sensors)
 
 
+@pytest.mark.release
 @pytest.mark.usefixtures("drawing")
 def test_the_footfall_passes_below_the_picture_in_step_with_the_time(model: mujoco.MjModel, tmp_path: Path) -> None:
     """Left of the cursor is what was: its width says when the feet last changed."""
@@ -299,6 +300,7 @@ def test_what_cannot_be_written_is_refused_in_a_line_before_anything_is_drawn(
     assert [file.name for file in tmp_path.iterdir()] == ["file"]
 
 
+@pytest.mark.release
 def test_the_order_of_imports_does_not_matter_without_a_display() -> None:
     script = (
         "import mujoco\nmodel = mujoco.MjModel.from_xml_string('<mujoco/>')\nimport nermo_mjx\n"

@@ -49,6 +49,7 @@ def motion(walk: Recording) -> Motion:
 # --- what is drawn
 
 
+@pytest.mark.release
 def test_the_ground_carries_the_robot(walk: Recording, motion: Motion) -> None:
     """All contacts together are MuJoCo's constraint force on the free joint; on average, the weight.
 
