@@ -231,7 +231,6 @@ Simulator(Setup(head="gaze")).run({"frequency": 0.8}, Run(cycles=2)).metrics["sp
 
 
 @pytest.mark.release
-@pytest.mark.release
 def test_a_type_checker_rejects_an_unknown_choice(tmp_path: Path) -> None:
     """In the lines with a wrong name, and nowhere else."""
     if importlib.util.find_spec("mypy") is None:
