@@ -1,3 +1,4 @@
+# Tests of experiments/identification.py
 """Identification from published speeds: the objective, what is free, a search that finds what it is made to find, a
 resumable directory."""
 

@@ -1,3 +1,4 @@
+# Tests of optimize/landscape.py
 """Landscapes: which points are measured, that the measures are right, and the files."""
 
 import json

@@ -1,3 +1,4 @@
+# Tests of optimize/run.py, cli/jobs.py
 """`nermo-mjx tune` and `landscape`, as a user and as a script meet them."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Tests of learn/algorithms.py, learn/experience.py
 """PPO and the exact gradient, on a point mass in closed form; what a horizon is worth, against sums written out."""
 
 from __future__ import annotations
