@@ -1,3 +1,4 @@
+# Tests of docs/address.py
 """The address of the published code is defined in one place; everything that depends on it follows."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Tests of bench.py, docs/benchmarks
 """Measurements of this machine, their failures, and the page of results in docs/benchmarks."""
 
 from __future__ import annotations

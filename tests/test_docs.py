@@ -1,3 +1,4 @@
+# Tests of version.py, docs, README.md
 """README, documentation and docstrings: examples work, commands and links are valid, the site has all of them."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Tests of files.py
 """Files of other people: a damaged or special file ends in one message, and costs little time and memory."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Tests of tests/guard.py
 """The guard of the default run: which programs count for a test, and what fails in CI."""
 
 from __future__ import annotations

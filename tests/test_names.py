@@ -1,3 +1,4 @@
+# Tests of __init__.py
 """One word, one thing: no two files define a class or a public function of the same name, or a metric's direction."""
 
 import ast

@@ -1,3 +1,4 @@
+# Tests of notebooks, docs/notebooks.py
 """Notebooks run from top to bottom, at a small size, and carry the outputs of their code."""
 
 from __future__ import annotations

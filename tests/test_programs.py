@@ -1,3 +1,4 @@
+# Tests of runtime.py
 """What runs is the code that is in force: no process finds a program of other code, and few are compiled to start."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Tests of progress.py
 """Where somebody looks, jobs and long walks show their progress in Python; else, or if told so, they are mute."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Tests of __init__.py, robot/quantity.py, rollout/setup.py, learn/task.py
 """What cannot be is refused in one sentence, before anything runs: the field, its value, and what is allowed."""
 
 from __future__ import annotations

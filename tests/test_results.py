@@ -1,3 +1,4 @@
+# Tests of docs/results.py
 """The list of what the docs show has everything, pages have its numbers, and what is stale is told."""
 
 from __future__ import annotations

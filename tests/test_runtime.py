@@ -1,3 +1,4 @@
+# Tests of runtime.py, __main__.py
 """Settings made when JAX is first needed: no hang on small machines, a compilation cache, and no overrides."""
 
 from __future__ import annotations

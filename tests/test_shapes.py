@@ -1,3 +1,4 @@
+# Tests of shapes.py
 """While tests run, every room from the robot to the rollout refuses arrays of another shape than it names."""
 
 import jax.numpy as jnp

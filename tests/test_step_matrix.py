@@ -1,3 +1,4 @@
+# Tests of docs/benchmarks/step_matrix.py
 """The studies beside their results in docs/benchmarks: MuJoCo's own models through the step; all can be started."""
 
 from __future__ import annotations

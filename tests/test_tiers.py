@@ -1,7 +1,9 @@
-"""The tests themselves: each is marked by its requirements, and tests that are not run daily record their last run."""
+# Tests of tests/tiers.py, tests/conftest.py
+"""The tests themselves: their names, the order of their files, and the record of the tests that take minutes."""
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
@@ -9,6 +11,32 @@ import tiers
 from conftest import LONG, pytest_xdist_auto_num_workers
 
 from nermo_mjx import runtime
+
+#: Modules whose tests are in another folder, because they show in the results of that folder only.
+ELSEWHERE = {
+    "dynamics/checkpointing.py": "rollout",  # the backward pass of a rollout
+    "hardware/twin.py": "cli",  # the comparison that `log` and `replay` print
+    "rollout/eye_metrics.py": "control",  # head control
+    "rollout/saving.py": "sweep",  # the series that a sweep stores
+    "rollout/transitions.py": "control",  # a schedule's switches
+    "runs/status.py": "cli",  # the command `status`
+    "view/trained.py": "learn",  # the page of a training
+}
+
+
+def test_the_first_line_of_each_file_names_the_modules_that_it_tests() -> None:
+    """Each module is named in the folder of its room, so that its tests are easy to find."""
+    here, form = Path(__file__).parent, re.compile("# Tests of (.+)")
+    package, found = here.parent / "nermo_mjx", set[tuple[str, str]]()
+    for path in sorted(here.rglob("test_*.py")):
+        line = form.fullmatch(path.read_text().partition("\n")[0])
+        assert line is not None, path
+        for name in line[1].split(", "):
+            assert (package / name).exists() or (here.parent / name).exists(), (path, name)
+            found.add((name, path.relative_to(here).parts[0] if path.parent != here else ""))
+    modules = [path.relative_to(package) for path in package.rglob("*.py") if path.name != "__init__.py"]
+    rooms = {path.as_posix(): path.parts[0] if path.parent.parts else "" for path in modules} | ELSEWHERE
+    assert set(rooms.items()) - found == set()
 
 
 def test_every_test_marked_long_is_in_the_record(request: pytest.FixtureRequest) -> None:

@@ -1,3 +1,4 @@
+# Tests of trust.py
 """Commands that only read files of other people run no code of these files."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Tests of __init__.py, rollout/saving.py, learn/observing.py, robot/parameters.py
 """One thing, one name: what a number of the robot's sensors is called wherever it comes out.
 
 Each number of the sensors has a value of its own here, by which it is found again: in the model, in what the simulator

@@ -1,3 +1,4 @@
+# Tests of __init__.py
 """A wrong type ends in one sentence with the argument's name, its value and what is allowed, wherever users call."""
 
 from __future__ import annotations

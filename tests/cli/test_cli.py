@@ -1,3 +1,4 @@
+# Tests of cli/walk.py, cli/jobs.py, cli/view.py, cli/tools.py, cli/choices.py
 """The command line, as a user and as a script meet it: help, exit codes, pure JSON, sentences instead of tracebacks."""
 
 from __future__ import annotations

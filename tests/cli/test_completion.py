@@ -1,3 +1,4 @@
+# Tests of cli/options.py, cli/tools.py, cli/choices.py
 """Completion in the shell: what is offered, quickly, and without anything heavy."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Tests of cli/logs.py, hardware/twin.py
 """The commands around a robot's own log, on one that another simulation made."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Tests of cli/output.py
 """Output of commands: escaped characters, full disks, and one message for what cannot be read."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Tests of control/controller.py, control/parameters.py
 """The controller as a whole: continuous, finite, in its gait's posture from the start, and compiled once."""
 
 import dataclasses

@@ -1,3 +1,4 @@
+# Tests of control/stepping.py, control/spine_modes.py
 """Gaits with many parameters: where the feet go, that the published gait is one of them, and how files name them."""
 
 from __future__ import annotations

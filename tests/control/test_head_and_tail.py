@@ -1,3 +1,4 @@
+# Tests of control/head_and_tail.py, rollout/eye_metrics.py
 """Head and tail control: closed forms, signs, and their effect on the walking robot."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Tests of control/pilot.py, control/path.py
 """Paths, the PD pilot and commands given as tables."""
 
 import dataclasses

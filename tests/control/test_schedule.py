@@ -1,3 +1,4 @@
+# Tests of control/schedule.py, rollout/transitions.py
 """Switches while the robot walks: continuous feet and servos, derivatives, walks without a fall, files and refusals."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Tests of control/trajectory.py
 """Foot paths against scipy's splines, the published tracking lag against its recursion, and the gait clock."""
 
 import jax

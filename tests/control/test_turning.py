@@ -1,3 +1,4 @@
+# Tests of control/turning.py, control/parameters.py
 """Speed law, turning curve, stride shares and the radii of theory, against the thesis' figures."""
 
 import dataclasses

@@ -1,3 +1,4 @@
+# Tests of dynamics/collision.py
 """Contacts of all pairs of geoms that MJX collides are MuJoCo C's, or a sentence says that they may not be."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Tests of dynamics/constants.py
 """The constants that MuJoCo derives from masses and positions, on every model at hand."""
 
 from __future__ import annotations

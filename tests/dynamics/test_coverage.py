@@ -1,3 +1,4 @@
+# Tests of dynamics/coverage.py, dynamics/preparing.py
 """What MJX leaves out of a model is brought back, refused in a sentence, or has no effect, and nothing is forgotten."""
 
 from __future__ import annotations

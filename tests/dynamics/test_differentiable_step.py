@@ -1,3 +1,4 @@
+# Tests of dynamics/differentiable.py, dynamics/forces.py, dynamics/integration.py, dynamics/constraint.py
 """The differentiable step on small models: values and derivatives against those of MuJoCo's C engine.
 
 Central differences of plain MJX are noise: its line search compares costs, so that elliptic contacts are solved to 1e-8

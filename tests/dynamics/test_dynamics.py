@@ -1,3 +1,4 @@
+# Tests of dynamics/checking.py, dynamics/mjx_import.py
 """The step for any model: what it brings and refuses, tendons wound round something, and its own check."""
 
 from __future__ import annotations

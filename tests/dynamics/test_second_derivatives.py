@@ -1,3 +1,4 @@
+# Tests of dynamics/own_derivative.py, dynamics/differentiable.py
 """Second derivatives of the step, and of what it is made of: symmetric, and equal to differences of the gradient."""
 
 from __future__ import annotations

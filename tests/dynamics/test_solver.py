@@ -1,3 +1,4 @@
+# Tests of dynamics/solver.py, dynamics/rows.py, dynamics/constraint.py
 """The constraint solver against MuJoCo's C, on problems that C makes: walks, falls, impacts, walls."""
 
 from __future__ import annotations

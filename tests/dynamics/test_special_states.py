@@ -1,3 +1,4 @@
+# Tests of dynamics/differentiable.py, dynamics/impedance.py, dynamics/jacobians.py
 """The step at rest, without controls, at limits, aligned and coincident: values and derivatives of MuJoCo C."""
 
 from __future__ import annotations

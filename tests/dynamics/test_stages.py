@@ -1,3 +1,4 @@
+# Tests of dynamics/differentiable.py
 """The stages of a step are MJX's own: these tests fail when a release of MJX adds, drops or reorders one."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Tests of dynamics/tree.py, dynamics/jacobians.py, dynamics/spatial.py
 """The passes over the kinematic tree against MuJoCo's C, on trees of all kinds of joints."""
 
 from __future__ import annotations

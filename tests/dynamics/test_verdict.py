@@ -1,3 +1,4 @@
+# Tests of dynamics/differentiable.py
 """How well a step is solved, in a hard case; and its result in MJX's other functions."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Tests of experiments/balance.py
 """The balance test: published outcomes, mirror symmetry, loads of the feet, and the rule that decides."""
 
 import jax

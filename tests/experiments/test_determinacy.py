@@ -1,3 +1,4 @@
+# Tests of experiments/determinacy.py
 """What a log determines of named parameters: values, intervals, combinations, and classes of models."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Tests of experiments/walks.py, experiments/run.py
 """Policies in the published experiments, in place of the published controller."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Tests of experiments/walks.py
 """What is taken from the course over a gait cycle, on made-up walks whose answer is known."""
 
 import types

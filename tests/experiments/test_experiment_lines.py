@@ -1,3 +1,4 @@
+# Tests of experiments/published.py, experiments/measures.py
 """Published figures: the file that holds them, the rules, how they are measured, and the 90 % intervals."""
 
 import dataclasses

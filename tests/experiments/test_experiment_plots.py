@@ -1,3 +1,4 @@
+# Tests of experiments/plots.py
 """The pictures of the experiments: what they show of made-up outcomes, in which units, beside what was published."""
 
 import dataclasses

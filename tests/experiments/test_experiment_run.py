@@ -1,3 +1,4 @@
+# Tests of experiments/run.py, experiments/report.py, experiments/cases.py
 """The experiments' directory: what is kept, what is run again, what the report says. Nothing is simulated here."""
 
 from __future__ import annotations

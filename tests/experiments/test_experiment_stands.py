@@ -1,3 +1,4 @@
+# Tests of experiments/stands.py
 """The body alone and on test stands, against closed forms, virtual work, the kinematics, and the springs' energy."""
 
 from __future__ import annotations

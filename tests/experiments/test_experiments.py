@@ -1,3 +1,4 @@
+# Tests of experiments/walks.py, experiments/theory.py, experiments/published.py
 """The published experiments as this project demands them of the profile `exact`; one repeat each, on the C engine.
 
 On the identified body of docs/model.md, on which the bounds were set.

@@ -1,3 +1,4 @@
+# Tests of experiments/log_identification.py, experiments/log_twin.py, experiments/log_report.py
 """Identification from a log: a model under logged commands, and what the command says of it."""
 
 from __future__ import annotations

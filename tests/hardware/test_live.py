@@ -1,3 +1,4 @@
+# Tests of hardware/live.py
 """The robot's servo commands in the author's order, and sent to it, by way of a broker and a bridge on this machine."""
 
 from __future__ import annotations

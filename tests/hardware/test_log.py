@@ -1,3 +1,4 @@
+# Tests of hardware/log.py
 """A robot's log: what is read, what is brought in order, and what is refused in one sentence."""
 
 import re

@@ -1,3 +1,4 @@
+# Tests of hardware/table.py, hardware/channels.py
 """Servo tables for the real robot: what the controller commands, periodic, in degrees, on the robot's channels."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Tests of hardware/signals.py
 """What looks wrong in a log: known faults are found, at their size, and a log in order has none."""
 
 import dataclasses

@@ -1,3 +1,4 @@
+# Tests of kinematics/body.py
 """Hips, diagonals, centre of mass and balance against a MuJoCo body built from the same numbers."""
 
 from __future__ import annotations

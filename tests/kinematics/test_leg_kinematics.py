@@ -1,3 +1,4 @@
+# Tests of kinematics/leg.py
 """The leg model against MuJoCo, the published spiral model, finite differences and its own inverse."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Tests of kinematics/spine.py
 """The spine's chain against MuJoCo frames and the published numbers; its servo against the tendons' geometry."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Tests of learn/environment.py, learn/acting.py, learn/observing.py
 """The environment to learn in: against runs of the published controller, against itself in other batches, and MJX."""
 
 from __future__ import annotations

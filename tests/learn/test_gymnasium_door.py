@@ -1,3 +1,4 @@
+# Tests of learn/gymnasium_door.py, learn/stable_baselines_door.py
 """The Gymnasium interface: Gymnasium's own checks of a vector environment, and the information at an episode's end."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Tests of learn/own.py, learn/task.py
 """A task with code of one's own: what it does, what of it is refused, and whose code is run."""
 
 from __future__ import annotations

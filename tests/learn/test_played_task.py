@@ -1,3 +1,4 @@
+# Tests of learn/evaluation.py, learn/directory.py, view/trained.py
 """A training's task played without a policy or with a random one; the page and the videos of a training at work."""
 
 from __future__ import annotations

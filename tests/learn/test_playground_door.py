@@ -1,3 +1,4 @@
+# Tests of learn/playground_door.py
 """The MuJoCo Playground interface: found in its registry, stepped under jit, vmap and scan, reset by its wrappers."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Tests of learn/task.py, learn/loop.py
 """Pushes in a training: when they come, what they do to the body on both engines, and in the evaluation."""
 
 from __future__ import annotations

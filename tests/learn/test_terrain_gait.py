@@ -1,3 +1,4 @@
+# Tests of docs/howto/terrain/search_gait.py
 """The search for gaits on rough ground of docs/spine_on_terrain.md, and the gaits that it found."""
 
 from __future__ import annotations

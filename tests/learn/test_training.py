@@ -1,3 +1,4 @@
+# Tests of learn/run.py, learn/spec.py, learn/policy.py, learn/evaluation.py, learn/plots.py
 """A training's directory: rejected inputs, resuming after a kill, and its policy as a controller."""
 
 from __future__ import annotations

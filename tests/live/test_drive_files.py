@@ -1,3 +1,4 @@
+# Tests of live/driving.py
 """Files of drives: a replay runs no code of a file, and rejects a malformed file with one message."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Tests of live/wire.py
 """A controller and a robot on the same topics: their messages, the watchdog, and two processes that walk together."""
 
 from __future__ import annotations

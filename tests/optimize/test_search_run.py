@@ -1,3 +1,4 @@
+# Tests of optimize/run.py, optimize/methods.py
 """Searches over a fake robot in closed form: what they find, that they repeat, and that a kill costs one batch."""
 
 import importlib.util

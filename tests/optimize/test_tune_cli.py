@@ -1,3 +1,4 @@
+# Tests of optimize/run.py, cli/jobs.py
 """`nermo-mjx tune`, as a user and as a script meet them."""
 
 from __future__ import annotations

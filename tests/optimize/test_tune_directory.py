@@ -1,3 +1,4 @@
+# Tests of optimize/directory.py
 """A tuning's directory: which code made it, that it can be moved, and that damage costs no more than an iteration."""
 
 import dataclasses

@@ -1,3 +1,4 @@
+# Tests of optimize/methods.py
 """Tunings by differences: their results and their cost."""
 
 from __future__ import annotations

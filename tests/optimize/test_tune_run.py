@@ -1,3 +1,4 @@
+# Tests of optimize/run.py
 """Running a tuning: convergence, bounds, worlds that fall, the files, and going on after every kind of stop."""
 
 import json

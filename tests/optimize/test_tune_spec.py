@@ -1,3 +1,4 @@
+# Tests of optimize/spec.py
 """Tuning files: what is read, and that everything wrong is refused with file, line, field and what is allowed."""
 
 import math

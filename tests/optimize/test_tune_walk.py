@@ -1,3 +1,4 @@
+# Tests of optimize/problems.py
 """Tuning the robot itself: a tenth of a second of a walk, as the notebook's quick pass tunes it."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Tests of physics/c_engine.py, physics/lanes.py
 """On the C engine a walk's numbers depend on nothing but the walk: not on its batch, its place in it, or the cores."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Tests of physics/engine.py, physics/mjx_engine.py
 """A batch is divided among all local devices, gives the same results as on one, and no device waits for another."""
 
 from __future__ import annotations

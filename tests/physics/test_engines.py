@@ -1,3 +1,4 @@
+# Tests of physics/engine.py, physics/mjx_engine.py, physics/c_engine.py
 """The engines agree, never recompile for a new value, and reuse compiled programs from the cache."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Tests of physics/open_loop.py
 """`physics.trajectory` against differences of MuJoCo's own steps, for every kind of joint, row and actuator."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Tests of physics/making.py, physics/mjx_engine.py
 """The engine warp: its requirements, its error messages, and that it walks as C does. Warp also runs on a CPU."""
 
 from __future__ import annotations

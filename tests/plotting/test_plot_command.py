@@ -1,3 +1,4 @@
+# Tests of plotting/files.py, cli/directories.py
 """`nermo-mjx plot`: the figures of directories redrawn from their tables alone."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Tests of plotting/charts.py, plotting/shown.py, plotting/style.py, sweep/plots.py
 """Figures over all variants of a sweep, Pareto fronts and parallel coordinates, and figures of chosen columns."""
 
 from __future__ import annotations

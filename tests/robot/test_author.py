@@ -1,3 +1,4 @@
+# Tests of robot/parameters.py, control/controller.py
 """The published simulation, `as_published`, beside the author's own code and model: numbers, with their settings.
 
 His model's numbers are of MuJoCo 3.17.0: MuJoCo 4 leads his tendons to the other side of their pulleys, and his model

@@ -1,3 +1,4 @@
+# Tests of robot/model_parameters.py, robot/equipment.py
 """The default body: a landscape without jumps, on soft soles that hold the robot where hard ones would."""
 
 from __future__ import annotations

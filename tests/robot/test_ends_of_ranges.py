@@ -1,3 +1,4 @@
+# Tests of robot/quantity.py, robot/model_parameters.py
 """At both ends of every parameter's range, alone and combined: what is not refused is simulated, or said not to be."""
 
 from __future__ import annotations

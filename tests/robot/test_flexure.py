@@ -1,3 +1,4 @@
+# Tests of robot/equipment.py, robot/assembly.py
 """Compliant joints as chains of hinges: against springs in series, the arc of a bent leaf, and one hinge."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Tests of robot/geometry.py, robot/parts.py
 """Lengths and places as parameters: one number, and all that follows from it, in models, kinematics and walks."""
 
 from __future__ import annotations

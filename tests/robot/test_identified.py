@@ -1,3 +1,4 @@
+# Tests of robot/identified.py
 """The ensemble of bodies that comes with the package: within bounds and tolerance, around the default body."""
 
 import importlib.util

@@ -1,3 +1,4 @@
+# Tests of robot/meshes/body.py, robot/meshes/shapes.py, robot/parts.py
 """The visual body: meshes made from the robot's numbers, closed and small, that change nothing but the picture."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Tests of robot/assembly.py, robot/geometry.py
 """Nermo 4.1: the vertical spine against MuJoCo, what its servos do to the simulated robot, and its controller."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Tests of robot/scene.py
 """Custom scenes: from a file, a text or an `MjSpec` to a robot that stands, walks and falls in it."""
 
 from __future__ import annotations

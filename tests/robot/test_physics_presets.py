@@ -1,3 +1,4 @@
+# Tests of robot/equipment.py
 """The preset `fast` walks as `reference` does, computes less, and is chosen by one name everywhere."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Tests of robot/robot.py, robot/masses.py, robot/assembly.py, robot/parameters.py
 """The assembled robot: masses, symmetry, geometry, contacts, sensors, against published numbers and the kinematics."""
 
 from __future__ import annotations

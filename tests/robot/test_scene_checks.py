@@ -1,3 +1,4 @@
+# Tests of robot/scene.py
 """Checks of a scene before MuJoCo compiles it: size, files, and settings that are not accepted."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Tests of robot/scene.py, mjcf/scenes
 """The scenes: courses where the protocols have them, and the maze, where no box is entered unnoticed."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Tests of robot/assembly.py
 """One leg, or the spine, alone on a test stand without gravity: servo angles against the kinematics' predictions.
 
 A tendon can only pull: near a stretched leg the knee's torsion spring passes its rest angle (50 degrees in front, 75

@@ -1,3 +1,4 @@
+# Tests of robot/terrains.py
 """Height of the ground against MuJoCo's rays from above, and a world of a batch against a model of its own."""
 
 from __future__ import annotations

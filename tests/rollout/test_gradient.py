@@ -1,3 +1,4 @@
+# Tests of rollout/differentiable.py, dynamics/checkpointing.py
 """The walk as a differentiable function, and what it is made of."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Tests of rollout/metrics.py, rollout/stride_metrics.py, rollout/path_metrics.py, rollout/electrical.py
 """Attitude and gait metrics on made-up sensor readings whose answers are known."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Tests of rollout/own_metrics.py, rollout/reduction.py
 """Custom metrics: reductions of a function of the sensors, where it may be named, and what is rejected."""
 
 from __future__ import annotations

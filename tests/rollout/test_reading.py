@@ -1,3 +1,4 @@
+# Tests of rollout/loop.py
 """Which sensors a loop reads, and that those alone are computed."""
 
 from __future__ import annotations

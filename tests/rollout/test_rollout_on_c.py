@@ -1,3 +1,4 @@
+# Tests of rollout/differentiable.py
 """`Rollout` on the engine c: its derivative against MJX in float64 and over widths, all of JAX's transformations,
 threads, and what it refuses."""
 

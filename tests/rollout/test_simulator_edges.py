@@ -1,3 +1,4 @@
+# Tests of rollout/simulator.py, rollout/setup.py, rollout/run.py
 """What a simulator is given and says at its edges: shapes of values, time spent on compiling, ends of ranges."""
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from nermo_mjx.rollout.setup import without_presettings
 #: A servo chatters if its torque jumps by more than this share of its limit from one step to the next, while the robot
 #: stands still and nothing is asked of it.
 CHATTER = 0.05
-#: Of MuJoCo's model: the play of servos is computed beside it, see test_servo.py.
+#: Of MuJoCo's model: the play of servos is computed beside it, see test_servo_play.py.
 BODY = [name for name, _ in quantities(ModelParameters) if name not in ("servo.dead_band", "servo.backlash")]
 PRESETS = ("reference", "fast")
 

@@ -1,3 +1,4 @@
+# Tests of rollout/simulator.py
 """The assembled twin walks as the publication says, on the C engine."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Tests of rollout/differentiable.py
 """The derivatives of a whole gait cycle in float64: both modes against each other and against MuJoCo's C engine."""
 
 from __future__ import annotations
@@ -102,7 +103,7 @@ def walk(request):
     return Walk(**WALKS[request.param])
 
 
-@pytest.mark.long  # test_own_controller.py has reverse mode through a walk, test_differentiable_step.py both modes
+@pytest.mark.long  # test_protocol.py has reverse mode through a walk, test_differentiable_step.py both modes
 def test_both_modes_agree(walk):
     """Forward and reverse mode differ by the rounding of two programs, which a walk amplifies."""
     np.testing.assert_allclose(walk.reverse[0], walk.ahead[1], rtol=1e-8)

@@ -1,3 +1,4 @@
+# Tests of runs/checkpoints.py
 """Checkpoints of a directory."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Tests of runs/directory.py, runs/rows.py, runs/job.py
 """Processes of every kind of job, killed by SIGKILL before the n-th change of their directory: when the same command
 has gone on, the tables are those of a job that was left alone, bit for bit.
 

@@ -1,3 +1,4 @@
+# Tests of runs/ray_workers.py, runs/workers.py
 """A sweep on a Ray cluster: the table of one process, whoever computed it, and however many were lost meanwhile."""
 
 from __future__ import annotations

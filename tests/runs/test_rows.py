@@ -1,3 +1,4 @@
+# Tests of runs/rows.py
 """The store of runs: found by content, atomic, undamaged or made again."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Tests of runs/directory.py, runs/code.py, runs/files.py
 """Run directories: one writer, one kind, one code; nothing is lost, mixed or deleted."""
 
 import dataclasses

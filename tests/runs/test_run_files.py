@@ -1,3 +1,4 @@
+# Tests of runs/files.py
 """Files of run directories: limits of Parquet tables, and names of directories."""
 
 from __future__ import annotations

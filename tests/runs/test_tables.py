@@ -1,3 +1,4 @@
+# Tests of docs/files.md
 """Result tables in other programs: each of the documented lines reads a sweep's and a tuning's directory."""
 
 from __future__ import annotations

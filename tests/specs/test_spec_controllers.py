@@ -1,3 +1,4 @@
+# Tests of specs/controllers.py, control/protocol.py
 """Custom controllers in spec files: a wrong one is rejected with file and line before a simulation starts."""
 
 from __future__ import annotations

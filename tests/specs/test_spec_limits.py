@@ -1,3 +1,4 @@
+# Tests of specs/reading.py, specs/walk.py
 """Limits of spec files: bytes, values, depth, the worlds of a batch, and the length of a run."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Tests of specs/described.py, specs/fields.py, specs/model.py
 """JSON Schemas of spec files: they accept what is read, refuse what is misspelt, and describe each parameter."""
 
 from __future__ import annotations

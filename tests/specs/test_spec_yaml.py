@@ -1,3 +1,4 @@
+# Tests of specs/reading.py
 """YAML's own means in spec files: anchors and merge keys work, and what is no plain value is refused in words."""
 
 import pytest

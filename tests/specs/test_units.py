@@ -1,3 +1,4 @@
+# Tests of specs/values.py
 """Numbers with units: each place that takes a parameter's number takes a text, and refuses what does not convert."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Tests of sweep/comparing.py, sweep/counting.py
 """How often intervals hold the truth, how many findings are false, and how many differences are found, on data whose
 truth is known. The table of docs/comparisons.md is made here: python tests/sweep/test_calibration.py."""
 

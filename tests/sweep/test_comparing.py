@@ -1,3 +1,4 @@
+# Tests of sweep/comparing.py
 """Comparisons: pairing, intervals against numpy, SciPy and simulation, what is beyond noise, and what is refused."""
 
 from __future__ import annotations

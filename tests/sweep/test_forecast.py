@@ -1,3 +1,4 @@
+# Tests of sweep/run.py
 """What a sweep would cost: counts that come true, nothing written, and where the rate is from."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Tests of sweep/optimum.py
 """The optimum of a sweep: how often its region and its interval hold the truth, and its runs, files and refusals."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Tests of sweep/replay.py
 """A row of a sweep run again: the same walk, bit for bit, with its recording; or a sentence that says why not."""
 
 from __future__ import annotations

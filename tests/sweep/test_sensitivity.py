@@ -1,3 +1,4 @@
+# Tests of sweep/sensitivity.py
 """What a metric hangs on: Ishigami's function, whose indices are known, given samples, noise, runs that fell."""
 
 from __future__ import annotations

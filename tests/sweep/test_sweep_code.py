@@ -1,3 +1,4 @@
+# Tests of sweep/run.py, runs/code.py
 """The code that made a sweep's rows: recorded for each row, and rows of two codes are mixed only on request."""
 
 from __future__ import annotations

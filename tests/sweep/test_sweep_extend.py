@@ -1,3 +1,4 @@
+# Tests of sweep/store.py, sweep/run.py
 """Sweeps that are extended, reuse rows of other directories, and are merged: always the table of a single run."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Tests of sweep/run.py, sweep/table.py
 """A sweep's directory end to end: what is in it, what goes wrong, shards; the store alone is in `test_rows.py`."""
 
 from __future__ import annotations

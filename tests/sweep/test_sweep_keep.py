@@ -1,3 +1,4 @@
+# Tests of sweep/store.py, rollout/saving.py
 """Outputs of a sweep besides its table: time series of selected signals, and recordings of selected rows."""
 
 from __future__ import annotations

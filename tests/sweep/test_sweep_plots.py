@@ -1,3 +1,4 @@
+# Tests of sweep/plots.py
 """The figures of a sweep: which ones there are, and that they show the table's numbers in shown units."""
 
 import matplotlib

@@ -1,3 +1,4 @@
+# Tests of sweep/structures.py, sweep/spec.py
 """Sweeps whose variants are given one by one: in the file, as CSV, or as a table of results."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Tests of sweep/run.py
 """Running a sweep: resuming, chunks, shards, interruption, and the summary."""
 
 import dataclasses

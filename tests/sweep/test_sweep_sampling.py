@@ -1,3 +1,4 @@
+# Tests of sweep/sampling.py
 """The rows of a sweep: order, coverage, and that chance is repeatable and local."""
 
 import itertools

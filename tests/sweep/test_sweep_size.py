@@ -1,3 +1,4 @@
+# Tests of sweep/simulating.py
 """Sweeps of any size: chunks that fit the machine, rows created on demand, and constant memory."""
 
 import gc

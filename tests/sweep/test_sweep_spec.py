@@ -1,3 +1,4 @@
+# Tests of sweep/spec.py
 """Sweep files: what is read, and that everything wrong is refused with file, line, field and what is allowed."""
 
 import numpy as np

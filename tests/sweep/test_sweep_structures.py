@@ -1,3 +1,4 @@
+# Tests of sweep/structures.py
 """Sweeps over named choices: gait, spine, pilot, scene... Each combination is a setup, and all are in one table."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Tests of view/explore.py, view/page.py
 """The page of a directory, without a browser: its columns, its commands, what is left out, and the command."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Tests of view/explore.py, view/page.py
 """The page of a directory in headless Chromium and Firefox: what is drawn, pointer and keys, filters, recordings."""
 
 from __future__ import annotations

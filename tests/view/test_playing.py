@@ -1,3 +1,4 @@
+# Tests of view/playing.py
 """Recordings in MuJoCo's own viewer, and as MJCF: as far as a machine without a display can tell."""
 
 from __future__ import annotations

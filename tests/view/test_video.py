@@ -1,3 +1,4 @@
+# Tests of view/video.py, view/camera.py, view/offscreen.py
 """Videos: right size, right length, something moves in them, and every failure is one sentence."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Tests of view/recorded.py, view/clip.py, view/page.py
 """The page of a recording, without a browser: forces and tensions against physics, what is packed, the command."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Tests of view/clip.py, view/page.py
 """The page in headless Chromium: it draws where MuJoCo says, plays, scrubs, takes keys, and fits its window."""
 
 from __future__ import annotations

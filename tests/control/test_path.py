@@ -1,3 +1,4 @@
+# Tests of control/path.py
 """Courses through way points, against lines and circles; and the maze's path, against the published boxes."""
 
 from __future__ import annotations

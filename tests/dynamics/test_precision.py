@@ -1,3 +1,4 @@
+# Tests of dynamics/precision.py
 """Matrix products of physics and controller ask for full precision, also where a GPU's default is TF32."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Tests of physics/variation.py, physics/geometry_fields.py, robot/model_parameters.py
 """Variation of the body: named parameters against the model fields, constants and motion they must give."""
 
 from __future__ import annotations

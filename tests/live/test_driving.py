@@ -1,3 +1,4 @@
+# Tests of live/driving.py, live/server.py
 """A controller under commands, who gets in and what a page may say, keys, gamepad and pushes, and the drive again."""
 
 from __future__ import annotations

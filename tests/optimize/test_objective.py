@@ -1,3 +1,4 @@
+# Tests of optimize/objective.py
 """Weighted terms over named metrics, and unbounded coordinates of bounded and periodic parameters."""
 
 import jax

@@ -1,3 +1,4 @@
+# Tests of optimize/figures.py
 """Pictures of a tuning: which figures there are, that they show the history's numbers, and the landscape."""
 
 import shutil

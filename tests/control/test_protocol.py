@@ -1,3 +1,4 @@
+# Tests of control/protocol.py
 """Custom controllers: in a simulator, in sweep and tuning files, and under `jax.grad`."""
 
 from __future__ import annotations

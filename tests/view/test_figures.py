@@ -1,3 +1,4 @@
+# Tests of view/figures.py
 """Figures of a recording: each shows the recording's own numbers, in shown units, over the part that it says."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Tests of learn/observing.py
 """The ground's heights as an observation: what they are, and that a walk sees what a training saw."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Tests of recording.py
 """Recordings: what is saved is loaded, and what is no recording is refused in one sentence."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Tests of physics/servo_play.py, robot/equipment.py
 """Servos as motors on a battery: torque against speed, dead band and backlash, on one joint and on the robot."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Tests of optimize/methods.py
 """Parts of a search: coordinates, scores, gradients, what is kept, and the command that a user meets."""
 
 import json

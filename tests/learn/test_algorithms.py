@@ -1,3 +1,4 @@
+# Tests of learn/algorithms.py, learn/experience.py
 """PPO on a point mass in closed form; advantages against sums written out."""
 
 from __future__ import annotations

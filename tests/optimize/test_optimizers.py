@@ -1,3 +1,4 @@
+# Tests of optimize/optimizers.py
 """Optimizers and schedules of optax by name, and Adam whose rate follows the objective."""
 
 import jax
