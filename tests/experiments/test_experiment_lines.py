@@ -195,6 +195,15 @@ def test_speeds_are_in_the_controllers_clock_and_angles_in_degrees():
     assert [clock(profile) for profile in ("as_published", "exact", "as_built")] == [0.4, 1.0, 1.0]
 
 
+def test_an_amplitude_is_half_of_the_range_and_the_largest_roll_is_to_either_side():
+    outcome = line_table(roll_min=-0.1, roll_max=lambda row: 0.3 if row["spine"] else 0.05)
+    of = ProfileOutcome(outcome, "as_published")
+    assert of.amplitude("roll", "trot", 0.8, True) == pytest.approx(np.degrees(0.2))
+    assert of.amplitude("roll", "trot", 0.8, False) == pytest.approx(np.degrees(0.075))
+    assert of.largest_roll(True) == pytest.approx(np.degrees(0.3))
+    assert of.largest_roll(False) == pytest.approx(np.degrees(0.1))
+
+
 @pytest.mark.parametrize(
     ("measure", "value"),
     [

@@ -74,9 +74,9 @@ def test_rates_that_differ_gaps_and_late_or_doubled_stamps(tmp_path):
 
 def test_a_second_clock(tmp_path):
     """Its offset and scale are those of the file; the scale acts from its first stamp on."""
-    rows = [(1.7e9 + 0.01 * i, 0.1 * i, 30 * i) for i in range(100)]
+    rows = [(1.7e9 + 0.01 * i, 0.1 * i, 60_000 + 30 * i) for i in range(100)]
     path = written(tmp_path, rows, "t,a,frame")
-    clock = {"column": "frame", "unit": 0.001, "scale": 1.002, "offset": 1.7e9 + 0.25}
+    clock = {"column": "frame", "unit": 0.001, "scale": 1.002, "offset": 1.7e9 + 0.25 - 60.0}
     log = read_log(path, told(a=ANGLE, b={**ANGLE, "of": "neck", "column": "a", "time": clock}))
     np.testing.assert_allclose(log.channels[1].times, 0.25 + 1.002 * 0.03 * np.arange(100), atol=1e-6)
     np.testing.assert_allclose(log.channels[0].times, 0.01 * np.arange(100), atol=1e-6)

@@ -11,6 +11,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pandas as pd
 import pytest
@@ -18,8 +19,10 @@ from command import call, json_of
 
 from nermo_mjx import SERVOS, Run, ServoTable, Setup, Simulator, load_robot, servo_table
 from nermo_mjx.hardware import recorded_table, send_table
+from nermo_mjx.hardware.table import check_clearance
 from nermo_mjx.kinematics.leg import four_legs, inverse_kinematics
 from nermo_mjx.robot import ParameterError
+from nermo_mjx.robot.equipment import VISUAL_GROUP
 from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.parameters import servo_range
 
@@ -230,6 +233,28 @@ def test_parts_that_would_touch_are_named_with_the_time(side: int, tmp_path: Pat
     told = call("servos", "--recording", tmp_path / "bent.npz", "--out", tmp_path / "bent.csv")
     assert (told.exit_code, f"front_{name}_foot would touch" in told.stderr) == (2, True)
     assert not (tmp_path / "bent.csv").exists()
+
+
+#: Two arms of 150 mm that hang 200 mm apart, each turned inward by its servo.
+ARMS = """<mujoco><option timestep=".001"/><worldbody><body name="torso"><geom size=".01" group="{group}"/>
+<body name="left" pos=".1 0 0"><joint name="l" axis="0 1 0" armature=".001"/>
+<geom type="capsule" fromto="0 0 0 0 0 -.15" size=".01" group="{group}"/></body>
+<body name="right" pos="-.1 0 0"><joint name="r" axis="0 -1 0" armature=".001"/>
+<geom type="capsule" fromto="0 0 0 0 0 -.15" size=".01" group="{group}"/></body>
+</body></worldbody><actuator><position joint="l" kp="10" kv=".2"/><position joint="r" kp="10" kv=".2"/></actuator>
+</mujoco>"""
+
+
+def test_two_arms_touch_when_their_closed_form_says() -> None:
+    """Tips of 10 mm radius meet at arcsin(0.09 / 0.15) = 0.64 rad each; servos follow 1 rad/s with a lag of 20 ms."""
+    model = mujoco.MjModel.from_xml_string(ARMS.format(group=VISUAL_GROUP))
+    inward = np.repeat(np.linspace(0.0, 1.0, 101)[:, None], 2, axis=1)
+    with pytest.raises(ParameterError, match=r"^(left and right|right and left) would touch at ") as refused:
+        check_clearance(model, inward, 100.0)
+    time = float(str(refused.value).partition(" at ")[2].partition(" s")[0])
+    assert time == pytest.approx(np.arcsin(0.6) + 0.02, abs=0.01)
+    check_clearance(model, 0.6 * inward, 100.0)
+    check_clearance(model, inward * [1.0, -1.0], 100.0)
 
 
 @pytest.mark.release

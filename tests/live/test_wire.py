@@ -289,6 +289,30 @@ def test_an_operator_who_is_away_is_as_silent_as_a_robot(driving) -> None:
     assert driving.driven.ended == "no message for 5 s"
 
 
+class Posed(RobotDriving):
+    """A drive without a controller, whose pose is set."""
+
+    def __init__(self, url: str) -> None:
+        self._url = url
+
+    def _approach(self, measured: Measured) -> None:
+        self._start = measured.pose
+
+
+def test_a_command_beyond_the_limits_of_a_servo_is_sent_at_its_limit() -> None:
+    """Also where the channel counts against the controller's angle; the drive counts such commands."""
+    wired = {"spine": {"channel": 0, "direction": -1, "zero": 90, "low": 80, "high": 100}, "neck": {"channel": 1}}
+    robot, sent, drive = load_robot(), list[list[float]](), Posed("mqtt://localhost")
+    measured = Measured(robot, read_channels(wired))
+    drive.connect(measured, sent.append)
+    for spine, neck in ((5.0, 40.0), (25.0, 40.0), (-25.0, 40.0)):
+        drive.pose = np.zeros(len(robot.servos))
+        drive.pose[[robot.servos.index(name) for name in ("spine", "neck")]] = np.radians([spine, neck])
+        drive._send(measured)
+    np.testing.assert_allclose(sent, [[85.0, 40.0], [80.0, 40.0], [100.0, 40.0]], atol=1e-3)
+    assert (drive.driven.sent, drive.driven.limited) == (3, 2)
+
+
 def test_limits_of_channels_are_kept_and_commands_come_at_their_rate(driving) -> None:
     narrow = dataclasses.replace(
         CHANNELS, servos=tuple(dataclasses.replace(each, low=-5.0, high=5.0) for each in CHANNELS)
