@@ -32,7 +32,7 @@ from sweep_fake import FakeSimulator
 from tune_fake import SPEC as TUNE
 
 from nermo_mjx import trust
-from nermo_mjx.cli.directories import KINDS
+from nermo_mjx.cli.kinds import KINDS
 from nermo_mjx.control import protocol
 from nermo_mjx.control.schedule import Switch
 from nermo_mjx.experiments import log_report
