@@ -28,7 +28,7 @@ from fakes.strangers import CANARY, SPECIAL, Measuring, bounded, special, write_
 from fakes.sweep_fake import SPEC as SWEEP
 
 from nermo_mjx import trust
-from nermo_mjx.cli.directories import KINDS
+from nermo_mjx.cli.kinds import KINDS
 from nermo_mjx.control import protocol
 from nermo_mjx.experiments import log_report
 from nermo_mjx.experiments.cases import CaseRuns

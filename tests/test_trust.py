@@ -18,7 +18,7 @@ from fakes.sweep_fake import SPEC as SWEEP
 from fakes.tune_fake import SPEC as TUNE
 
 from nermo_mjx import trust
-from nermo_mjx.cli.directories import KINDS
+from nermo_mjx.cli.kinds import KINDS
 from nermo_mjx.control import protocol
 from nermo_mjx.learn.policy import load_policy
 from nermo_mjx.recording import Recording

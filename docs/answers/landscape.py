@@ -46,6 +46,9 @@ def errors_of(tuning: Tuning) -> dict[str, np.ndarray]:
         ]
         points = np.tile(given, (POINTS + len(ends), 1))
         points[:, i] = [*line, *ends]
+        points = np.asarray(
+            jnp.asarray(points, float), float
+        )  # as they are evaluated: a secant divides by their distance
         batches = [points[first : first + BATCH] for first in range(0, len(points), BATCH)]
         results = [problem.evaluate(jnp.asarray(batch, float), True) for batch in batches]
         value, slope = (np.concatenate([np.asarray(getattr(r, k)) for r in results]) for k in ("value", "gradient"))

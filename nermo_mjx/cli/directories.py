@@ -1,20 +1,19 @@
-"""The commands that read finished tables: status, plot, compare and sensitivity; and the kinds of directories."""
+"""The commands that read finished tables: status, plot, compare and sensitivity."""
 
 from __future__ import annotations
 
 import collections
 import contextlib
-import dataclasses
-import importlib
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from nermo_mjx.cli import options
 from nermo_mjx.cli.choices import FORMATS, METRICS
+from nermo_mjx.cli.kinds import RECORDING, Kind, kind_of_directory
 from nermo_mjx.cli.logs import compare_files, log_channels
 from nermo_mjx.cli.options import FileKind, column, flag
 from nermo_mjx.cli.output import Failure, Output, WrongUse, command, in_unit, print_pairs, print_table, room, say
@@ -24,82 +23,6 @@ if TYPE_CHECKING:
     from nermo_mjx.plotting.files import Figures
     from nermo_mjx.runs.status import Status
     from nermo_mjx.sweep.comparing import Comparison
-
-
-@dataclasses.dataclass(frozen=True)
-class Kind:
-    """A kind of directory, or of file.
-
-    Attributes:
-        name: as run.json has it.
-        called: in a sentence.
-        figures: module and name of the function that names its figures: `figures(path, **options)` reads and checks,
-            and returns `plotting.files.Figures`, of which each is made when it is written.
-        status: the same of the function that says how far such a directory is.
-        tracked: whether run.json records which files the program wrote, so that no others are replaced.
-        options: keywords that `figures` takes, of those that the command `plot` has.
-    """
-
-    name: str
-    called: str
-    figures: str
-    status: str = ""
-    tracked: bool = False
-    options: tuple[str, ...] = ()
-
-    def load(self, place: str) -> Callable[..., Any]:
-        """The function of a place, imported now."""
-        module, _, name = place.partition(":")
-        function: Callable[..., Any] = getattr(importlib.import_module(f"nermo_mjx.{module}"), name)
-        return function
-
-
-_COLUMNS: Final = ("x", "y", "color")
-_IDENTIFIED: Final = "experiments.log_report"
-_KINDS: Final = (
-    Kind("sweep", "a sweep", "sweep.plots:sweep_figures", "sweep.table:sweep_status", False, (*_COLUMNS, "notify")),
-    Kind("search", "a search", "optimize.figures:search_figures", "optimize.directory:search_status", False, _COLUMNS),
-    Kind("tuning", "a tuning", "optimize.figures:tuning_figures", "optimize.directory:tuning_status"),
-    Kind("training", "a training", "learn.plots:training_figures", "learn.directory:training_status"),
-    Kind("experiments", "published experiments", "experiments.run:images", "experiments.run:experiments_status", True),
-    *(
-        Kind(name, f"an {name}", f"{_IDENTIFIED}:kept_figures", f"{_IDENTIFIED}:identification_status")
-        for name in ("identification", "identification from a log")
-    ),
-    Kind("comparison", "a comparison", "sweep.comparing:comparison_figures", "sweep.table:report_status", True),
-    Kind(
-        "sensitivity",
-        "a sensitivity analysis",
-        "sweep.sensitivity:sensitivity_figures",
-        "sweep.table:report_status",
-        True,
-    ),
-)
-#: Kinds of directories, by name.
-KINDS: Final = {kind.name: kind for kind in _KINDS}
-RECORDING: Final = Kind("recording", "a recording", "cli.view:figures_of_file", options=("notify",))
-
-
-def kind_of_directory(path: Path) -> Kind:
-    """The kind of a directory.
-
-    Raises:
-        WrongUse: it does not exist, or is of no known kind.
-        DirectoryError: its run.json is damaged.
-    """
-    from nermo_mjx.runs import kind_of
-
-    if not path.exists():
-        raise WrongUse(f"{path}: there is no such file or directory.")
-    name = kind_of(path) if path.is_dir() else None
-    if name is None:
-        *most, last = (kind.called for kind in KINDS.values())
-        raise WrongUse(f"{path} is not a results directory: it contains neither {', '.join(most)} nor {last}.")
-    if name not in KINDS:
-        raise WrongUse(
-            f"{path} holds a {name}, which this release does not open: use the release that made it, named in run.json."
-        )
-    return KINDS[name]
 
 
 @command("status", reads=True)

@@ -16,7 +16,7 @@ import click
 
 from nermo_mjx.cli import options
 from nermo_mjx.cli.choices import OVERLAYS
-from nermo_mjx.cli.directories import kind_of_directory
+from nermo_mjx.cli.kinds import kind_of_directory
 from nermo_mjx.cli.options import FileKind, flag, number
 from nermo_mjx.cli.output import Output, WrongUse, command, say
 from nermo_mjx.progress import ProgressBar

@@ -15,7 +15,7 @@ from fakes.sweep_fake import FakeSimulator
 
 from nermo_mjx import all_parameters
 from nermo_mjx.cli import main
-from nermo_mjx.cli.directories import KINDS
+from nermo_mjx.cli.kinds import KINDS
 from nermo_mjx.cli.options import assigned
 from nermo_mjx.cli.output import WrongUse
 from nermo_mjx.sweep import run_sweep

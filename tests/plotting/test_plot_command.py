@@ -17,7 +17,7 @@ from fakes.tune_fake import SPEC as TUNE_SPEC
 from fakes.tune_fake import FakeProblem, FakeWalker
 from test_experiment_plots import walked
 
-from nermo_mjx.cli.directories import KINDS, RECORDING, Kind
+from nermo_mjx.cli.kinds import KINDS, RECORDING, Kind
 from nermo_mjx.experiments.plots import figures_of_experiment
 from nermo_mjx.experiments.published import published_lines
 from nermo_mjx.experiments.run import Directory
