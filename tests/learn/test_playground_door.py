@@ -3,6 +3,9 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -52,3 +55,31 @@ def test_it_steps_under_jit_vmap_and_scan_and_begins_again_where_its_first_data_
     np.testing.assert_array_equal(last.data.qpos, again.data.qpos)
     on, _ = walk(last)
     assert (np.abs(on.data.qpos - again.data.qpos).max(axis=1) > 1e-4).all()
+
+
+STOCK = """
+import jax, numpy as np
+from mujoco_playground import registry
+
+env = registry.load("AcrobotSwingup", config_overrides={"impl": "jax"})
+act = jax.numpy.full(env.action_size, 0.5)
+walk = jax.jit(lambda state: jax.lax.scan(lambda each, _: (env.step(each, act), None), state, None, length=20)[0])
+after = walk(jax.jit(env.reset)(jax.random.key(0))).data
+print(np.asarray(after.qpos).tolist(), after._impl.ncon)
+"""
+OURS = """
+import nermo_mjx.learn.playground_door
+from mujoco_playground import registry
+registry.load("NermoFlat")
+"""
+
+
+@pytest.mark.process
+@pytest.mark.slow
+def test_playgrounds_environments_keep_their_physics_whichever_module_is_imported_first():
+    """An acrobot's capsules have seven contacts in MJX, and eight in this package."""
+    ran = [
+        subprocess.run([sys.executable, "-c", code], text=True, capture_output=True) for code in (STOCK, OURS + STOCK)
+    ]
+    assert [each.returncode for each in ran] == [0, 0], ran[-1].stderr
+    assert ran[0].stdout.splitlines()[-1] == ran[1].stdout.splitlines()[-1]
