@@ -91,9 +91,12 @@ def test_a_notebook_installs_its_checkout_or_its_source_or_says_what_is_missing(
     assert installed(source) == [], "the package is there"
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     monkeypatch.chdir(ROOT / "notebooks")
-    assert installed(source) == [f'pip install -q "{ROOT}"']
+    assert installed(source) == [f'pip install -q "{ROOT}" cma']
     monkeypatch.chdir(tmp_path)
-    assert installed(source) == [f'pip install -q "{source}"']
+    assert installed(source) == [f'pip install -q "{source}" cma']
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: name if name == "jax_cuda12_plugin" else None)
+    assert installed(source) == [f'pip install -q "{source}" cma "jax[cuda12]"'], "JAX keeps its GPU"
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     with pytest.raises(RuntimeError, match="nermo_mjx is not installed: set SOURCE above, or open the notebook in a"):
         installed()
     # In Colab an archive of the checkout or a wheel is chosen in the file dialogue.
@@ -102,8 +105,8 @@ def test_a_notebook_installs_its_checkout_or_its_source_or_says_what_is_missing(
     monkeypatch.setitem(sys.modules, "google", types.ModuleType("google"))
     monkeypatch.setitem(sys.modules, "google.colab", colab)
     draw = "apt-get -qq install -y libosmesa6 > /dev/null"
-    assert installed() == ['pip install -q "nermo_mjx.zip"', draw]
-    assert installed("https://example.org/a.whl") == ['pip install -q "https://example.org/a.whl"', draw]
+    assert installed() == ['pip install -q "nermo_mjx.zip" cma', draw]
+    assert installed("https://example.org/a.whl") == ['pip install -q "https://example.org/a.whl" cma', draw]
     colab.files.upload = dict  # the dialogue was closed
     with pytest.raises(RuntimeError, match="set SOURCE"):
         installed()

@@ -27,7 +27,7 @@ from nermo_mjx.sweep import read_table
 #: Not imported here, which would take two seconds in each process of tests.
 pytestmark = pytest.mark.skipif(
     not all(map(importlib.util.find_spec, ("ribs", "pymoo"))),
-    reason="without ribs and pymoo: pip install '.[test-all]'",
+    reason="needs nermo-mjx[search]",
 )
 
 
