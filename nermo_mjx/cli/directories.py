@@ -189,9 +189,9 @@ def compare_command(
     beyond noise are marked with a star: at most 5 % of them are expected to
     be false. A terminal shows what differs, and the columns that fit.
 
-    Of logs and recordings, the channels that both have are compared over
-    time, B minus A: RMS, mean and lag of B behind A. Two logs of one command
-    show how well the robot repeats itself.
+    Of logs and recordings, the channels that both have are compared at the
+    time stamps of the coarser one, B minus A: RMS, mean and lag of B behind A.
+    Two logs of one command show how well the robot repeats itself.
 
     Examples:
       nermo-mjx compare runs/stiff runs/bending --for frequency --out runs/gain

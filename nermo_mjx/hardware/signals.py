@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import difflib
 from collections.abc import Iterator, Sequence
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from jaxtyping import Float
@@ -21,13 +21,13 @@ _ALIKE: Final = 0.99
 
 @dataclasses.dataclass(frozen=True)
 class Difference:
-    """A channel beside another one of the same thing, whose values are taken at its times.
+    """A channel compared with another one of the same thing, at the times of the coarser one.
 
     Attributes:
         name: of the channel; with its axis, if it has several.
         unit: of `rms` and `bias`.
         rms, bias: root mean square and mean of the channel minus the other one.
-        amplitude: root mean square of the channel about its mean.
+        amplitude: Root mean square of the coarser channel about its mean.
         lag: of the channel behind the other one [s], 0 where one of them stands still.
         correlation: at that lag; 0 where one of them stands still.
     """
@@ -85,19 +85,31 @@ def _correlation(a: np.ndarray, b: np.ndarray) -> float:
 def channel_differences(log: Log, other: Log) -> list[Difference]:
     """The channels of one log minus those of another one, axis by axis, of the quantities and things that both have.
 
-    A position's frame is the camera's, and a yaw's zero is arbitrary: see `in_frame_of`.
+    Two channels are compared at the time stamps of the coarser one, whose signal between them is not known, and in its
+    frame (`in_frame_of`). Exchanging the logs changes the signs of `bias` and `lag`, and the names.
     """
     found = []
     for channel in log.channels:
         twin = other.of_quantity(channel.quantity).get(channel.of)
-        pairs = zip(axes_of(channel), axes_of(in_frame_of(twin, channel)), strict=False) if twin is not None else ()
-        for (name, one), (_, two) in pairs:
+        if twin is None:
+            continue
+        coarse, fine = sorted((channel, twin), key=_fineness)
+        sign = 1.0 if coarse is channel else -1.0
+        pairs = zip(axes_of(channel), axes_of(coarse), axes_of(in_frame_of(fine, coarse)), strict=False)
+        for (name, _), (_, one), (_, two) in pairs:
             residual = one.values - values_at(two, one.times)
             residual = residual[np.isfinite(residual)]
             if len(residual):
                 rms, bias = float(np.sqrt(np.mean(residual**2))), float(residual.mean())
-                found.append(Difference(name, one.unit, rms, bias, float(one.values.std()), *lag_of(one, two)))
+                lag, correlation = lag_of(one, two)
+                sizes = rms, sign * bias, float(one.values.std())
+                found.append(Difference(name, channel.unit, *sizes, sign * lag, correlation))
     return found
+
+
+def _fineness(channel: Channel) -> tuple[Any, ...]:
+    """Orders channels from coarse to fine; of equal stamps by the values, so that no order of two logs matters."""
+    return -channel.interval, len(channel.times), -channel.times[0], channel.values.tobytes()
 
 
 def in_frame_of(twin: Channel, channel: Channel) -> Channel:
@@ -110,13 +122,13 @@ def in_frame_of(twin: Channel, channel: Channel) -> Channel:
     if not both.any():
         return twin
     here, there, moved = (each.reshape(len(each), -1) for each in (channel.values[both], there[both], twin.values))
-    axes = here.shape[1]
+    axes = min(here.shape[1], there.shape[1])
     seen, shown, moved = here - here.mean(axis=0), there - there.mean(axis=0), moved - there.mean(axis=0)
     if channel.quantity == "position":
         turn = np.vdot(shown[:, 0] + 1j * shown[:, 1], seen[:, 0] + 1j * seen[:, 1])
         ground = (moved[:, 0] + 1j * moved[:, 1]) * turn / max(abs(turn), 1e-300)
         moved = np.stack([ground.real, ground.imag, *moved.T[2:]], axis=-1)
-    values = moved[:, :axes] + here.mean(axis=0)
+    values = moved[:, :axes] + here.mean(axis=0)[:axes]
     return dataclasses.replace(twin, values=values if channel.values.ndim > 1 else values[:, 0])
 
 

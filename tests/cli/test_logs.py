@@ -104,6 +104,14 @@ def test_compare_says_how_far_logs_and_recordings_are_apart(folder) -> None:
     assert twin["pos_spine"]["lag"] == pytest.approx(-0.015, abs=0.002)
     assert back["pos_spine"]["lag"] == pytest.approx(0.015, abs=0.002)
     assert "deg" in call("compare", folder / "robot.csv", folder / "twin.npz").stdout
+    # In either order at the log's 100 Hz, as `replay --commands` reports it: log minus twin.
+    replayed = {each["name"]: each for each in json.loads((folder / "replay.json").read_text())["channels"]}
+    assert twin.keys() == back.keys() == replayed.keys()
+    for name, sign, found in ((n, s, f[n]) for n in replayed for s, f in ((1.0, back), (-1.0, twin))):
+        for size in ("rms", "amplitude", "correlation"):
+            assert found[size] == pytest.approx(replayed[name][size], rel=1e-9, abs=1e-12), name
+        for signed in ("bias", "lag"):
+            assert found[signed] == pytest.approx(sign * replayed[name][signed], rel=1e-9, abs=1e-12), name
 
 
 @pytest.mark.release

@@ -10,7 +10,7 @@ from fakes import measured
 
 from nermo_mjx.hardware import read_log
 from nermo_mjx.hardware.log import Channel, Log
-from nermo_mjx.hardware.signals import channel_differences, findings_of, lag_of
+from nermo_mjx.hardware.signals import Difference, channel_differences, findings_of, lag_of
 
 SERVOS = ("hip_1", "hip_2", "hip_3", "front_knee", "spine")
 
@@ -176,3 +176,50 @@ def test_gaps_are_not_compared():
     other = Channel("a", "angle", "x", whole, np.where((whole > 2) & (whole < 3), 9.0, sines(whole)), "rad")
     assert channel_differences(Log((one,), ""), Log((other,), ""))[0].rms < 1e-9
     assert channel_differences(Log((other,), ""), Log((one,), ""))[0].rms < 1e-9
+
+
+def compared(a: Channel, b: Channel) -> tuple[list[Difference], list[Difference]]:
+    """B minus A, and A minus B."""
+    one, two = Log((a,), "a"), Log((b,), "b")
+    return channel_differences(two, one), channel_differences(one, two)
+
+
+@pytest.mark.parametrize("rates", [(100.0, 500.0), (500.0, 100.0)])
+def test_two_rates_are_compared_at_the_coarser_stamps_in_either_order(rates) -> None:
+    """A ripple of 100 Hz is zero at the stamps of the slow log, which knows nothing of what is between them: all that
+    is left is an offset. At the stamps of the fast log, the ripple would add 0.3 / sqrt(2)."""
+
+    def channel(rate: float, offset: float) -> Channel:
+        times = np.arange(round(3.0 * rate)) / rate
+        ripple = 0.3 * np.sin(2 * np.pi * 100.0 * times)
+        return Channel(f"at {rate:g} Hz", "angle", "spine", times, np.sin(2 * np.pi * times) + ripple + offset, "rad")
+
+    (there,), (back,) = compared(channel(rates[0], 0.0), channel(rates[1], 0.1))
+    for found, sign in ((there, 1.0), (back, -1.0)):
+        assert found.rms == pytest.approx(0.1, abs=1e-9)
+        assert found.bias == pytest.approx(0.1 * sign, abs=1e-9)
+        assert found.amplitude == pytest.approx(1 / np.sqrt(2), rel=1e-3), "of the wave alone"
+        assert found.correlation == pytest.approx(1.0, abs=1e-9)
+        assert found.lag == pytest.approx(0.0, abs=1e-4)
+    assert (there.name, back.name) == (f"at {rates[1]:g} Hz", f"at {rates[0]:g} Hz")
+
+
+@pytest.mark.parametrize("rates", [(100.0, 500.0), (500.0, 100.0), (100.0, 100.0), (100.0, 99.0)])
+@pytest.mark.parametrize("axes", [(2, 2), (2, 3), (3, 2)])
+def test_the_order_of_two_tracks_changes_signs_alone_in_either_order(rates, axes) -> None:
+    """Noisy tracks with other stamps, frames and numbers of axes; the second one is 30 ms late."""
+    random, made = np.random.default_rng(4), list[Channel]()
+    for rate, number, late, turn in zip(rates, axes, (0.0, 0.03), (0.0, 0.7), strict=True):
+        count = round(4.0 * rate)
+        times = np.sort((np.arange(count) + random.uniform(-0.2, 0.2, count)) / rate) + 1.0
+        phase = 3.0 * (times - late)
+        track = np.stack([np.sin(phase), 0.5 * np.cos(1.7 * phase), 0.1 * np.sin(phase)], axis=-1)
+        track[:, :2] @= np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
+        track += random.normal(0.0, 0.01, track.shape)
+        made.append(Channel("track", "position", "torso", times, track[:, :number], "m"))
+    there, back = compared(*made)
+    assert len(there) == len(back) == min(axes)
+    for one, other in zip(there, back, strict=True):
+        assert (other.name, other.unit, other.rms, other.amplitude) == (one.name, one.unit, one.rms, one.amplitude)
+        assert (other.bias, other.lag, other.correlation) == (-one.bias, -one.lag, one.correlation)
+    assert there[0].lag == pytest.approx(0.03, abs=0.005)
