@@ -3,8 +3,8 @@
     python docs/hero.py
 
 Writes docs/images/hero.webp in two minutes. Both robots have the profile `exact`, 0.8 Hz and the mean friction of
-sweeps/three_gaits.yaml, 1.1. The free spine has the amplitude and phase that the sweep found best. The picture begins
-two cycles after the start; the speed is the distance since then over the time.
+sweeps/three_gaits.yaml, 1.1. The free spine has an amplitude and a phase of which the sweep says that they may be the
+fastest. The picture begins two cycles after the start; the speed is the distance since then over the time.
 """
 
 from __future__ import annotations

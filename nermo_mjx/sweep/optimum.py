@@ -415,7 +415,7 @@ def find_optimum(results: Results, asked: SoughtOptimum, repeats: int, variants:
     over = dict.fromkeys("starts" if name.startswith("start.") else spoken(name) for name in drawn)
     if "body" in results.schema.names:
         over = {"bodies": None, **{name: None for name in over if name == "starts"}}
-    return FoundOptimum(asked, results, tuple(answers), metrics, " and ".join(over) or "starts")
+    return FoundOptimum(asked, results, tuple(answers), metrics, ", ".join(over) or "starts")
 
 
 def optimum_in(out: Path) -> FoundOptimum | None:
