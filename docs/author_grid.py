@@ -1,8 +1,8 @@
 """Walks the grid that the author's model walked (tests/data/author_model_grid.csv), and draws both side by side.
 
-    python docs/author_grid.py
+    python docs/author_grid.py DIR
 
-Writes docs/images/author_grid.png and prints the numbers of docs/published_set_up.md as JSON, in about eight minutes of
+Writes DIR/author_grid.png and prints the numbers of docs/published_set_up.md as JSON, in about eight minutes of
 processor time.
 His model ran in MuJoCo 3.17.0; in MuJoCo 4 it walks differently.
 """
@@ -10,6 +10,7 @@ His model ran in MuJoCo 3.17.0; in MuJoCo 4 it walks differently.
 from __future__ import annotations
 
 import json
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -113,7 +114,7 @@ def told(his: pd.DataFrame, ours: pd.DataFrame) -> dict[str, str]:
     }
 
 
-def draw(his: pd.DataFrame, ours: pd.DataFrame) -> None:
+def draw(his: pd.DataFrame, ours: pd.DataFrame, folder: Path) -> None:
     """Values against each other, and Bland-Altman plots, at the clock of the tests and at one clock."""
     fig, axes = plt.subplots(2, 4, figsize=(12, 5.6), layout="constrained")
     shown = [name for name in MEASURES if name != "front_share"]
@@ -132,11 +133,11 @@ def draw(his: pd.DataFrame, ours: pd.DataFrame) -> None:
         above.set(title=MEASURES[name], xlabel="author's model, MuJoCo 3.17", ylabel="this twin" if column == 0 else "")
         below.set(xlabel="mean of both", ylabel="twin − author's model" if column == 0 else "")
     axes[0, 0].legend(fontsize=7, frameon=False)
-    fig.savefig(ROOT / "docs/images/author_grid.png", dpi=110)
+    fig.savefig(folder / "author_grid.png", dpi=110)
 
 
 if __name__ == "__main__":
     his = pd.read_csv(ROOT / "tests/data/author_model_grid.csv", comment="#")
     ours = walk(his)
     print(json.dumps(told(his, ours), indent=1, ensure_ascii=False))
-    draw(his, ours)
+    draw(his, ours, Path(sys.argv[1]))

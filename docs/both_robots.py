@@ -1,10 +1,11 @@
 """Both robots at the beginning of a walk, from the side and from the front: `python docs/both_robots.py`.
 
-Writes docs/images/nermo_41.png.
+Writes DIR/nermo_41.png.
 """
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import imageio.v3 as iio
@@ -14,7 +15,6 @@ from nermo_mjx import Run, Setup, Simulator
 from nermo_mjx.view import offscreen, robot_of
 from nermo_mjx.view.video import blank_strip, draw_frames, pixels, write_text
 
-OUT = Path(__file__).parent / "images" / "nermo_41.png"
 ROBOTS = {"nermo_lite": "Nermo-Lite", "nermo_41": "Nermo 4.1"}
 WIDTH, HEIGHT, STRIP = 640, 330, 40
 
@@ -33,4 +33,4 @@ def pictures(robot: str) -> np.ndarray:
 
 if __name__ == "__main__":
     offscreen.require_gl()
-    iio.imwrite(OUT, np.concatenate([pictures(robot) for robot in ROBOTS]))
+    iio.imwrite(Path(sys.argv[1]) / "nermo_41.png", np.concatenate([pictures(robot) for robot in ROBOTS]))

@@ -1,8 +1,8 @@
 """Pictures of the pages in the browser, by headless Chromium.
 
-    python docs/browser.py explore DIR         # docs/images/explore.png, of the sweep DIR/runs/quickstart
-    python docs/browser.py viewer PAGE.html    # docs/images/viewer.png
-    python docs/browser.py drive DIR           # docs/images/drive.webp; needs an idle machine
+    python docs/browser.py explore DIR    # DIR/explore.png, of the sweep DIR/runs/quickstart
+    python docs/browser.py viewer DIR     # DIR/viewer.png, of the page DIR/walk.html
+    python docs/browser.py drive DIR      # docs/images/drive.webp; needs an idle machine
 
 Chromium draws them in software.
 """
@@ -10,6 +10,7 @@ Chromium draws them in software.
 from __future__ import annotations
 
 import io
+import itertools
 import os
 import sys
 import threading
@@ -25,8 +26,9 @@ from nermo_mjx.view.explore import explore
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 import chromium
+import pictures
 
-IMAGES = Path(__file__).parent / "images"
+FILM = Path(__file__).parent / "images" / "drive.webp"
 #: The run beside the plot: 0.88 Hz, 0.2 rad, phase 0.
 ROW = 140
 #: What is done while the robot is driven: simulated time [s], and what the page then says to the drive.
@@ -37,7 +39,7 @@ DEEDS = (
     (5.2, '{"set": {"pilot.turn_rate": 0}}'),
 )
 #: Length of the film [simulated s], and its pictures a simulated second, at most. It is shown in real time.
-LENGTH, RATE = 6.8, 12.0
+LENGTH, RATE = 6.8, 6.0
 
 
 def opened(tab: chromium.Tab, page: Path) -> None:
@@ -53,14 +55,14 @@ def explored(tab: chromium.Tab, folder: str) -> None:
     for kind in ("mouseMoved", "mousePressed", "mouseReleased"):
         tab.mouse(kind, box["left"] + x, box["top"] + y)
     tab.mouse("mouseMoved", 1, 1)  # away from the cell and its hint
-    (IMAGES / "explore.png").write_bytes(tab.picture())
+    Path("explore.png").write_bytes(tab.picture())
 
 
-def viewed(tab: chromium.Tab, page: str) -> None:
-    opened(tab, Path(page))
+def viewed(tab: chromium.Tab, folder: str) -> None:
+    opened(tab, Path(folder) / "walk.html")
     tab.evaluate("viewer.player.toggle(false), viewer.player.seek(3.9)")
     tab.wait("!viewer.stage.stale && viewer.stage.quality.shown === viewer.stage.quality.still")
-    (IMAGES / "viewer.png").write_bytes(tab.picture())
+    (Path(folder) / "viewer.png").write_bytes(tab.picture())
 
 
 def driven(tab: chromium.Tab, folder: str) -> None:
@@ -76,26 +78,19 @@ def driven(tab: chromium.Tab, folder: str) -> None:
         tab.evaluate("Object.defineProperty(viewer.stage.quality, 'wanted', {get() { return this.still; }}), 1")
         tab.evaluate("viewer.drive.send({reset: true, pause: false, speed: 0.1})")
         tab.wait("viewer.drive.state.paused === false && viewer.player.time < 0.3")
-        deeds, times, pictures = list(DEEDS), [], []
+        deeds, times, shown = list(DEEDS), [], []
         while (now := tab.evaluate("viewer.player.time")) < LENGTH:
             if deeds and now >= deeds[0][0]:
                 tab.evaluate(f"viewer.drive.send({deeds.pop(0)[1]})")
             if not times or now >= times[-1] + 1.0 / RATE:
                 times.append(now)
-                pictures.append(Image.open(io.BytesIO(tab.picture())).convert("RGB"))
+                shown.append(Image.open(io.BytesIO(tab.picture())).convert("RGB"))
     finally:
         drive.over = True
         thread.join(30)
-    waits = [round(1000 * (after - before)) for before, after in zip(times, [*times[1:], LENGTH], strict=True)]
-    pictures[0].save(
-        IMAGES / "drive.webp",
-        save_all=True,
-        append_images=pictures[1:],
-        duration=waits,
-        loop=0,
-        quality=70,
-        method=6,
-    )
+    waits = [1000 * (after - before) for before, after in itertools.pairwise([*times, LENGTH])]
+    # The floor of the page has few traces, so that a lower quality is enough.
+    pictures.write_film(shown, waits, FILM, width=640, quality=55)
 
 
 if __name__ == "__main__":

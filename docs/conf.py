@@ -4,6 +4,7 @@ import os
 import pathlib
 import re
 import sys
+import tomllib
 from typing import Any
 
 from docutils import nodes
@@ -16,11 +17,10 @@ from nermo_mjx.robot.quantity import gathered
 from nermo_mjx.rollout.own_metrics import HEADINGS
 
 sys.path.insert(0, str(pathlib.Path(__file__).parent))
-import address
 import results
 
 ROOT = pathlib.Path(__file__).parents[1]
-REPOSITORY = address.repository()
+REPOSITORY = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"].get("urls", {}).get("Repository")
 WALKS = ROOT / "docs" / "howto" / "terrain" / "walks"
 
 project = "nermo_mjx"
@@ -100,7 +100,7 @@ def fill(app: Sphinx, docname: str, source: list[str]) -> None:
         if mark in source[0]:
             source[0] = source[0].replace(mark, table())
     up = "../" * (len(pathlib.Path(app.srcdir, docname).relative_to(ROOT).parts) - 1)
-    link = rf"\[([^\]]*)\]\({re.escape(up)}((?:sweeps|notebooks|nermo_mjx|LICENSE|CITATION)\b[^)]*)\)"
+    link = rf"\[([^\]]*)\]\({re.escape(up)}((?:sweeps|notebooks|nermo_mjx|LICENSE|NOTICE|CITATION)\b[^)]*)\)"
     source[0] = re.sub(link, _file, source[0]) + results.footer(f"{docname}.md")
 
 
@@ -108,7 +108,7 @@ def _file(link: re.Match[str]) -> str:
     """A link to a file, or its text and its path."""
     text, path = link.groups()
     if REPOSITORY is not None:
-        return f"[{text}]({address.source(REPOSITORY)}/{path})"
+        return f"[{text}]({REPOSITORY}/blob/main/{path})"
     return text if text.strip("`") in path else f"{text} (`{path}`)"
 
 

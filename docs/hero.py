@@ -16,12 +16,14 @@ from pathlib import Path
 import mujoco
 import numpy as np
 from matplotlib.colors import to_rgb
+from pictures import write_film
+from PIL import Image
 
 from nermo_mjx import Run, Setup, Simulator
 from nermo_mjx.plotting.style import INK, OKABE_ITO
 from nermo_mjx.view import offscreen, robot_of
 from nermo_mjx.view.camera import put_pose, put_sun_overhead
-from nermo_mjx.view.video import blank_strip, frame_samples, pixels, root_path, smooth_path, write_text, write_video
+from nermo_mjx.view.video import blank_strip, frame_samples, pixels, root_path, smooth_path, write_text
 
 OUT = Path(__file__).parent / "images" / "hero.webp"
 WALK = {"frequency": 0.8, "contact.friction": 1.1}
@@ -29,8 +31,9 @@ WALKS = {
     "Spine free": (Setup(gait="walking_trot", spine="stride_extension"), {"spine.amplitude": 0.3, "spine.phase": 0.0}),
     "Spine stiff": (Setup(gait="walking_trot"), {}),
 }
-WARMUP, CYCLES, FPS = 2.0, 7.0, 16
+WARMUP, CYCLES, FPS = 2.0, 7.0, 8
 WIDTH, HEIGHT, STRIP = 1280, 360, 60
+SHOWN = 1120  # width of the film [pixels]
 #: Size of the picture on the ground, distance between the robots, and place of their torsos at first [m].
 WIDE, LANES, START = 1.12, 0.17, 0.3
 #: Bend of a whole spine that has the full colour [rad], and the colours to the left and to the right.
@@ -122,7 +125,8 @@ def main() -> None:
                 lines = [strip(name, bend, way, i / FPS) for name, bend, way in zip(WALKS, bends, ways, strict=True)]
                 yield np.concatenate([lines[0], renderer.render(), lines[1]])
 
-    write_video(OUT, frames(), len(samples), fps=FPS, width=WIDTH, height=HEIGHT + 2 * STRIP)
+    shown = [Image.fromarray(frame) for frame in frames()]
+    write_film(shown, [1000 / FPS] * len(shown), OUT, width=SHOWN)
 
 
 if __name__ == "__main__":

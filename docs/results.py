@@ -65,7 +65,7 @@ class Result:
         minutes: of processor time.
         run: commands; `DIR` is its directory. What the last one prints goes to `prints`, if given. None: made by hand.
         writes: files of the docs that the commands write, or patterns of them.
-        copies: file in its directory -> file of the docs.
+        copies: file in its directory -> file of the docs; a figure becomes WebP.
         robot: whose body it depends on; "any" for models of others and for machines.
         also: further rooms of the package on which it depends.
         made: when it was last made, for one that this program has not made yet.
@@ -183,7 +183,10 @@ def make(name: str, result: Result) -> None:
         if kept:
             replace_file(ROOT / result.prints, done.stdout.encode())
     for source, target in result.copies.items():
-        shutil.copy(out / source, ROOT / target)
+        if target.endswith(".webp"):
+            subprocess.run([sys.executable, ROOT / "docs" / "pictures.py", out / source, ROOT / target], check=True)
+        else:
+            shutil.copy(out / source, ROOT / target)
     stamp = {"date": f"{datetime.date.today()}", "version": __version__, "digests": now}
     replace_file(STAMPS, (json.dumps(dict(sorted((stamps() | {name: stamp}).items())), indent=1) + "\n").encode())
 

@@ -1,8 +1,8 @@
 """Where the work of a trot's servos goes, and how long they stand at their torque limit.
 
-    python docs/work_budget.py
+    python docs/work_budget.py DIR
 
-Writes docs/images/work_budget.png and prints the numbers of docs/model.md as JSON, in half a minute on two cores. The
+Writes DIR/work_budget.png and prints the numbers of docs/model.md as JSON, in half a minute on two cores. The
 trot has the profile `exact`, no pilot and one start; of its 6 cycles 4 are measured. Contact, tendons and compliant
 joints take what a step's force times its mean speed says, in steps of plain MuJoCo that follow the recording exactly.
 """
@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import copy
 import json
+import sys
 from pathlib import Path
 
 import mujoco
@@ -107,5 +108,5 @@ if __name__ == "__main__":
     works = [budget(result.recording(i), simulator.robot.physical, WARMUP / 0.8) for i in fast]
     limited = np.array([[result.metrics[f"limited_{name}"][i] for name in GROUPS] for i in fast])
     figures = (("work_budget", drawn(np.array(works), limited)) for _ in range(1))  # in the style that holds then
-    write_figures(figures, ROOT / "docs" / "images", formats=("png",))
+    write_figures(figures, Path(sys.argv[1]), formats=("png",))
     print(json.dumps(told(found), indent=1, ensure_ascii=False))

@@ -119,7 +119,7 @@ def test_the_page_shows_the_newest_of_each_kind_by_machine(tmp_path: Path) -> No
     assert "2026-02-02, commit abc, mujoco 3, jax 0, python 3" in page
     for figure in (figures := re.findall(r"\]\((plots/.*?)\)", page)):
         assert (tmp_path / figure).stat().st_size > 1000
-    assert figures == [f"plots/{name}_{machine}.png" for machine in (1, 2) for name in ("throughput", "compile")]
+    assert figures == [f"plots/{name}_{machine}.svg" for machine in (1, 2) for name in ("throughput", "compile")]
 
 
 def test_the_page_of_this_repository_is_that_of_its_results(tmp_path: Path) -> None:

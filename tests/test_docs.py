@@ -233,13 +233,18 @@ def test_ci_runs_the_two_commands_that_a_fresh_machine_needs() -> None:
     assert chosen == [[line] for line in fresh]
     assert fresh[0].endswith("nermo-mjx sweep sweeps/quickstart.yaml --out runs/quickstart")
     assert fresh[1].endswith("-m pytest")
-    for line in (
-        'eval "$tests"',
-        "pytest -m 'release and not long'",
-        'eval "${job/python3/$python}"',
-        "\n.ci/wheel\n.ci/size\n",
-    ):
-        assert line in script
+    parts = dict(re.findall(r"^([\w-]+)\(\) \{\n(.*?)^\}$", script, re.MULTILINE | re.DOTALL))
+    for part, line in {
+        "commands": 'eval "${job/python3/$python}"',
+        "readme": "commands python3",
+        "release": "pytest -m 'release and not long'",
+        "wheel": ".ci/wheel",
+        "other-pythons": 'commands "$python"',
+        "style": "ruff format --check",
+    }.items():
+        assert line in parts[part]
+    assert 'eval "${tests/python3/$python}"' in parts["commands"]
+    assert ".ci/size" in parts["style"]
     for name in ("run", "wheel", "size"):
         subprocess.run(["bash", "-n", str(ROOT / ".ci" / name)], check=True)
     assert Sweep.from_file(ROOT / "sweeps" / "quickstart.yaml").variants == 240

@@ -3,16 +3,19 @@
 
 from __future__ import annotations
 
+import base64
+import importlib
 import importlib.util
+import io
 import json
 import re
-import runpy
 import sys
 import types
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 nbformat = pytest.importorskip("nbformat")
@@ -21,11 +24,13 @@ pytest.importorskip("ipykernel")
 
 from IPython.core.inputtransformer2 import TransformerManager  # noqa: E402
 from nbclient import NotebookClient  # noqa: E402
-from nbformat.v4 import new_code_cell, new_notebook  # noqa: E402
+from nbformat.v4 import new_code_cell, new_notebook, new_output  # noqa: E402
+from PIL import Image  # noqa: E402
 
 ROOT = Path(__file__).parents[1]
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
-CODE_DIGEST = runpy.run_path(str(ROOT / "docs" / "notebooks.py"))["code_digest"]
+sys.path.append(str(ROOT / "docs"))
+notebooks = importlib.import_module("notebooks")
 
 INSTALL = nbformat.read(NOTEBOOKS[0], as_version=4).cells[1].source
 
@@ -62,13 +67,48 @@ def test_a_notebook_shows_what_its_code_gave_and_installs_as_the_others_do(path:
     notebook = nbformat.read(path, as_version=4)
     nbformat.validate(notebook)
     assert notebook.cells[1].source == INSTALL
-    assert notebook.metadata.get("code_digest") == CODE_DIGEST(notebook), "run docs/notebooks.py, look at the outputs"
+    assert notebook.metadata.get("code_digest") == notebooks.code_digest(notebook), (
+        "run docs/notebooks.py, look at the outputs"
+    )
     outputs = [output for cell in notebook.cells if cell.cell_type == "code" for output in cell.outputs]
     assert any("image/png" in output.get("data", {}) for output in outputs)
     assert {output.output_type for output in outputs} <= {"stream", "execute_result", "display_data"}
     assert not [output for output in outputs if output.get("name") == "stderr"]
-    assert path.stat().st_size < 1_500_000
+    assert path.stat().st_size < 500_000
+    assert {kind for output in outputs for kind in output.get("data", {}) if "/" in kind} & {
+        "image/gif",
+        "video/mp4",
+    } == set()
     assert not re.search(r"/(tmp|home|root|work)/", "".join(json.dumps(output.get("text", "")) for output in outputs))
+
+
+def test_a_film_is_stored_as_one_frame_and_a_link_and_a_figure_with_few_colours() -> None:
+    film = io.BytesIO()
+    first, *others = (Image.new("RGB", (8, 6), (40 * i, 0, 0)) for i in range(5))
+    first.save(film, "gif", save_all=True, append_images=others)
+    figure = io.BytesIO()
+    pixels = np.random.default_rng(0).integers(0, 256, (40, 50, 3), dtype=np.uint8)
+    Image.fromarray(pixels).save(figure, "png")
+    shown = [
+        {"image/gif": base64.b64encode(film.getvalue()).decode(), "text/plain": "film"},
+        {"image/png": base64.b64encode(figure.getvalue()).decode()},
+        {"text/html": "<video>" + 60_000 * "x"},
+    ]
+    cell = new_code_cell("", outputs=[new_output("display_data", data) for data in shown])
+    cell.outputs.insert(0, new_output("stream", name="stderr", text="10%"))
+    notebook = new_notebook(cells=[cell])
+    notebooks.shrink(notebook)
+    still, link, small, page = (output["data"] for output in notebook.cells[0].outputs)
+    assert set(still) == {"image/png", "text/plain"}
+    with Image.open(io.BytesIO(base64.b64decode(still["image/png"]))) as image:
+        assert image.size == (8, 6)
+        assert image.convert("RGB").getpixel((0, 0)) == (80, 0, 0)
+    for text in (link["text/markdown"], page["text/markdown"]):
+        for target in re.findall(r"\]\((.*?)\)", text):
+            assert (ROOT / "notebooks" / target).resolve().exists(), target
+    with Image.open(io.BytesIO(base64.b64decode(small["image/png"]))) as image:
+        assert image.size == (50, 40)
+        assert len(image.convert("RGB").getcolors()) <= 256
 
 
 def installed(source: str = "") -> list[str]:

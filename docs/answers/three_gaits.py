@@ -2,7 +2,7 @@
 
 python docs/answers/three_gaits.py PROFILE DIR   # writes DIR/PROFILE.yaml, the same sweep in another profile
 python docs/answers/three_gaits.py table DIR     # of DIR/exact/optimum.csv and DIR/as_published/optimum.csv
-python docs/answers/three_gaits.py film DIR      # docs/images/three_gaits.webp, of the sweep DIR/exact
+python docs/answers/three_gaits.py film DIR      # DIR/three_gaits.gif, of the sweep DIR/exact
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from nermo_mjx.sweep.replay import recording_file
 
 ROOT = Path(__file__).parents[2]
 SPEC = ROOT / "sweeps" / "three_gaits.yaml"
-#: Seconds of the film: five gait cycles.
-SECONDS = 6.25
+#: Seconds of the film: two gait cycles.
+SECONDS = 2.5
 HEAD = ("profile", "gait", "amplitude, phase", "gain in speed", "mechanical cost", "electrical cost")
 
 
@@ -52,7 +52,7 @@ def worst(sweep: Path) -> str:
     return f"{-100 * min(np.nanmin(each.mean / each.base_mean - 1.0) for each in sought.answers):.0f}"
 
 
-def film(sweep: Path) -> None:
+def film(sweep: Path, out: Path) -> None:
     """The last cycles of the best points and their bases, from above."""
     sought = optimum_in(sweep)
     assert sought is not None
@@ -61,9 +61,8 @@ def film(sweep: Path) -> None:
         recording = Recording.load(recording_file(sweep, row))
         files.append(sweep / f"{recording.metadata['kept']}.npz")
         recording.between(recording.time[-1] - SECONDS, recording.time[-1]).save(files[-1])
-    target = ROOT / "docs" / "images" / "three_gaits.webp"
     small = ["--camera", "top", "--width", "360", "--height", "150", "--fps", "12"]
-    subprocess.run([sys.executable, "-m", "nermo_mjx", "render", *files, *small, "--out", target], check=True)
+    subprocess.run([sys.executable, "-m", "nermo_mjx", "render", *files, *small, "--out", out], check=True)
 
 
 if __name__ == "__main__":
@@ -73,7 +72,7 @@ if __name__ == "__main__":
         found = {"answers": table(optima), "answers.worst": worst(out / "exact")}
         print(json.dumps(found, indent=1, ensure_ascii=False))
     elif what == "film":
-        film(out / "exact")
+        film(out / "exact", out / "three_gaits.gif")
     else:
         (out / f"{what}.yaml").write_text(
             SPEC.read_text().replace("robot: nermo_lite\n", f"robot: nermo_lite\nprofile: {what}\n")

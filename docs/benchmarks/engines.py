@@ -348,9 +348,8 @@ def draw_page(path: Path, folder: Path) -> None:
             own = [line for line in lines if line["case"] == case]
             text += [f"### {case.capitalize()}: {CASES[case][0]}", "", table_of(case, own)]
         text += [f"Measured {'; '.join(dict.fromkeys(line['made'] for line in lines))}.", ""]
-        for drawn in write_figures(_figures(machine, lines, number), folder / "plots"):
-            if drawn.suffix == ".png":
-                text += [f"![{drawn.stem.removesuffix(f'_{number}')}](plots/{drawn.name})", ""]
+        for drawn in write_figures(_figures(machine, lines, number), folder / "plots", formats=("svg",)):
+            text += [f"![{drawn.stem.removesuffix(f'_{number}')}](plots/{drawn.name})", ""]
     (folder / "results.md").write_text("\n".join(text).rstrip() + "\n")
 
 

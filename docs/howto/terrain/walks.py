@@ -8,15 +8,19 @@ from __future__ import annotations
 
 import dataclasses
 import subprocess
+import sys
 import tempfile
 from pathlib import Path
 
 import numpy as np
-from PIL import Image, ImageSequence
+from PIL import Image
 from search_gait import PLACES, SLACK, Ground, gaits
 
 from nermo_mjx import Run
 from nermo_mjx.recording import Recording
+
+sys.path.insert(0, str(Path(__file__).parents[2]))
+import pictures
 
 HERE = Path(__file__).parent
 IMAGES = HERE.parents[1] / "images"
@@ -24,17 +28,21 @@ SPINES = ("free", "stiff", "passive")
 SHOWN = "0"  # the seed
 BEGIN, END, EVERY = 1.0, 5.0, 4  # [s], samples: 25 of 100 in a second
 WIDTH, HEIGHT = 200, 150  # of a robot's picture [pixels]
+FPS = 8
+FILM = "spiral_stairs"  # a film, where the other terrains have a picture
+#: The sensors that the page in the browser shows.
+SENSORS = ("position", "orientation", "linear_velocity", "servo_angle", "foot_force", "tail_force")
 
 
 def short(recording: Recording) -> Recording:
-    """What is shown, in single precision: 60 kB instead of 900."""
+    """What is shown, in single precision: 50 kB instead of 900."""
     whole = recording.between(BEGIN, END)
 
     def thin(values: np.ndarray) -> np.ndarray:
         return np.asarray(values[::EVERY], np.float32)
 
     arrays = {name: thin(getattr(whole, name)) for name in ("qpos", "qvel", "ctrl")}
-    sensors = {name: thin(values) for name, values in whole.sensors.items()}
+    sensors = {name: thin(whole.sensors[name]) for name in SENSORS}
     return dataclasses.replace(whole, time=whole.time[::EVERY], sensors=sensors, **arrays)
 
 
@@ -55,25 +63,29 @@ def recorded(ground: Ground, spine: str, seed: str, folder: Path) -> list[Path]:
 
 def rendered(files: list[Path], out: Path) -> None:
     """Recordings side by side."""
-    size = ["--fps", "8", "--width", str(WIDTH), "--height", str(HEIGHT)]
+    size = ["--fps", str(FPS), "--width", str(WIDTH), "--height", str(HEIGHT)]
     subprocess.run(["nermo-mjx", "render", *files, "--out", out, *size, "--quiet"], check=True)
 
 
 if __name__ == "__main__":
     bent, straight = Ground("free"), Ground("stiff")
     beside = [recorded(bent if spine == "free" else straight, spine, SHOWN, HERE / "walks") for spine in SPINES]
-    for files in zip(*beside, strict=True):
-        rendered(list(files), IMAGES / "spines" / f"{files[0].parent.name}.webp")
     with tempfile.TemporaryDirectory() as folder:
+        for files in zip(*beside, strict=True):
+            name, film = files[0].parent.name, Path(folder, "beside.gif")
+            rendered(list(files), film)
+            frames, durations = pictures.read_film(film)
+            if name == FILM:
+                pictures.write_film(frames, durations, IMAGES / "spines" / f"{name}.webp", width=456)
+            else:
+                pictures.write_picture(frames[len(frames) // 2], IMAGES / "spines" / f"{name}.webp")
         films = []
         for file in recorded(straight, "passive", "begin", Path(folder)):
-            rendered([file], file.with_suffix(".webp"))
-            films.append(
-                [frame.convert("RGB") for frame in ImageSequence.all_frames(Image.open(file.with_suffix(".webp")))]
-            )
+            rendered([file], file.with_suffix(".gif"))
+            films.append(pictures.read_film(file.with_suffix(".gif"))[0])
     sheets = []
     for frames in zip(*films, strict=True):
         sheets.append(Image.new("RGB", (4 * WIDTH, 2 * HEIGHT), "white"))
         for i, frame in enumerate(frames):
             sheets[-1].paste(frame, (i % 4 * WIDTH, i // 4 * HEIGHT))
-    sheets[0].save(IMAGES / "terrains.webp", save_all=True, append_images=sheets[1:], duration=125, loop=0, quality=70)
+    pictures.write_film(sheets, [1000 / FPS] * len(sheets), IMAGES / "terrains.webp", width=640)
