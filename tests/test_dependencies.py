@@ -70,6 +70,7 @@ def faults(modules: Iterable[str], project: Mapping[str, Any]) -> dict[str, set[
     return {"undeclared": needed - required - optional, "unused": (required | optional) - needed}
 
 
+@pytest.mark.release
 def test_every_import_is_declared_and_every_requirement_is_imported() -> None:
     modules = {name for path in (ROOT / "nermo_mjx").rglob("*.py") for name in imported(path.read_text())}
     assert faults(modules, PROJECT) == {"undeclared": set(), "unused": set()}

@@ -44,7 +44,6 @@ def optional_modules() -> list[str]:
     return sorted(modules.get(each, each.replace("-", "_")) for each in installed)
 
 
-@pytest.mark.process
 @pytest.mark.release
 def test_the_robot_walks_sweeps_and_is_tuned_without_posix_and_extras(tmp_path: Path) -> None:
     absent = [*POSIX_MODULES, *optional_modules()]

@@ -46,6 +46,7 @@ def said(script: str, **settings: str) -> str:
     return done.stdout.strip()
 
 
+@pytest.mark.release
 def test_a_constant_that_is_changed_at_run_time_counts(monkeypatch: pytest.MonkeyPatch) -> None:
     """As does an edit that is loaded again: a new simulator does not run a program of the old code."""
 

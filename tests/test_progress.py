@@ -77,6 +77,7 @@ def test_a_watch_of_another_type_is_refused(watch):
         swept(watch=watch)
 
 
+@pytest.mark.release
 def test_a_walk_is_shown_if_it_takes_long(simulator, monkeypatch):
     """And nothing inside of a job, which tells of its parts itself."""
     walker = simulator("c")

@@ -233,6 +233,7 @@ def test_a_stopped_sweep_says_how_to_go_on_and_goes_on(tmp_path: Path, sent: int
 # --- results
 
 
+@pytest.mark.release
 def test_walk_json_is_one_object_with_the_promised_fields(tmp_path: Path) -> None:
     from nermo_mjx.rollout import METRICS
 

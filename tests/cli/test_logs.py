@@ -44,6 +44,7 @@ def test_a_log_is_shown_back_and_checked(folder) -> None:
     assert max(map(len, call("log", "--help").stdout.splitlines())) <= 80
 
 
+@pytest.mark.release
 def test_the_twin_is_driven_by_the_commands(folder) -> None:
     """What differs is what the other simulation did otherwise: 20 ms of delay, 5 less as its commands are held."""
     found = {each["name"]: each for each in json.loads((folder / "replay.json").read_text())["channels"]}
@@ -56,6 +57,7 @@ def test_the_twin_is_driven_by_the_commands(folder) -> None:
     assert found["marker y"]["correlation"] > 0.9
 
 
+@pytest.mark.release
 def test_commands_act_at_their_times(folder) -> None:
     """In each step of physics the last command that had been given by then."""
     log, twin = read_log(folder / "robot.csv", folder / "robot.yaml"), Recording.load(folder / "twin.npz")
@@ -92,6 +94,7 @@ def test_view_and_plot_lay_measured_over_simulated(folder, tmp_path) -> None:
     assert "pos_spine: lag 1" in Path(page).read_text()
 
 
+@pytest.mark.release
 def test_compare_says_how_far_logs_and_recordings_are_apart(folder) -> None:
     """A robot repeats itself within its noise; the twin is farther away, and the signs of lags follow B minus A."""
     again = {e["name"]: e for e in json_of("compare", folder / "robot.csv", folder / "again.csv")["channels"]}
@@ -132,6 +135,7 @@ def test_a_track_alone_is_enough(folder, tmp_path) -> None:
     assert "no channel is a command" in refused.stderr
 
 
+@pytest.mark.release
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
@@ -155,6 +159,7 @@ def test_wrong_use_is_one_sentence(words, sentence, folder) -> None:
     assert re.search(sentence, result.stderr)
 
 
+@pytest.mark.release
 def test_a_command_of_no_servo_is_refused(folder, tmp_path) -> None:
     text = (folder / "robot.yaml").read_text().replace("command, of: spine", "command, of: spin")
     (tmp_path / "wrong.yaml").write_text(text)

@@ -165,6 +165,8 @@ WINDING = tabulated(np.linspace(0.0, 4.0, 201), 1.0, 0.8 * np.sin(np.linspace(0.
         "lateral_walk-tracking.clock_ratio-0.4-0.404-external",
         "trot-frequency-0.8-0.808-external",
         "trot-frequency-0.8-0.808-open_loop",
+        "lateral_walk-frequency-0.5-0.505-external",
+        "lateral_walk-frequency-0.5-0.505-open_loop",
     )
 )
 @pytest.mark.parametrize("pilot", ["open_loop", "external"])
@@ -250,6 +252,7 @@ def _start(controller):
     return jax.jit(run)
 
 
+@pytest.mark.release
 @pytest.mark.parametrize("gait", ["trot", "walking_trot", "lateral_walk"])
 @pytest.mark.parametrize("phase", [0.0, 0.3, 0.77])
 def test_the_first_posture_is_the_gaits_own(gait, phase):
@@ -357,6 +360,7 @@ def test_two_modes_are_on_together_without_blocking_each_other():
     np.testing.assert_allclose(servos[2], np.clip(servos[0] + servos[1], -0.4, 0.4), atol=1e-5)
 
 
+@pytest.mark.release
 def test_offset_compensation_takes_the_hips_rise_out_of_the_rear_feet():
     """(5.31): at full compensation each rear foot is lower, in its leg's frame, by what its hip has risen."""
     plain, compensated = (

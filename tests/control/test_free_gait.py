@@ -150,6 +150,7 @@ def test_any_path_is_closed_continuous_and_in_the_workspace(seed: int) -> None:
         assert float(found.servo[:, limb, 1].max()) <= high + 1e-4
 
 
+@pytest.mark.release
 def test_a_foot_beyond_the_workspace_is_led_back_by_its_derivative() -> None:
     near, far = four_reaches(ROBOT, "type3")
     foot = jnp.asarray([[0.001, -0.002], [0.03, -0.0621], [0.0, -0.0405], [0.05, -0.06]])
@@ -250,6 +251,7 @@ def test_a_pattern_stands_for_all_names_that_it_matches() -> None:
     assert len(Tuning.from_text(STANDS + many).names) == 64
 
 
+@pytest.mark.release
 def test_patterns_on_the_command_line(tmp_path: Path) -> None:
     words = ["servos", "--trajectory", "free", "--set", "trim.hip.front_*=0.1", "--out", str(tmp_path / "gait.csv")]
     assert CliRunner().invoke(main, words).exit_code == 0

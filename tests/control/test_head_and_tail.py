@@ -179,6 +179,7 @@ def test_a_head_that_tilts_holds_its_pitch(gazing) -> None:
     assert gazing["tilting"].metrics["picture_motion"] < 0.8 * gazing["gaze"].metrics["picture_motion"]
 
 
+@pytest.mark.release
 @pytest.mark.parametrize("head", ["none", "gaze", "tilting"])
 def test_metrics_of_the_eyes_are_those_of_mujocos_head(gazing, head) -> None:
     """Where the head looks as MuJoCo turns it in each recorded pose: its yaw and pitch, and how fast they change."""

@@ -207,6 +207,7 @@ def test_each_part_of_the_published_controller_can_be_replaced() -> None:
 SPEC = {"controller": BOUND, "run": {"duration": 0.3}, "plots": False, "vary": {"reach": [0.01, 0.03], "lag": [0, 0.5]}}
 
 
+@pytest.mark.release
 def test_a_sweep_runs_another_controller(bound: Simulator, tmp_path: Path) -> None:
     result = run_sweep(SPEC, tmp_path / "there", simulator=bound)
     assert result.complete

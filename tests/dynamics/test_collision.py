@@ -110,18 +110,7 @@ def poses_of(model: mujoco.MjModel) -> list[np.ndarray]:
     return found
 
 
-@pytest.mark.release(
-    cases=(
-        "capsule-capsule",
-        "plane-ellipsoid",
-        "plane-box",
-        "plane-cylinder",
-        "plane-sphere",
-        "capsule-ellipsoid",
-        "ellipsoid-ellipsoid",
-        "sphere-ellipsoid",
-    )
-)
+@pytest.mark.release
 @pytest.mark.parametrize("pair", PAIRS, ids="-".join)
 def test_contacts_are_those_of_c_or_it_is_said(pair: tuple[str, str]) -> None:
     model = model_of(*(GEOMS[kind] for kind in pair))
@@ -192,6 +181,7 @@ def test_a_contact_of_an_ellipsoid_has_its_derivative(kind: str) -> None:
     np.testing.assert_allclose(ahead, differences, atol=1e-6 * np.abs(differences).max())
 
 
+@pytest.mark.release
 def test_the_step_warns_of_what_is_approximate_and_refuses_data_of_mjx_with_other_contacts() -> None:
     model = model_of(GEOMS["box"], GEOMS["box"])
     device = put_model(model)

@@ -247,6 +247,7 @@ def test_forward_and_reverse_mode_agree(small):
     np.testing.assert_allclose(small.reverse, small.ahead, rtol=1e-8, atol=1e-12)
 
 
+@pytest.mark.release
 def test_derivatives_are_those_of_the_simulation(small):
     """Central differences of another implementation, which knows nothing of the rule."""
     scale = np.abs(small.differences).max()

@@ -7,6 +7,8 @@ import os
 import subprocess
 import sys
 
+import pytest
+
 #: Compares all attributes of the loaded modules of MJX and JAX by identity, at two times, with the entries of
 #: dictionaries and the attributes of classes. New entries count in MJX only: JAX itself registers in its own tables.
 #: `replaced` also lists attributes that were replaced and restored, which another thread would see.
@@ -75,6 +77,7 @@ def printed(*parts: str) -> list[str]:
     return done.stdout.splitlines()
 
 
+@pytest.mark.release
 def test_importing_all_modules_replaces_no_attribute_of_mjx_or_jax() -> None:
     assert ast.literal_eval(printed(WATCH, IMPORT)[-1]) == []
 
@@ -131,11 +134,13 @@ print(np.abs(after[0] - before[0]).max(), before[1:] == after[1:], before[1])
 """
 
 
+@pytest.mark.release
 def test_simulators_and_steps_replace_no_attribute_of_mjx_or_jax_even_while_they_are_traced() -> None:
     """Another thread that traces `mjx.step` at the same time would otherwise get other physics."""
     assert ast.literal_eval(printed(WATCH, HELD, USE)[-1]) == []
 
 
+@pytest.mark.release
 def test_a_model_of_plain_mjx_moves_alike_before_and_after_the_import() -> None:
     """With the same number of contacts, nine: a cylinder has three in MJX, and four in this package."""
     assert printed("import jax, mujoco\nfrom mujoco import mjx", FALLING, PLAIN)[-1] == "0.0 True 9"

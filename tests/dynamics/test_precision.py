@@ -64,6 +64,7 @@ def test_a_step_of_physics_and_its_derivatives_have_it(stick: tuple[Any, Any]) -
     assert highest(products(jax.grad(lambda qvel: step(qvel).sum()), one))
 
 
+@pytest.mark.release
 def test_the_controller_between_two_ticks_of_c_has_it(simulator: Any) -> None:
     """The loop of controller and metrics, its start, and the metrics of a run."""
     sim = simulator(spine="stride_extension")

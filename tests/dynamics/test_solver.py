@@ -192,6 +192,7 @@ def test_a_world_without_numbers_leaves_the_others_alone() -> None:
     assert rounds[1] == 1
 
 
+@pytest.mark.release
 def test_accelerators_know_the_length_of_every_loop() -> None:
     """Only on a CPU is there a loop that ends when all worlds have: XLA's `while` without a number of rounds."""
     layout, problem, warm, _ = problems("elliptic")

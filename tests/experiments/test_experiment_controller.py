@@ -100,6 +100,7 @@ def test_a_controller_with_parameters_of_its_own_is_refused_in_one_sentence(tmp_
         ReplacementPolicy.of(f"{own}:Own")
 
 
+@pytest.mark.release
 def test_a_controller_travels_to_other_machines(files):
     """Workers get it with the settings, without its file."""
     there = pickle.loads(pickle.dumps(settings(files["some"])))

@@ -225,6 +225,7 @@ def test_published_numbers_come_from_the_report():
     assert set(plots._DRAWERS) == set(CATALOGUE) - {"body"}
 
 
+@pytest.mark.release
 def test_published_speeds_stand_where_they_say():
     """86.4 mm/s for the trot at 0.8 Hz, 22 % more with the spine, and the lateral walk at a ratio of 1.27."""
     trot, walking, lateral = whole("straight-line")["speed"].axes
@@ -237,6 +238,7 @@ def test_published_speeds_stand_where_they_say():
     assert "published" in entries(whole("straight-line")["speed"])
 
 
+@pytest.mark.release
 def test_published_turns_and_walks_stand_where_they_say():
     """Times of the quarter circle and of the maze in s, the speed from them in mm/s, and the radius in mm."""
     drawn = whole("turning")
@@ -335,6 +337,7 @@ def test_verdicts_say_what_was_published_and_what_differs():
     assert not any(patch.get_gid() == "differs" for patch in with_it.patches)
 
 
+@pytest.mark.release
 def test_stability_has_its_limit_and_its_phases():
     """The distance is in mm, a line at 0 is where the robot tips, and each phase is named."""
     ax = whole("balance")["stability"].axes[0]

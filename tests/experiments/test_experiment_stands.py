@@ -55,7 +55,7 @@ def slopes(pair: str, routing: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]
         return tuple(map(np.asarray, found(jnp.asarray(servo, float), jnp.asarray(foot))))
 
 
-@pytest.mark.release(cases=("rear-type3_idler", "front-type1"))
+@pytest.mark.release
 @pytest.mark.parametrize("routing", ROUTINGS)
 @pytest.mark.parametrize("pair", PAIRS)
 def test_speed_and_coupling_are_those_of_the_kinematics(of_leg, pair, routing):
@@ -92,6 +92,7 @@ def test_work_of_a_bend_is_the_energy_of_the_springs(of_spine):
         assert of_spine.mean("work", **case) == pytest.approx(stored * 1.02, rel=0.02)
 
 
+@pytest.mark.release
 def test_both_planes_move_the_hip_as_each_does(of_spine):
     """Sideways and up are at right angles: range and speed add in squares within 3 %."""
     for column in ("range", "speed"):

@@ -53,12 +53,14 @@ def test_the_published_order_is_that_of_the_authors_software(published) -> None:
     assert all("." not in each for each in row[1:])
 
 
+@pytest.mark.release
 def test_the_rigid_tail_is_given_what_is_missing() -> None:
     table = servo_table(channels="published")
     assert table.names[8] == "tail"
     np.testing.assert_array_equal(table.given[:, [8, 10]], 0.0)
 
 
+@pytest.mark.release
 def test_rows_are_sent_at_their_times_again_and_again(published) -> None:
     """Three cycles: each row at its time, and after the last one the first."""
     clock, seen = wires.Clock(), []

@@ -73,6 +73,7 @@ def test_a_table_is_what_the_simulation_commands(setup: Setup, values: dict[str,
     assert error.max() < 0.02
 
 
+@pytest.mark.release
 def test_a_servo_is_where_the_leg_needs_it_at_the_end_of_stance() -> None:
     """By the closed form alone: at phase 0 of the trot, a front left stance begins half a cycle later at the front."""
     table = servo_table(Setup(gait="trot"), {"frequency": 1.0}, rate=100.0)

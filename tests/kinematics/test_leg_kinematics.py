@@ -338,6 +338,7 @@ def test_any_numbers_give_finite_values_and_derivatives(real):
         settings(max_examples=150, deadline=None)(check)()
 
 
+@pytest.mark.release
 @pytest.mark.parametrize("x64", [False, True])
 def test_the_border_of_the_workspace_has_finite_derivatives(x64):
     """Feet and servos exactly on the border, and a rounding error to either side of it, are differentiable."""

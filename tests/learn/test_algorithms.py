@@ -168,6 +168,7 @@ def test_ppo_learns_to_hold_the_mass():
     assert rows[-1]["explained"] > 0.9
 
 
+@pytest.mark.release
 def test_the_learning_rate_holds_the_policys_change_near_its_aim():
     """By one factor per iteration, down or up, however many steps an iteration has."""
     _, rows = long_training()

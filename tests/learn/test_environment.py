@@ -100,6 +100,7 @@ def test_a_world_does_not_depend_on_the_others_nor_on_the_number_of_threads(stat
         np.testing.assert_array_equal(few.reward, many.reward[:3])
 
 
+@pytest.mark.release
 def test_an_episode_is_cut_off_when_its_time_is_over_and_the_next_one_begins(states):
     cut = [step for step, state in enumerate(states) if state.truncated.any()]
     assert cut == [20]
@@ -161,6 +162,7 @@ def test_mjx_staggers_the_first_episodes_and_no_later_ones(staggered):
         np.testing.assert_array_equal(first, whole)
 
 
+@pytest.mark.release
 def test_rewards_are_the_weighted_terms_and_terms_sum_to_what_an_episode_measures(states):
     episode = states[1:21]
     for name, measured in (("progress", "distance"), ("work", "servo_work")):
@@ -172,6 +174,7 @@ def test_rewards_are_the_weighted_terms_and_terms_sum_to_what_an_episode_measure
     assert (state.terms["height"] > 0.04).all()
 
 
+@pytest.mark.release
 def test_what_falls_ends_its_episode_with_that_sentence_and_stands_up_again(environment):
     """A robot that is laid on its side, between two that walk."""
     height = environment.privileged_names.index("height")
@@ -247,6 +250,7 @@ def test_actions_move_servo_targets_or_parameters_by_their_ranges():
     np.testing.assert_allclose(acting.cycle_rate(batch), [0.67, 1.67], rtol=1e-6)
 
 
+@pytest.mark.release
 def test_a_step_refuses_actions_of_another_shape_and_states_that_are_gone(environment):
     old = environment.reset(0)
     with pytest.raises(ParameterError, match=r"expected \(3, 9\)"):

@@ -130,6 +130,7 @@ def test_a_seed_that_is_no_whole_number_is_refused(three, seed):
         three.reset(seed=seed)
 
 
+@pytest.mark.release
 @pytest.mark.parametrize("beyond", [50.0, -3.0])
 def test_an_action_beyond_its_range_is_its_end_in_all_that_follows(three, beyond):
     """In what is observed, in the reward and in the physics."""

@@ -148,6 +148,7 @@ def nearest_step(sensors, ground):
     return ground(x, y - 0.05) - ground(x, y + 0.05)
 
 
+@pytest.mark.release
 def test_own_points_of_the_ground_can_be_observed_and_a_loop_without_ground_says_so():
     own = Sensed(nearest_step, 0.01, ground=True)
     environment = Environment(STAIRS, worlds=1, task=Task(observe=(own,)))

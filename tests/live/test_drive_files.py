@@ -37,7 +37,7 @@ def told(recording: Recording, driven: Any = None, **setup: Any) -> Recording:
     return dataclasses.replace(recording, metadata=about)
 
 
-@pytest.mark.release(cases=("npz-own.py:stiff",))
+@pytest.mark.release
 @pytest.mark.parametrize("named", ["own.py:stiff", "{0}/own.py:stiff", "own:stiff", "own.under:stiff"])
 @pytest.mark.parametrize("form", ["npz", "jsonl"])
 def test_replay_runs_no_code_that_a_drive_names(named: str, form: str, driven: Any, tmp_path: Path, canary: Path):
@@ -97,6 +97,7 @@ MALFORMED: dict[str, dict[str, Any]] = {
 }
 
 
+@pytest.mark.release(cases=("frequency",))
 @pytest.mark.usefixtures("shared_simulators")
 @pytest.mark.parametrize("name", MALFORMED)
 def test_a_malformed_drive_ends_in_a_sentence(name: str, driven: Recording, tmp_path: Path) -> None:

@@ -98,6 +98,7 @@ def test_commands_within_a_blend_are_continuous_and_make_the_run_again_bit_for_b
     assert np.ptp(spine[:50]) == 0 < np.ptp(spine[100:150])
 
 
+@pytest.mark.release
 def test_a_command_beside_a_longer_one_leaves_it_its_length(running):
     """A slider that is moved while the gait changes: the gait is that of the gait's command alone, tick by tick."""
     gait, stride = Switch(0, gait="lateral_walk", blend=1.0), Switch(0, values={"stride": 0.8}, blend=0.1)
@@ -354,6 +355,7 @@ def test_a_switch_that_comes_due_is_refused_as_a_command_is_and_the_drive_goes_o
     until(lambda: drive.driving.ticks > before + 5)
 
 
+@pytest.mark.release
 @pytest.mark.parametrize(
     "message",
     [

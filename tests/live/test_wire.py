@@ -198,6 +198,7 @@ def test_servos_go_slowly_from_where_the_robot_is_to_the_start_of_the_gait(drivi
     assert steps.max() <= top + 1e-5
 
 
+@pytest.mark.release
 def test_without_messages_it_holds_then_goes_on_and_at_last_ends(driving) -> None:
     both = Together(driving)
     both.walk(1.0)
@@ -217,6 +218,7 @@ def test_without_messages_it_holds_then_goes_on_and_at_last_ends(driving) -> Non
     assert driving.driven.ended == "no message of the robot for 5 s"
 
 
+@pytest.mark.release
 @pytest.mark.parametrize("watched", [True, False])
 @pytest.mark.parametrize("silent", [True, False])
 def test_after_a_pause_the_robot_is_approached_from_where_it_is(driving, watched: bool, silent: bool) -> None:
@@ -237,6 +239,7 @@ def test_after_a_pause_the_robot_is_approached_from_where_it_is(driving, watched
     assert np.abs(driving.pose - both.measured.pose).max() <= APPROACH * driving.dt + 1e-6
 
 
+@pytest.mark.release
 def test_a_robot_that_is_silent_during_a_pause_ends_the_drive(driving) -> None:
     both = Together(driving)
     both.walk(0.5)
@@ -245,6 +248,7 @@ def test_a_robot_that_is_silent_during_a_pause_ends_the_drive(driving) -> None:
         driving.watch()
 
 
+@pytest.mark.release
 def test_a_page_that_is_closed_ends_the_drive_of_a_robot(driving, monkeypatch) -> None:
     """As `drive --help` says; one that only pauses does not, and one that comes back in time goes on."""
     driving.reset()
@@ -261,6 +265,7 @@ def test_a_page_that_is_closed_ends_the_drive_of_a_robot(driving, monkeypatch) -
         drive.run(1.0)
 
 
+@pytest.mark.release
 def test_the_journal_of_a_robots_drive_has_its_samples(driving, tmp_path) -> None:
     """What it measured, no command makes again."""
     driving.reset()
@@ -278,6 +283,7 @@ def test_the_journal_of_a_robots_drive_has_its_samples(driving, tmp_path) -> Non
     np.testing.assert_array_equal(again.sensors["position"], made.sensors["position"])
 
 
+@pytest.mark.release
 def test_an_operator_who_is_away_is_as_silent_as_a_robot(driving) -> None:
     both = Together(driving)
     both.walk(0.5)
@@ -313,6 +319,7 @@ def test_a_command_beyond_the_limits_of_a_servo_is_sent_at_its_limit() -> None:
     assert (drive.driven.sent, drive.driven.limited) == (3, 2)
 
 
+@pytest.mark.release
 def test_limits_of_channels_are_kept_and_commands_come_at_their_rate(driving) -> None:
     narrow = dataclasses.replace(
         CHANNELS, servos=tuple(dataclasses.replace(each, low=-5.0, high=5.0) for each in CHANNELS)
@@ -324,6 +331,7 @@ def test_limits_of_channels_are_kept_and_commands_come_at_their_rate(driving) ->
     assert len(both.commands) == pytest.approx(60, abs=2)
 
 
+@pytest.mark.release
 def test_a_broker_that_is_away_for_long_ends_the_drive(driving) -> None:
     both = Together(driving)
 
@@ -341,6 +349,7 @@ def test_a_broker_that_is_away_for_long_ends_the_drive(driving) -> None:
     assert driven.unsent == pytest.approx((PATIENCE - both.measured.watchdog) / driving.dt, rel=0.02)
 
 
+@pytest.mark.release
 def test_an_angle_that_is_not_a_number_is_not_sent(driving, monkeypatch) -> None:
     both = Together(driving)
     both.walk(0.5)
@@ -351,6 +360,7 @@ def test_an_angle_that_is_not_a_number_is_not_sent(driving, monkeypatch) -> None
     assert len(both.commands) == sent
 
 
+@pytest.mark.release
 def test_a_robot_leaves_out_commands_that_are_none(driving) -> None:
     both = Together(driving)
     for message in (None, "abc", [1.0] * 11, {"data": [0.0] * 11 + [float("inf")]}, {"data": None}, [0.0] * 12):
@@ -359,6 +369,7 @@ def test_a_robot_leaves_out_commands_that_are_none(driving) -> None:
     assert both.body.about["commands"] == {"garbage": 3, "of a wrong size": 1, "not finite": 1, "taken": 1, "lost": 0}
 
 
+@pytest.mark.release
 def test_under_a_page_the_twin_gets_the_robots_commands(driving, monkeypatch) -> None:
     """And the recording has what the robot measured. A reset leads the robot back slowly; no page is no message."""
     driving.reset()
@@ -394,6 +405,7 @@ def test_under_a_page_the_twin_gets_the_robots_commands(driving, monkeypatch) ->
         driving.tick()
 
 
+@pytest.mark.release
 @pytest.mark.parametrize("signed", [False, True])
 def test_what_it_was_sent_and_what_it_measured_is_a_log(signed, driving, tmp_path) -> None:
     """Read back, commands and angles are those of the wire, by signs and zeros of the channels; nothing is amiss."""
@@ -427,6 +439,7 @@ def test_what_it_was_sent_and_what_it_measured_is_a_log(signed, driving, tmp_pat
         LinkLog(tmp_path / "robot.csv", channels, both.body.robot, both.clock)
 
 
+@pytest.mark.release
 def test_a_log_on_a_full_disk_is_told_and_the_drive_goes_on(driving, monkeypatch, tmp_path) -> None:
     class Full(io.BytesIO):
         fileno = staticmethod(lambda: 0)
@@ -444,6 +457,7 @@ def test_a_log_on_a_full_disk_is_told_and_the_drive_goes_on(driving, monkeypatch
     assert driving.failures() == [f"{tmp_path / 'robot.csv'}: the log cannot be written (No space left on device)."]
 
 
+@pytest.mark.release
 def test_stamps_of_a_robot_are_the_times_of_what_it_measured(driving, tmp_path) -> None:
     """However late its messages come: what is lost or overtaken is missing, and the others are 10 ms apart."""
     both = Together(driving, delay=0.05, loss=0.02)
@@ -483,6 +497,7 @@ def test_a_drive_is_judged_in_sentences(driven, factor, sentences) -> None:
     assert not any("{" in each or "None" in each for each in driven.sentences())
 
 
+@pytest.mark.release
 def test_sentences_of_both_sides(driving) -> None:
     both = Together(driving)
     both.measured.receive("garbage")
@@ -495,6 +510,7 @@ def test_sentences_of_both_sides(driving) -> None:
     assert re.fullmatch(r"\d+ commands were taken, the last one \d\.\d s before the end\.", taken)
 
 
+@pytest.mark.release
 @pytest.mark.parametrize("heard", [False, True])
 def test_a_robot_that_says_nothing_is_told_at_the_start(heard, driving, monkeypatch, tmp_path) -> None:
     """And in the end, by the exit code; the log is there all the same."""

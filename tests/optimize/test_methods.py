@@ -174,6 +174,7 @@ def test_the_command_searches_keeps_and_draws(tmp_path):
     assert "4 evaluations per batch" in call("search", path, "--out", out, "--engine", "c", "--dry-run")
 
 
+@pytest.mark.release(cases=("spec1-names1",))
 @pytest.mark.parametrize(("spec", "names"), [(FRONT, ("front", "hypervolume")), (ATLAS, ("atlas", "coverage"))])
 def test_fronts_and_atlases_are_drawn(spec, names, tmp_path):
     needs("pymoo", "ribs")

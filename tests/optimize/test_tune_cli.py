@@ -75,6 +75,7 @@ def test_options_stand_for_fields_of_the_file(fakes: dict[str, Any], spec: Path,
     assert fakes["walker"].batches == [(272, False)]
 
 
+@pytest.mark.release
 def test_tune_prints_start_and_best_as_people_read_them(fakes: dict[str, Any], spec: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     result = call("tune", spec, "--out", out)
@@ -136,6 +137,7 @@ def test_failures_and_wrong_use_have_their_exit_codes(fakes: dict[str, Any], spe
     assert "choose other starts or bounds" in fell.stderr
 
 
+@pytest.mark.release
 @pytest.mark.usefixtures("fakes")
 def test_a_directory_of_a_removed_method_names_its_replacement(spec: Path, tmp_path: Path) -> None:
     """A tuning by CMA-ES, which an earlier release began: one sentence each, and nothing changes."""

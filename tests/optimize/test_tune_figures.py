@@ -208,6 +208,7 @@ def test_many_starts_are_thinned_and_the_best_is_among_them():
 # --- the landscape behind the paths
 
 
+@pytest.mark.release
 def test_the_landscape_is_walked_once_in_one_batch(drawn):
     """17 x 16 walks of both parameters, the circle's end being its beginning; values are the objective's."""
     result, walker = drawn

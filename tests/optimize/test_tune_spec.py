@@ -260,6 +260,7 @@ def test_the_tunings_of_the_repository_are_valid(path):
     assert Tuning.from_text(tuning.to_yaml()) == tuning
 
 
+@pytest.mark.release
 def test_a_dry_run_refuses_the_recording_that_the_run_refuses(tmp_path: Path) -> None:
     shared_simulator(engine="c").run({}, Run(duration=0.2), record=True).recording().save(tmp_path / "short.npz")
     (tmp_path / "text.npz").write_text("no recording")

@@ -73,6 +73,7 @@ def test_the_objective_is_the_speed_that_a_sweep_measures(tuned, simulator):
     assert result.best["objective"] == pytest.approx(-10 * result.best["metrics"]["speed"], rel=1e-6)
 
 
+@pytest.mark.release
 def test_the_gradient_at_the_start_is_that_of_the_c_engine(tuned, simulator):
     """Of C's walks 0.02 rad apart, which leaves 0.1 % of curvature."""
     _, history = tuned
@@ -84,6 +85,7 @@ def test_the_gradient_at_the_start_is_that_of_the_c_engine(tuned, simulator):
     assert found == pytest.approx(slopes, rel=0.1)
 
 
+@pytest.mark.release
 @pytest.mark.parametrize("after", [1, 3])
 def test_a_tuning_that_was_stopped_ends_as_one_that_was_not(tuned, problem, tmp_path, after):
     """Bit for bit, gradients included."""

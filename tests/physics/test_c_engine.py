@@ -192,6 +192,7 @@ def test_a_run_measures_all_of_its_time(on_threads, run: Run, duration: float) -
         assert_same_run(found, 1, plain, kept)
 
 
+@pytest.mark.release
 def test_worlds_that_rest_do_not_change_the_others(simulator, walks) -> None:
     """Retired after different times, among others that go on."""
     sim = simulator(spine="stride_extension")

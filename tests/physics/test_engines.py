@@ -44,6 +44,7 @@ def test_c_engine_equals_one_mj_step_at_a_time(simulator):
             np.testing.assert_array_equal(data.qpos, trace.qpos[world, tick])
 
 
+@pytest.mark.release
 def test_a_world_that_diverges_is_flagged_and_leaves_the_others_alone(simulator, tmp_path, monkeypatch, capfd):
     """A world whose numbers are lost half-way is flagged and keeps what it had measured; its neighbour goes on."""
     sim = simulator(spine="stride_extension")
@@ -63,6 +64,7 @@ def test_a_world_that_diverges_is_flagged_and_leaves_the_others_alone(simulator,
     assert broken.loop_state.metrics.time[1] == pytest.approx(0.75, abs=0.03)  # measured from 1.25 s to 2.0 s
 
 
+@pytest.mark.release
 def test_new_values_never_recompile_on_the_c_engine(simulator, compilations):
     """After one run of a batch size, other values of any parameter, also of the body, compile nothing."""
     sim = simulator(spine="stride_extension")
@@ -152,7 +154,7 @@ def test_mjx_varies_the_body_within_a_batch_as_c_does(simulator, compilations):
     assert not np.array_equal(others.metrics["speed"], mjx["speed"])
 
 
-@pytest.mark.release(cases=("mjx",))
+@pytest.mark.release
 @pytest.mark.parametrize("engine", ["c", "mjx"])
 def test_a_run_that_may_end_early_measures_its_last_tick(walks, simulator, engine: str) -> None:
     """Whatever is beside it: runs that end within the same tick, the last one of a block, or later ones."""

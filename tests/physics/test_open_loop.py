@@ -140,6 +140,7 @@ def test_states_are_those_of_mujoco() -> None:
         np.testing.assert_allclose(states.act[t + 1], data.act, atol=1e-12)
 
 
+@pytest.mark.release
 def test_all_transformations_agree_and_a_batch_is_one_call() -> None:
     model = mujoco.MjModel.from_xml_string(MODELS["a box on the ground"])
     qpos, qvel, _, ctrl = moved(model, 8)

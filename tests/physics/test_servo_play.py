@@ -118,6 +118,7 @@ def test_servos_of_either_end_of_their_ranges_can_be_simulated(simulator):
     assert (result.metrics["charge"] >= 0.0).all()
 
 
+@pytest.mark.release
 def test_the_battery_changes_nothing_but_its_time(simulator):
     """Run time is its capacity over what servos and electronics draw."""
     run = Run(duration=0.5, warmup=0.0)
@@ -127,6 +128,7 @@ def test_the_battery_changes_nothing_but_its_time(simulator):
     np.testing.assert_allclose(found["battery_time"], 3600.0 * np.array([1.0, 0.5]) / drawn, rtol=1e-5)
 
 
+@pytest.mark.release
 def test_the_profile_as_built_is_its_values_named(simulator):
     """It walks as the default does with the controller's and the body's values named, and values named override it."""
     run = Run(duration=1.0, warmup=0.0)

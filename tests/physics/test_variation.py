@@ -105,6 +105,7 @@ def test_which_fields_vary_depends_on_names_alone():
     assert set(varied(robot, {"mass.front": np.array([0.2])}, 1)) == {"body_mass", "body_inertia"}
 
 
+@pytest.mark.release(cases=("maze",))
 @pytest.mark.parametrize("scene", ["flat", "maze"])
 def test_contact_parameters_reach_what_they_name(scene):
     """Solref and solimp of soles and tail on the ground change world by world, and friction of each kind of pair."""

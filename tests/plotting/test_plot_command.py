@@ -117,6 +117,7 @@ def test_columns_of_choice(sweep: Path, tmp_path: Path) -> None:
     assert all(name.startswith("roll_std") for name in content(tmp_path / "b"))
 
 
+@pytest.mark.release
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [

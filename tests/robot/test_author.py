@@ -54,6 +54,7 @@ def commanded(gait: str, frequency: float, extends: int, offset: int, gain: floa
     return np.column_stack([np.interp(at, np.asarray(states.time) + 0.003, column) for column in ours.T])
 
 
+@pytest.mark.release(cases=("trt-0.5-0-0", "lat-0.8-1-1"))
 @pytest.mark.parametrize("case", CASES, ids=lambda case: "-".join(map(str, case)))
 def test_the_servos_are_commanded_as_by_the_authors_controller(case):
     """40 commands, sampled: legs within 1 degree rms and within half a tick of his against the spine.
@@ -136,6 +137,7 @@ def test_the_neutral_feet_are_where_his_model_has_them():
     assert errors[1].min() > 1.5e-3
 
 
+@pytest.mark.release
 @pytest.mark.parametrize(("built", "lifted", "margin"), [(True, 1, -0.0031), (False, 2, 0.0031)])
 def test_bent_to_the_left_the_robot_stands_on_the_side_of_the_diagonal_on_which_his_does(built, lifted, margin):
     """The centre of mass is behind the diagonal from front left to rear right, by 3.1 mm in his model, 2.6 mm here, and

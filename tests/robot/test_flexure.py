@@ -114,6 +114,7 @@ def test_the_standing_robot_is_the_same_with_chains():
     assert np.shape(chained.joints.knee) == (4, 4)
 
 
+@pytest.mark.release
 def test_a_knees_angle_is_the_sum_over_its_hinges():
     """The sensors' reading, and where the closed form of the leg has the foot: within 0.1 mm in a bent pose."""
     robot = load_robot("nermo_41", hinges=3)

@@ -225,6 +225,7 @@ def test_a_file_says_where_a_wrong_scene_stands(wrong):
 # --- where the ground is
 
 
+@pytest.mark.release
 def test_the_robot_starts_on_what_is_beneath_it():
     """On the raised floor, and on the step: the deepest contact is as deep as on the flat, wherever it starts."""
     simulator = shared_simulator(Setup(scene=YARD), "c")

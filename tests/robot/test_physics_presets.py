@@ -165,6 +165,7 @@ def test_no_time_constant_is_lengthened_without_a_word(physics):
         assert np.all(getattr(model, name)[:, 0] >= 2 * model.opt.timestep), name
 
 
+@pytest.mark.release
 def test_tendons_of_fast_yield_as_the_docs_say():
     """A tenth further under the same pull than those of `reference`: most of it is their onset, not their stiffness."""
     yields = {}

@@ -92,7 +92,7 @@ def test_the_spiral_stair_rises_along_its_circle_and_gates_alternate():
     np.testing.assert_allclose((left + right)[:2] / 2, gates(TerrainShape(**TERRAINS["slalom"].defaults))[0])
 
 
-@pytest.mark.release(cases=("rough", "ramp", "spiral_stairs", "slalom"))
+@pytest.mark.release
 @pytest.mark.parametrize("scene", TERRAINS)
 def test_a_world_of_a_batch_stands_on_its_own_ground(scene):
     """Dropped ahead of the start, two worlds of a batch end where the robot does in a model of each alone."""

@@ -62,6 +62,7 @@ def test_a_checkpointed_scan_is_a_scan(length):
     np.testing.assert_allclose(jax.grad(total)(start, ours), jax.grad(total)(start, plain), rtol=1e-4, atol=1e-7)
 
 
+@pytest.mark.release
 def test_a_rollout_in_float64_does_not_see_that_float32_was_there_before(simulator):
     """JAX keeps what it made of a NumPy array; arrays of the model that both precisions read must not be mixed up."""
     values = {"spine.amplitude": np.array([0.2])}

@@ -653,7 +653,7 @@ def _derivative(on_line: bool) -> Any:
     return jax.jit(lambda at, towards: jax.jvp(lambda *at: run(*at)[0], at, towards))
 
 
-@pytest.mark.release(cases=("0-False-False", "0-False-True"))
+@pytest.mark.release(cases=("0-False-False", "0-False-True", "0-True-False", "0-True-True"))
 @pytest.mark.parametrize("on_line", [True, False])
 @pytest.mark.parametrize("whole_ticks", [False, True])
 @pytest.mark.parametrize("seed", range(4))
@@ -718,7 +718,7 @@ def _jacobian(on_line: bool) -> Any:
     return jax.jit(jax.jacrev(lambda *at: run(*at)[0], argnums=(0, 1, 2)))
 
 
-@pytest.mark.release(cases=("at rest-True", "at rest-False"))
+@pytest.mark.release(cases=("at rest-True", "at rest-False", "all readings zero-True", "all readings zero-False"))
 @pytest.mark.parametrize("on_line", [True, False])
 @pytest.mark.parametrize("name", DEGENERATE)
 def test_derivatives_are_finite(name, on_line):
@@ -854,6 +854,7 @@ def test_an_absurd_speed_is_a_divergence():
     assert result["duration"] == pytest.approx(0.49)
 
 
+@pytest.mark.release
 def test_every_metric_has_a_unit_and_a_meaning():
     """What `result` returns is what `METRICS` describes."""
     result, _ = measure(stream(11))

@@ -111,6 +111,7 @@ def test_reductions_are_those_of_numpy() -> None:
     assert found == pytest.approx({name: float(value) for name, value in expected.items()}, rel=1e-5, abs=1e-6)
 
 
+@pytest.mark.release
 def test_a_metric_of_a_stride_is_reduced_from_touch_down_to_touch_down() -> None:
     """Mean, deviation and coefficient of variation over the strides of the foot that is named, by NumPy."""
     ticks, period, stance = 401, 100, 60
@@ -217,6 +218,7 @@ def test_a_metric_of_ones_own_has_the_derivative_of_the_engine_c(shake: Path) ->
     assert float(slope) == pytest.approx((high - low) / (2 * eps), rel=1e-3)
 
 
+@pytest.mark.release
 @pytest.mark.usefixtures("shared_simulators")
 def test_a_walk_prints_its_own_metrics(shake: Path) -> None:
     words = ["walk", "--engine", "c", "--duration", "0.1", "--warmup", "0.02", "--metrics", str(shake)]

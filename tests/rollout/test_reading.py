@@ -44,7 +44,7 @@ def test_entries_count_that_something_returned_depends_on(function: Any, expecte
     assert np.flatnonzero(read_entries(program, 6)).tolist() == list(expected)
 
 
-@pytest.mark.release(cases=("names3", "names2", "names1", "names0"))
+@pytest.mark.release
 @pytest.mark.parametrize("names", [("position",), ("velocity", "touch"), ("orientation",), (), tuple(PLACES)])
 def test_sensors_that_are_read_have_their_values_and_places(names: tuple[str, ...]) -> None:
     """After a step with contact, as if all were computed; the others read zero."""

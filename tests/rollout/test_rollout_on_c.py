@@ -146,6 +146,7 @@ def test_all_transformations_agree_to_the_last_bit(walk: Rollout) -> None:
     np.testing.assert_array_equal(path, [point, step(point), step(step(point))])
 
 
+@pytest.mark.release
 def test_only_what_is_differentiated_costs_walks(walk: Rollout, monkeypatch: pytest.MonkeyPatch) -> None:
     simulator, counts = walk._differences._simulator, []
     run = simulator.run_batch
@@ -159,6 +160,7 @@ def test_only_what_is_differentiated_costs_walks(walk: Rollout, monkeypatch: pyt
     assert counts == [3, 15, 1]
 
 
+@pytest.mark.release
 def test_the_path_is_differentiable_and_as_the_metrics_are(walk: Rollout) -> None:
     def ends(amplitude):
         metrics, path = walk.record({"frequency": 0.8, "spine.amplitude": amplitude, "spine.phase": -0.5})

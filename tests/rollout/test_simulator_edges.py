@@ -95,6 +95,7 @@ def test_a_servo_past_the_bound_does(timestep: float, kp: float) -> None:
     assert servo_jump(kp, 1.3 * float(highest_kv(timestep, kp)), timestep, **damped) > 0.5
 
 
+@pytest.mark.release
 def test_a_world_whose_solver_often_stopped_early_says_so(simulator: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """In more than one step of a thousand of its own."""
     walking = simulator()

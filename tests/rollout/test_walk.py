@@ -67,7 +67,7 @@ def test_zero_stride_stays_in_place(simulator):
     assert abs(standing) < 0.1 * walking
 
 
-@pytest.mark.release(cases=("mix", "leg"))
+@pytest.mark.release
 @pytest.mark.parametrize("steering", ["leg", "spine", "mix"])
 def test_positive_turn_rate_turns_left_and_negative_right(simulator, steering):
     """Every strategy follows the one sign convention: positive is left for both yaw and path, and right mirrors
@@ -126,6 +126,7 @@ def test_servos_turn_no_faster_than_their_speed(simulator):
     assert result.metrics["speed"][0] < 0.9 * result.metrics["speed"][1]
 
 
+@pytest.mark.release
 def test_the_published_lag_shortens_the_stride(simulator):
     """Closing 11 % of the foot error a tick, at one clock, walks slower than exact tracking."""
     result = simulator(gait="trot").run({"frequency": 0.8, "tracking.foot_gain": np.array([1.0, 0.11])}, LONG)

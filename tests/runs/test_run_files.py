@@ -37,7 +37,7 @@ def heavy(form: str) -> bytes:
     return stream.getvalue()
 
 
-@pytest.mark.release(cases=("plain", "dictionary"))
+@pytest.mark.release
 @pytest.mark.parametrize("form", ["dictionary", "large", "plain"])
 def test_texts_count_by_what_they_unpack_to(form: str, tmp_path: Path) -> None:
     content = heavy(form)

@@ -65,6 +65,7 @@ def test_the_ticks_of_a_sweep_have_a_limit(tmp_path: Path) -> None:
         run_sweep(spec | {"run": {"duration": 1.0}}, tmp_path, chunk=100_000, simulator=FakeSimulator())
 
 
+@pytest.mark.release
 def test_yaml_has_a_limit_of_values_and_of_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def refused(text: str, reason: str) -> None:
         with pytest.raises(SpecError, match=reason):

@@ -64,7 +64,7 @@ def test_the_shipped_files_are_valid(schemas, path):
     assert faults(schemas[kind_of(path)], read_file(path).data) == []
 
 
-@pytest.mark.release(cases=("train_own", "train_terrains"))
+@pytest.mark.release(cases=("train_own", "train_terrains", "atlas", "search_published_gait"))
 @pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
 def test_resolved_files_are_valid(schemas, path):
     """So are those that results hold, with all defaults written out."""

@@ -108,6 +108,7 @@ def test_a_tuning_a_search_and_a_training_take_units():
     assert training.task.set["frequency"] == 0.8
 
 
+@pytest.mark.release
 def test_a_trainings_task_and_scenes_take_units_and_editors_know_it():
     """Sensing is a training's own: no sweep knows its parameters."""
     text = "task: {{episode_length: {}, corridor: {}, set: {{sensing.delay: {}}}}}\nscenes:\n- {{scene: flat}}\n"
@@ -195,6 +196,7 @@ def test_python_takes_units(simulator):
             wrong()
 
 
+@pytest.mark.release
 def test_commands_take_units(tmp_path):
     """A table of servo angles by options in units is that in SI numbers."""
     tables = []

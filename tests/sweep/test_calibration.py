@@ -89,6 +89,7 @@ def page() -> str:
     return "\n".join(lines)
 
 
+@pytest.mark.release
 @pytest.mark.parametrize("what", ["pairs", "sides"])
 def test_intervals_hold_the_truth_as_often_as_they_say(what: str) -> None:
     """At least 93 of 100 times. More than 97 where noise dominates: it is a lower bound for the spread of few variants;

@@ -402,6 +402,7 @@ def test_structures_of_a_sweep_pair_and_a_parameter_of_one_of_them_makes_groups(
     assert same["difference"] == same["low"] == same["high"] == 0  # the same draws, and an amplitude that is not named
 
 
+@pytest.mark.release
 def test_a_file_asks_for_its_comparison(tmp_path: Path) -> None:
     """Summary, table and figures have it; `plot` makes the same bytes, and it may be asked for later."""
     spec = RANDOM | {"compare": {"by": "spine.amplitude", "for": ["frequency"]}}

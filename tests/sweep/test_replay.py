@@ -107,6 +107,7 @@ def test_every_row_of_a_sweep_is_repeated_bit_for_bit(walks: Path) -> None:
     assert len(parts) == 3
 
 
+@pytest.mark.release
 def test_the_recording_is_of_the_walk_that_the_table_measured(walks: Path, tmp_path: Path) -> None:
     """It starts where the row starts, ends with the run, and between its times lies the table's distance."""
     for row in (0, 1):
@@ -123,6 +124,7 @@ def test_the_recording_is_of_the_walk_that_the_table_measured(walks: Path, tmp_p
         assert recording.metadata["metrics"]["distance"] == stored["distance"]
 
 
+@pytest.mark.release
 def test_a_run_that_ends_at_a_distance_is_repeated_and_its_recording_ends_there(tmp_path: Path) -> None:
     """Ten simulated seconds are allowed; the distance takes less than three."""
     spec = {

@@ -85,6 +85,7 @@ def test_the_sweep_itself_finds_them(out: Path) -> None:
     assert pq.read_table(out / "sensitivity.parquet").num_rows == len(about["indices"]) == 9
 
 
+@pytest.mark.release
 def test_a_given_sample_tells_the_first_indices(tmp_path: Path) -> None:
     """By RBD-FAST, called by its name, with the sentence that interactions are not known."""
     run_sweep(SPEC | {"sample": {"latin_hypercube": 2000}, "chunk": 2000}, tmp_path, simulator=Ishigami())

@@ -144,6 +144,7 @@ def test_a_full_disk_is_seen_before_the_work(tmp_path: Path, monkeypatch: pytest
     assert not list((tmp_path / "results").iterdir())
 
 
+@pytest.mark.release
 def test_what_a_simulator_saves_is_its_recording_at_a_rate() -> None:
     """Worlds of two lengths, one a quarter of the control rate, blocks that begin between two samples."""
     saving = Saving(("front_left_foot_velocity", "spine_ctrl", "qvel_root_z", "yaw", "speed"), 100 / 3)

@@ -45,6 +45,7 @@ def test_three_parameters_give_a_heat_map_for_each_pair(grid):
     assert len(np.unique(picture.reshape(-1, picture.shape[2]), axis=0)) > 30  # not blank
 
 
+@pytest.mark.release
 def test_axes_carry_shown_units_and_panels_their_value(grid):
     """Angles in degrees, speeds in mm/s, and one panel for each frequency."""
     text = grid["speed-over-spine.amplitude-and-spine.phase.svg"].read_text()

@@ -172,6 +172,7 @@ def test_feet_over_the_ground_are_thick_where_they_bear_a_load(recording: Record
         np.testing.assert_allclose(np.diff(way.get_xdata()), 1.0, atol=1e-6)
 
 
+@pytest.mark.release
 def test_the_leg_frame_is_that_of_the_leg_kinematics(recording: Recording) -> None:
     """A model's leg at taut servo angles has its foot where the closed form has it, however the torso stands."""
     robot = load_robot()

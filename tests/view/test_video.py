@@ -160,6 +160,7 @@ def test_the_camera_follows_a_steady_walk_without_lag_and_without_shaking() -> N
     assert np.abs(smooth_path(shaken, 1 / 50) - steady)[25:-25].max() < 0.001
 
 
+@pytest.mark.release
 @pytest.mark.usefixtures("drawing")
 def test_side_by_side_shows_both_in_step_with_captions_and_ways(model: mujoco.MjModel, tmp_path: Path) -> None:
     slow, fast = walk(model, seconds=2.0, speed=0.1), walk(model, seconds=1.0, speed=0.2)

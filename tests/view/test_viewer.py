@@ -290,6 +290,7 @@ def test_the_command_writes_a_page(walk: Recording, tmp_path: Path) -> None:
     assert told == {"page": str(out), "bytes": out.stat().st_size, "samples": len(walk.time), "opened": False}
 
 
+@pytest.mark.release
 def test_the_command_opens_a_browser_where_there_is_one(
     walk: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
