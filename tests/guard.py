@@ -1,10 +1,12 @@
-"""The limits of the default run: programs that a test creates, shared setups, and memory of a process.
+"""The limits of the default run: programs that the tests of a file create, shared setups, and memory of a process.
 
-A program is a function that JAX compiles or reads from its cache, so that the number of programs is the same on every
-machine. A test of the default run creates at most `MOST_PROGRAMS`. The programs of a fixture of a module or a session,
-and the programs of the shared simulators, count for this setup instead, and the default run contains at most
-`MOST_SETUPS` of them. With `CI` in the environment a violation is a failure, and each file starts without programs, so
-that the numbers do not depend on other files. Otherwise the end of the run lists them. It always lists CPU times.
+A program is a function that JAX compiles or reads from its cache: the number of programs is the same on every machine.
+The first test that uses a program creates it. Therefore the guard adds the programs of a file, and allows
+`MOST_PROGRAMS` for each of its test functions: the sum does not depend on the order of the tests. The programs of a
+fixture of a module or a session, and the programs of a shared simulator, count for this setup instead, and the default
+run contains at most `MOST_SETUPS` setups. With `CI` in the environment a violation is a failure, and each file starts
+without programs, so that the sum does not depend on other files. Otherwise the end of the run lists the violations. It
+always lists the largest CPU times. Tests marked `release` or `long` do not count.
 """
 
 from __future__ import annotations
@@ -24,6 +26,7 @@ import jax
 import pytest
 
 ENFORCED: Final = bool(os.environ.get("CI"))
+#: Programs for each test function of a file, on average.
 MOST_PROGRAMS: Final = 8
 MOST_SETUPS: Final = 12
 #: CPU time of a test, and of a test function with all its cases, that the end of a run lists [s].
@@ -40,9 +43,11 @@ PEAK: Final = pytest.StashKey[int]()
 #: Programs and CPU seconds of the running test, which is "", and of the shared setups that it creates.
 _programs: collections.Counter[str] = collections.Counter()
 _seconds: collections.Counter[str] = collections.Counter()
-_owners, _read, _file = [""], [0.0], [Path()]
+_owners, _read = [""], [0.0]
+#: The running file, and the programs of its tests so far.
+_file, _of_file = [Path()], dict[str, int]()
 #: In the process that collects reports: a value for each test, for each shared setup, and for each large process.
-_tests: dict[str, dict[str, float]] = {"programs": {}, "seconds": {}, "memory": {}}
+_tests: dict[str, dict[str, Any]] = {"programs": {}, "seconds": {}, "memory": {}}
 _setups: collections.Counter[str] = collections.Counter()
 
 
@@ -98,16 +103,35 @@ def by_default(item: pytest.Item) -> bool:
     return not (item.get_closest_marker("release") or item.get_closest_marker("long"))
 
 
+def ends_file(item: pytest.Item, following: pytest.Item | None) -> bool:
+    return following is None or following.path != item.path
+
+
+def too_many(programs: dict[str, int]) -> str:
+    """A sentence if these programs of the tests of a file are too many; else nothing."""
+    functions, created = {test.partition("[")[0] for test in programs}, sum(programs.values())
+    most = sorted(programs, key=lambda test: -programs[test])[:3]
+    return (
+        f"its default tests create {created} programs, more than {MOST_PROGRAMS} for each of {len(functions)} "
+        f"functions; most of them: {', '.join(f'{test} {programs[test]}' for test in most)}"
+        if created > MOST_PROGRAMS * len(functions)
+        else ""
+    )
+
+
 @pytest.hookimpl(wrapper=True, tryfirst=True)
 def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None) -> Generator[None, Any, Any]:
-    if ENFORCED and _file[0] != item.path:
-        jax.clear_caches()
-    _file[0], item.stash[PEAK] = item.path, peak_bytes()
+    if _file[0] != item.path:
+        _file[0] = item.path
+        _of_file.clear()
+        if ENFORCED:
+            jax.clear_caches()
+    item.stash[PEAK] = peak_bytes()
     _charge()
     _programs.clear()
     _seconds.clear()
     result = yield
-    if (nextitem is None or nextitem.path != item.path) and resident_bytes() > FREED_BYTES:
+    if ends_file(item, nextitem) and resident_bytes() > FREED_BYTES:
         free()
     return result
 
@@ -121,27 +145,23 @@ def pytest_fixture_setup(fixturedef: Any, request: Any) -> Generator[None, Any, 
 
 
 @pytest.hookimpl(wrapper=True)
-def pytest_runtest_call(item: pytest.Item) -> Generator[None, Any, Any]:
-    result = yield
-    if ENFORCED and by_default(item) and _programs[""] > MOST_PROGRAMS:
-        pytest.fail(
-            f"The test creates {_programs['']} programs, more than {MOST_PROGRAMS}: compile whole functions with "
-            "jax.jit, share the programs through a fixture of the module or the session, or mark the test `release`.",
-            pytrace=False,
-        )
-    return result
-
-
-@pytest.hookimpl(wrapper=True)
-def pytest_runtest_teardown(item: pytest.Item) -> Generator[None, Any, Any]:
+def pytest_runtest_teardown(item: pytest.Item, nextitem: pytest.Item | None) -> Generator[None, Any, Any]:
     _charge()
     if by_default(item):
+        _of_file[item.name] = _programs[""]
         item.user_properties.append(("limits", [dict(_programs), _seconds[""]]))
     result = yield
+    wrong = []
+    if ends_file(item, nextitem) and (many := too_many(_of_file)):
+        wrong.append(
+            f"{item.path.name}: {many}. Compile whole functions with jax.jit, share programs through a fixture of the "
+            "module or the session, or mark tests `release`."
+        )
     if (peak := peak_bytes()) > max(MOST_BYTES, item.stash[PEAK]):
         item.user_properties.append(("memory", peak / GIB))
-        if ENFORCED:
-            pytest.fail(f"The process takes {peak / GIB:.1f} GiB, more than {MOST_BYTES / GIB:g} GiB.", pytrace=False)
+        wrong.append(f"The process takes {peak / GIB:.1f} GiB, more than {MOST_BYTES / GIB:g} GiB.")
+    if ENFORCED and wrong:
+        pytest.fail("\n".join(wrong), pytrace=False)
     return result
 
 
@@ -157,12 +177,14 @@ def pytest_runtest_logreport(report: pytest.TestReport) -> None:
 
 def _lists() -> Iterator[str]:
     """What exceeds its limit, the largest first."""
-    functions: collections.Counter[str] = collections.Counter()
+    functions, files = collections.Counter[str](), collections.defaultdict[str, dict[str, int]](dict)
     for test, seconds in _tests["seconds"].items():
         functions[test.partition("[")[0]] += seconds
+        file, _, name = test.partition("::")
+        files[file][name] = _tests["programs"][test]
+    yield from (f"{file}: {many}" for file, programs in files.items() if (many := too_many(programs)))
     setups = _setups if len(_setups) > MOST_SETUPS else {}
     kinds: list[tuple[str, Any, float]] = [
-        (f"tests of more than {MOST_PROGRAMS} programs", _tests["programs"], MOST_PROGRAMS),
         (f"more than {MOST_SETUPS} shared setups, with their programs", setups, 0),
         (f"tests after which a process took more than {MOST_BYTES / GIB:g} GiB", _tests["memory"], 0),
         (f"tests of more than {TEST_SECONDS:g} s of CPU time", _tests["seconds"], TEST_SECONDS),

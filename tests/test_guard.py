@@ -28,41 +28,51 @@ def setup(request):
     programs(20)
 
 def test_few(setup):
-    programs(8)
+    programs(2)
 
-def test_many():
-    programs(9)
+def test_shared():
+    programs(FEW)
+    [each(1.0) for each in lazy]
 
 @pytest.mark.release
 def test_released():
-    programs(9)
+    programs(90)
 
-def test_first():
-    programs(2)
+@pytest.mark.parametrize("case", range(3))
+def test_shared_again(case):
     [each(1.0) for each in lazy]
 """
 
 
 @pytest.mark.release
-@pytest.mark.parametrize("setups", [1, 2])
-def test_ci_fails_for_many_programs_and_for_many_setups(setups: int, tmp_path: Path) -> None:
-    """Of two files with the same tests, each starts without programs: the order of the files changes nothing."""
-    (tmp_path / "conftest.py").write_text(f"import guard; guard.MOST_SETUPS = {2 * setups - 1}\n")
-    for name in ("a", "b")[:setups]:
-        (tmp_path / f"test_{name}.py").write_text(TESTS)
+@pytest.mark.parametrize("few", [14, 15])
+def test_ci_fails_for_many_programs_and_for_many_setups(few: int, tmp_path: Path) -> None:
+    """Of two files with the same programs, each has its own; the cases of a fixture are two setups."""
+    (tmp_path / "conftest.py").write_text("import guard; guard.MOST_SETUPS = 3\n")
+    for name in ("a", "b"):
+        (tmp_path / f"test_{name}.py").write_text(TESTS.replace("FEW", str(few)))
     done = subprocess.run(
-        [sys.executable, "-m", "pytest", "-p", "guard", "-p", "no:cacheprovider", "-rf", tmp_path],
+        [sys.executable, "-m", "pytest", "-p", "guard", "-p", "no:cacheprovider", "-rE", tmp_path],
         env=os.environ | {"CI": "1", "PYTHONPATH": os.pathsep.join(sys.path)},
         cwd=tmp_path,
         capture_output=True,
         text=True,
         check=False,
     )
-    failed = [line.split()[1] for line in done.stdout.splitlines() if line.startswith("FAILED")]
-    assert failed == [f"test_{name}.py::test_many" for name in ("a", "b")[:setups]], done.stdout
-    assert "The test creates 9 programs, more than 8" in done.stdout
-    assert f"more than {2 * setups - 1} shared setups, with their programs: {2 * setups}" in done.stdout
+    assert done.returncode == 1
+    many = "its default tests create 25 programs, more than 8 for each of 3 functions; most of them: test_shared 21, "
+    assert [f"\ntest_{name}.py: {many}" in done.stdout for name in ("a", "b")] == [few == 15] * 2, done.stdout
+    assert ("2 errors" in done.stdout) == (few == 15)
+    assert "more than 3 shared setups, with their programs: 4" in done.stdout
     assert "  20 test_a.py::setup[1]" in done.stdout
+
+
+def test_the_programs_of_a_file_count_in_any_order() -> None:
+    few = {"test_a": 20, "test_b[0]": 2, "test_b[1]": 2, "test_c": 0}
+    assert guard.too_many(few) == ""
+    assert guard.too_many(few | {"test_b[1]": 3}) == guard.too_many(
+        {"test_c": 0, "test_b[1]": 3} | few | {"test_b[1]": 3}
+    )
 
 
 def test_too_many_setups_fail_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -93,13 +103,14 @@ def test_programs_of_a_shared_setup_do_not_count_for_the_test(monkeypatch: pytes
 def test_a_process_that_becomes_too_large_fails_the_test_once(monkeypatch: pytest.MonkeyPatch) -> None:
     class Item:
         def __init__(self) -> None:
-            self.stash, self.user_properties = {guard.PEAK: before}, list[Any]()
+            self.stash, self.user_properties, self.name = {guard.PEAK: before}, list[Any](), "test"
+            self.path = Path("a")
 
         def get_closest_marker(self, _: str) -> None: ...
 
     def torn_down() -> Item:
         item: Any = Item()
-        generator = guard.pytest_runtest_teardown(item)
+        generator = guard.pytest_runtest_teardown(item, item)
         next(generator)
         with pytest.raises(StopIteration):
             generator.send(None)

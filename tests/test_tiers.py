@@ -8,9 +8,14 @@ from pathlib import Path
 
 import pytest
 import tiers
-from conftest import LONG, pytest_xdist_auto_num_workers
+from conftest import FIRST, LONG, TESTS, pytest_xdist_auto_num_workers
 
 from nermo_mjx import runtime
+
+
+def test_the_files_that_begin_first_are_files() -> None:
+    assert set(FIRST) <= {path.name for path in TESTS.rglob("test_*.py")}
+
 
 #: Modules whose tests are in another folder, because they show in the results of that folder only.
 ELSEWHERE = {
