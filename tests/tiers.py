@@ -9,6 +9,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
+import pytest
+
 from nermo_mjx.version import __version__
 
 #: When each test marked `long` last passed, null if it has not yet: `pytest -m long` writes it.

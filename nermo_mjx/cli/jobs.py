@@ -345,21 +345,17 @@ def _search_so_far(search: Search, done: Progress) -> str:
         return f"{done.numbers['cells']:,.0f} cells"
     if (cost := done.best) is None:
         return ""
-    from nermo_mjx.rollout import METRICS
-
     term = search.aim.objective.terms[0]
     if len(search.aim.objective.terms) > 1 or term.aim == "hold":
         return f"best {cost:.4g}"
     value = cost * term.scale / term.weight * (-1.0 if term.aim == "maximize" else 1.0)
-    return f"best {term.metric} {_with_unit(term.metric, METRICS[term.metric].unit, value)}"
+    return f"best {term.metric} {_with_unit(term.metric, search.sweep.metrics[term.metric].unit, value)}"
 
 
 def _print_search(result: SearchResult) -> None:
-    from nermo_mjx.rollout import METRICS
-
     best, search, rows = result.best, result.search, []
     units = {("parameters", name): search.sweep.parameters[name].unit for name in search.names}
-    units |= {("metrics", name): METRICS[name].unit for name in search.aim.metrics}
+    units |= {("metrics", name): search.sweep.metrics[name].unit for name in search.aim.metrics}
     for (kind, name), unit in units.items():
         (number,), shown = in_unit(name, unit, best[kind][name])
         rows.append([name, f"{number + 0.0:.4g}", shown])

@@ -29,6 +29,7 @@ from nermo_mjx.progress import COMPILING, ProgressBar, duration
 from nermo_mjx.rollout import Setup
 from nermo_mjx.runs import RunDirectory
 from nermo_mjx.runs.files import plain_json
+from nermo_mjx.sweep import Sweep
 from nermo_mjx.version import __version__
 
 pytestmark = pytest.mark.usefixtures("shared_simulators")

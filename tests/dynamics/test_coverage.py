@@ -45,7 +45,7 @@ KNOWN = {
 
 def unread() -> set[str]:
     """Fields of `MjModel` and `MjOption` that `mjx.Model` lacks, or that no line of MJX's step reads."""
-    home = Path(io.__file__).parent
+    home = Path(mjx.__file__).parent / "_src"
     others = ("types", "render", "render_util", "bvh", "test_util", "io", "inverse")
     text = "".join(
         each.read_text() for each in home.glob("*.py") if not each.stem.endswith("_test") and each.stem not in others

@@ -18,7 +18,7 @@ from fakes import wires
 from nermo_mjx import Setup, servo_table
 from nermo_mjx.hardware import connected, send_table
 from nermo_mjx.hardware.live import SendError
-from nermo_mjx.robot import LIMBS
+from nermo_mjx.robot import LIMBS, ParameterError
 
 ORDER = [f"{limb}_{servo}" for limb in LIMBS for servo in ("hip", "knee")]
 

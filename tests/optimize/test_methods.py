@@ -3,6 +3,7 @@
 
 import json
 import math
+import re
 import types
 
 import numpy as np
@@ -172,6 +173,26 @@ def test_the_command_searches_keeps_and_draws(tmp_path):
     assert "profile exact; 8 evaluations" in (out / "plots/convergence.svg").read_text()
     call("plot", out, "--x", "frequency", "--y", "speed", "--out", tmp_path / "chosen")
     assert "4 evaluations per batch" in call("search", path, "--out", out, "--engine", "c", "--dry-run")
+
+
+@pytest.mark.usefixtures("shared_simulators")
+@pytest.mark.release
+def test_the_command_searches_by_a_custom_metric(tmp_path):
+    """Its unit is the one that its file declares, while the search runs and at the end."""
+    (tmp_path / "shake.py").write_text(
+        "from nermo_mjx import metric\n\n\n"
+        '@metric(unit="rad/s", better="low", reduce="rms")\n'
+        "def shake(sensors):\n    return sensors.gyro[2]\n"
+    )
+    spec = {"run": {"duration": 0.2}, "metrics": str(tmp_path / "shake.py"), "plots": False, "budget": 4, "batch": 4}
+    spec |= {"vary": {"frequency": {"uniform": [0.6, 0.9]}}, "objective": {"minimize": "shake"}}
+    path, out = tmp_path / "search.yaml", tmp_path / "out"
+    path.write_text(Search.from_dict(spec).to_yaml())
+    ran = CliRunner().invoke(main, ["search", str(path), "--out", str(out), "--engine", "c"])
+    assert ran.exit_code == 0, ran.output
+    best = np.degrees(json.loads((out / "best.json").read_text())["metrics"]["shake"])
+    assert re.search(rf"^shake +{best:.4g} +deg/s$", ran.stdout, re.MULTILINE)
+    assert f"best shake {best:.4g} deg/s" in ran.stderr
 
 
 @pytest.mark.release(cases=("spec1-names1",))
