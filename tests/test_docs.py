@@ -193,9 +193,17 @@ WITH_EXAMPLES = sorted(
 )
 #: What runs for minutes, needs a directory or a GPU, or draws: notebooks and pages run them.
 ELSEWHERE = {
+    "find_row",
+    "identify_log",
+    "load_policy",
     "read_history",
+    "read_log",
     "read_table",
     "render",
+    "replay_row",
+    "run_training",
+    "trajectory",
+    "write_identification",
     "run_experiment",
     "run_experiments",
     "run_tuning",

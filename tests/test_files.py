@@ -393,13 +393,10 @@ OPENS = re.compile(
 #: Lines that do so outside of `nermo_mjx.files`: they write, or read what belongs to the package or to the system.
 NOT_READ_FOR_A_PERSON = {
     "cli/choices.py": 1,
-    "experiments/cases.py": 1,
-    "experiments/published.py": 1,
     "live/driving.py": 1,  # a journal is written
     "robot/parts.py": 2,
     "robot/scene.py": 1,  # MuJoCo, after all files of the scene were read here
     "runs/code.py": 2,
-    "runs/directory.py": 1,  # a lock
     "runs/files.py": 2,  # Parquet, of what was opened here
     "runtime.py": 1,
     "view/page.py": 1,

@@ -5,8 +5,7 @@ from __future__ import annotations
 import jax
 import mujoco
 import numpy as np
-from mujoco import mjx
-
+from nermo_mjx.dynamics import put_data, put_model
 from nermo_mjx.dynamics.impedance import with_rates
 from nermo_mjx.dynamics.rows import inner
 
@@ -41,8 +40,8 @@ def test_accelerations_of_connects_and_welds_are_second_differences_of_mujocos_r
     data.qvel[:] = velocity
     mujoco.mj_forward(model, data)
     with jax.enable_x64(True):
-        device = mjx.put_model(model)
-        before = mjx.put_data(model, data)
+        device = put_model(model)
+        before = put_data(model, data)
         after = jax.jit(lambda data: with_rates(device, data))(before)
         found = np.asarray(inner(before).efc_aref - inner(after).efc_aref)
     np.testing.assert_allclose(found[:9], expected, rtol=1e-5, atol=1e-5 * np.abs(expected).max())
