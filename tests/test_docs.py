@@ -197,7 +197,6 @@ ELSEWHERE = {
     "identify_log",
     "load_policy",
     "read_history",
-    "read_log",
     "read_table",
     "render",
     "replay_row",
