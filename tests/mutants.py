@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import argparse
 import ast
+import contextlib
 import csv
 import dataclasses
 import os
@@ -69,28 +70,25 @@ class Mutant:
         """Dotted name of the module."""
         return f"nermo_mjx.{self.file.removesuffix('.py').replace('/', '.')}"
 
-    def apply(self, root: Path) -> None:
-        """Write the fault into the copy of the repository at `root`."""
-        self._replace(root, self.old, self.new)
-
-    def revert(self, root: Path) -> None:
-        """Restore the module from the repository."""
-        (root / "nermo_mjx" / self.file).write_text((ROOT / "nermo_mjx" / self.file).read_text())
-        self._forget_bytecode(root)
-
-    def _replace(self, root: Path, old: str, new: str) -> None:
+    @contextlib.contextmanager
+    def applied(self, root: Path) -> Iterator[None]:
+        """The copy of the repository at `root` has the fault within this context."""
         path = root / "nermo_mjx" / self.file
         text = path.read_text()
-        if text.count(old) != 1:
-            raise ValueError(f"{self.file} contains {old.strip()!r} {text.count(old)} times: expected once.")
-        path.write_text(text.replace(old, new))
-        self._forget_bytecode(root)
+        if text.count(self.old) != 1:
+            raise ValueError(f"{self.file} contains {self.old.strip()!r} {text.count(self.old)} times: expected once.")
+        _write(path, text.replace(self.old, self.new))
+        try:
+            yield
+        finally:
+            _write(path, text)
 
-    def _forget_bytecode(self, root: Path) -> None:
-        """Python compares bytecode with a time in whole seconds and a size, which a mutant may not change."""
-        path = root / "nermo_mjx" / self.file
-        for compiled in (path.parent / "__pycache__").glob(f"{path.stem}.*.pyc"):
-            compiled.unlink(missing_ok=True)
+
+def _write(path: Path, text: str) -> None:
+    """Write a module. Its bytecode is removed, because Python recognizes it by a size and a time in whole seconds."""
+    path.write_text(text)
+    for compiled in (path.parent / "__pycache__").glob(f"{path.stem}.*.pyc"):
+        compiled.unlink(missing_ok=True)
 
 
 MUTANTS: Final[dict[str, Mutant]] = {
@@ -556,20 +554,20 @@ def kill(name: str, expressions: Sequence[str], nearest: bool, root: Path) -> di
     for expression in expressions:
         for arguments in selections(mutant, root, nearest):
             while True:
-                mutant.apply(root)
-                try:
+                with mutant.applied(root):
                     found = run_tests(root, arguments, expression, excluded)
-                finally:
-                    mutant.revert(root)
                 seconds += found.seconds
                 if not found.test:
                     break
                 # Only a test that passes without the mutant has found it.
-                if "::" in found.test:
-                    alone = run_tests(root, [found.test], expression, ())
+                if found.test.startswith("tests"):
+                    function = found.test.partition("[")[0]
+                    alone = run_tests(root, [function], expression, ())
                     seconds += alone.seconds
+                    if alone.test and (function in excluded or "::" not in function):
+                        raise RuntimeError(f"{function} fails without a mutant, too, and cannot be excluded.")
                     if alone.test:
-                        excluded.append(found.test)
+                        excluded.append(function)
                         continue
                 killed = {"killed": expression, "test": found.test, "test_seconds": f"{found.test_seconds:.1f}"}
                 return row | killed | {"seconds": f"{seconds:.0f}"}

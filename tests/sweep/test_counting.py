@@ -1,11 +1,13 @@
-"""Tests of nermo_mjx.sweep.counting: which runs of two sides are compared."""
+"""Tests of nermo_mjx.sweep.counting: which runs of two sides are compared, and intervals of their differences."""
 
 from __future__ import annotations
 
 import numpy as np
 import pandas as pd
+import pytest
+from scipy import stats
 
-from nermo_mjx.sweep.counting import matched
+from nermo_mjx.sweep.counting import matched, two_stage
 
 
 def side(*runs: tuple[int, int, float]) -> pd.DataFrame:
@@ -31,3 +33,26 @@ def test_a_lost_run_takes_its_partner_along_and_leaves_no_unpaired_run():
     base, other = side((0, 7, 1.0), (0, 8, 2.0)), side((0, 7, 4.0), (0, 8, 6.0))
     (first, second), paired = matched([base, other], [np.array([False, True]), np.full(2, True)])
     assert (first.speed.tolist(), second.speed.tolist(), paired.tolist()) == ([2.0], [6.0], [0])
+
+
+@pytest.mark.parametrize("variants", [2, 3, 8])
+def test_the_interval_over_variants_is_students_over_their_means(variants):
+    """Four runs of each variant have little noise, so that the spread of the variants' means decides."""
+    random = np.random.default_rng(variants)
+    values = np.repeat(random.normal(0.3, 1.0, variants), 4)[:, None] + random.normal(0.0, 1e-3, (4 * variants, 1))
+    cell = np.repeat(np.arange(variants), 4)
+    found = two_stage(values, cell, np.arange(variants))
+    means = values.reshape(variants, 4).mean(axis=1)
+    low, high = stats.t.interval(0.95, variants - 1, means.mean(), stats.sem(means))
+    assert (found.estimate[0], found.low[0], found.high[0]) == pytest.approx((means.mean(), low, high))
+    assert found.p[0] == pytest.approx(stats.ttest_1samp(means, 0.0).pvalue)
+
+
+def test_the_interval_of_one_variant_is_welchs():
+    """Five runs of each side: Welch's test, whose degrees of freedom are below those of equal spreads."""
+    random = np.random.default_rng(1)
+    base, other = random.normal(0.0, 1.0, 5), random.normal(2.0, 1.0, 5)
+    values = np.concatenate([other, -base])[:, None]
+    found = two_stage(values, np.repeat([0, 1], 5), np.zeros(2, int))
+    expected = stats.ttest_ind(other, base, equal_var=False).confidence_interval(0.95)
+    assert (found.low[0], found.high[0]) == pytest.approx((expected.low, expected.high))
