@@ -26,8 +26,9 @@ from scipy.stats import binomtest
 
 from nermo_mjx import Run, Setup, Simulator
 from nermo_mjx.experiments.log_identification import Identification, identify_log
-from nermo_mjx.experiments.log_twin import STANDS, NermoBody
+from nermo_mjx.experiments.log_twin import NermoBody
 from nermo_mjx.hardware.log import Channel, Log
+from nermo_mjx.hardware.twin import SETTLING
 from nermo_mjx.physics.variation import compile_model
 from nermo_mjx.robot import load_robot
 from nermo_mjx.robot.masses import mass_values
@@ -72,7 +73,7 @@ def nermo_log(values: dict[str, float], times: np.ndarray, commands: np.ndarray,
     data = mujoco.MjData(model)
     bias = np.array([values.get(f"bias.{servo}", 0.0) for servo in robot.servos])
     step = model.opt.timestep
-    settle, steps = round(STANDS / step), math.floor(times[-1] / step)
+    settle, steps = round(SETTLING / step), math.floor(times[-1] / step)
     gyro, acceleration = (model.sensor(name).adr[0] + np.arange(3) for name in ("gyro", "accelerometer"))
     servos = model.jnt_qposadr[model.actuator_trnid[:, 0]]
     torso = model.body("torso").id

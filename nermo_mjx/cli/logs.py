@@ -124,11 +124,13 @@ def compare_files(a: Path, b: Path, channels: Path | None) -> Output:
     return Output(content, lambda: print_differences(f"{b} minus {a}", found))
 
 
-def print_differences(title: str, found: Sequence[Difference]) -> None:
-    """Channels beside other ones, in units that people read."""
+def print_differences(title: str, found: Sequence[Difference], missing: Sequence[str] = ()) -> None:
+    """Channels beside other ones, in units that people read; `missing` are channels that the twin lacks."""
     rows = []
     for each in found:
         numbers, unit = in_unit("", each.unit, each.rms, each.bias, each.amplitude)
         row = [each.name, *(f"{round(number, 6) + 0.0:.3g}" for number in numbers), unit]
         rows.append([*row, str(round(1e3 * each.lag)), f"{each.correlation:.3f}"])
     print_table(title, "channel, RMS>, mean>, signal>, unit, lag [ms]>, correlation>", rows)
+    if missing:
+        click.echo(f"The twin has no signal of {', '.join(missing)}.")

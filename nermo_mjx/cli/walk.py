@@ -425,7 +425,7 @@ REPLAY_NEEDS = {
     "row": "a directory",
     "engine": "a directory or --commands LOG",
     **dict.fromkeys(("sweep", "controller"), "a recorded drive"),
-    **dict.fromkeys(("channels", "robot", "scene", "tail", "physics", "assignments"), "--commands LOG"),
+    **dict.fromkeys(("channels", "model", "robot", "scene", "tail", "physics", "assignments"), "--commands LOG"),
 }
 
 
@@ -433,6 +433,7 @@ REPLAY_NEEDS = {
 @click.argument("out", metavar="[DIR|FILE]", required=False, type=options.PATH)
 @text("--commands", "LOG", "Drive the twin by the commands of a robot's log.", type=options.FileKind(*LOGS))
 @log_channels
+@text("--model", "FILE.xml", "With --commands: drive the MJCF of another robot.", type=options.FileKind(".xml"))
 @options.body
 @options.set_any
 @number("--row", "Row of the table, from 0; not with a FILE.", int, metavar="N")
@@ -448,6 +449,7 @@ def replay_command(
     sweep: Path | None,
     controller: str | None,
     channels: Path | None,
+    model: Path | None,
     record: Path | None,
     video: Path | None,
     camera: str,
@@ -468,7 +470,8 @@ def replay_command(
 
     --commands LOG drives the twin, from standing, by what a robot was
     commanded, at its times. What the robot measured is laid beside what the
-    twin measures; the recording keeps both, for `view` and `plot`.
+    twin measures; the recording keeps both, for `view` and `plot`. With
+    --model, any MJCF is driven, and compared.
 
     Examples:
       nermo-mjx replay runs/quickstart --row 57 --video row57.mp4
@@ -477,6 +480,7 @@ def replay_command(
       nermo-mjx replay drive.npz --sweep drive.yaml
       nermo-mjx replay drive.jsonl --record drive.npz
       nermo-mjx replay --commands robot.csv --record twin.npz
+      nermo-mjx replay --commands arm.csv --model arm.xml
     """
     if (out is None) == (commands is None):
         raise WrongUse("Give a directory, a recorded drive, or --commands LOG.")
@@ -484,6 +488,8 @@ def replay_command(
     of_drive = out is not None and out.suffix in (".npz", ".jsonl")
     there = {"a directory": out and not of_drive, "a recorded drive": of_drive, "--commands LOG": commands}
     options.refuse_without(REPLAY_NEEDS, there | {"a directory or --commands LOG": not of_drive})
+    if commands is not None and model is not None:
+        return _replay_on_model(commands, channels, model)
     if commands is not None:
         return _replay_log(commands, channels, engine, body, saved)
     assert out is not None
@@ -543,14 +549,29 @@ def _replay_log(
     content = {**made.metadata, "log": file, "channels": [*map(dataclasses.asdict, found)], "not_simulated": missing}
 
     def show() -> None:
-        print_differences(
-            f"{file}, {log.duration:.4g} s: measured minus simulated, engine {made.metadata['engine']}", found
-        )
-        if missing:
-            click.echo(f"The twin has no signal of {', '.join(missing)}.")
+        title = f"{file}, {log.duration:.4g} s: measured minus simulated, engine {made.metadata['engine']}"
+        print_differences(title, found, missing)
         print_ending(made.metadata["metrics"])
 
     return Output(content, show, [each for each in (saved["record"], saved["video"]) if each])
+
+
+def _replay_on_model(file: Path, channels: Path | None, model: Path) -> Output:
+    """Drive any MJCF by a log's commands, and compare what was measured with it."""
+    from nermo_mjx.experiments.log_twin import replay_on_model
+    from nermo_mjx.hardware.signals import channel_differences, findings_of
+
+    for name, flag in options.given().items():
+        if name not in ("commands", "channels", "model", "as_json", "quiet"):
+            raise WrongUse(f"{flag} is for Nermo: it has no effect with --model.")
+    log = log_of(file, channels)
+    twin, notes = replay_on_model(log, model)
+    for sentence in (*findings_of(log), *notes):
+        say(sentence)
+    found, simulated = channel_differences(log, twin), [each.name for each in twin.channels]
+    missing = [each.name for each in log.channels if each.name not in simulated and each.quantity != "command"]
+    content = {"log": file, "model": model, "channels": [*map(dataclasses.asdict, found)], "not_simulated": missing}
+    return Output(content, lambda: print_differences(f"{file} minus {model}, {log.duration:.4g} s", found, missing))
 
 
 def _replay_drive(path: Path, sweep: Path | None, controller: str | None, saved: Mapping[str, Any]) -> Output:

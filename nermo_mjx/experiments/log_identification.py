@@ -233,9 +233,6 @@ def identify_log(
         if (least := min(counts)) < FEWEST:
             which = f"channel {seen.labels[counts.index(least)]!r} has {least} numbers in what is {part}"
             raise ParameterError(f"{which}: expected {FEWEST} at least; leave it out, or give a longer log.")
-    for log in (*logs, *judges):
-        if body.model.nu and not log.of_quantity("command"):
-            raise ParameterError(f"{log.file}: no channel is a command, by which the model could be driven.")
     # Starts are compared on a piece, where wrong ones are told from right ones as well.
     pieces = [until(log, min(log.duration, max(PIECE[0] * log.duration, PIECE[1]))) for log in heads]
     rough, tried = Estimation(space, twin(pieces, names), kept), list[tuple[np.ndarray, np.ndarray]]()

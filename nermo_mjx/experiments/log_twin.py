@@ -24,6 +24,7 @@ from mujoco.batch import Batch, SimulationError
 from nermo_mjx.experiments.cases import texts
 from nermo_mjx.experiments.determinacy import LoggedSamples, Parameter, without
 from nermo_mjx.hardware.log import Channel, Log
+from nermo_mjx.hardware.twin import SETTLING
 from nermo_mjx.physics.servo_play import Play, played, servo_addresses
 from nermo_mjx.physics.variation import Variation, moves_constants
 from nermo_mjx.robot import ModelParameters, ParameterError, load_robot
@@ -32,8 +33,7 @@ from nermo_mjx.robot.quantity import did_you_mean, replace_quantities
 from nermo_mjx.robot.scene import read_mjcf
 from nermo_mjx.runtime import thread_count
 
-#: Time that a model stands before a log begins, and interval at which one without servos begins anew [s].
-STANDS: Final = 1.0
+#: Interval at which a model without servos begins anew [s].
 AGAIN: Final = 0.5
 #: Time after which servos have forgotten where a log begins [s].
 FORGOTTEN: Final = 2.0
@@ -373,8 +373,11 @@ class LoggedTwin:
             only: which samples count, of times (n,) and the duration of their log: (n,) bool.
 
         Raises:
-            ParameterError: a channel of a part that the model does not have, or nothing to compare.
+            ParameterError: a channel of a part that the model does not have, no command, or nothing to compare.
         """
+        for log in logs:
+            if body.model.nu and not log.of_quantity("command"):
+                raise ParameterError(f"{log.file}: no channel is a command, by which the model could be driven.")
         self.body, self.names, self.logs = body, tuple(names), tuple(logs)
         pushed = not body.servos.all() and body.model.nu > 0
         self._legs = [_Driven(body, log, AGAIN if pushed else None) for log in logs]
@@ -449,6 +452,29 @@ class LoggedTwin:
         return residual
 
 
+def replay_on_model(log: Log, model: str | os.PathLike[str]) -> tuple[Log, tuple[str, ...]]:
+    """Drive any MJCF by a log's commands, from the log's first angles, or from standing if its base is free.
+
+    Returns:
+        The log's channels as the model has them, at the log's time stamps, and what was assumed, in sentences.
+
+    Raises:
+        ParameterError: the log and the model do not fit together, or the simulation diverges.
+    """
+    body = body_of(model, [log], ())
+    twin = LoggedTwin(body, [log], ())
+    predicted, made = twin.predict(np.zeros((1, 0)))[0], list[Channel]()
+    if not np.isfinite(predicted).all():
+        raise ParameterError(f"{model} diverges under the commands of {log.file}.")
+    for each in log.channels:
+        if each.name in twin.labels:
+            rows = twin.measured.channel == twin.labels.index(each.name)
+            values = predicted[rows].reshape(-1, *each.values.shape[1:])
+            times = twin.measured.time[rows].reshape(len(values), -1)[:, 0]
+            made.append(dataclasses.replace(each, times=times, values=values))
+    return Log(tuple(made), str(model)), tuple(body.notes)
+
+
 def _quantum(values: np.ndarray) -> float:
     """Smallest step of values that are multiples of it; 0 if they are fine."""
     steps = np.unique(np.round(np.abs(np.diff(np.unique(values))), 12))
@@ -476,7 +502,7 @@ class _Driven:
         total = max(1, math.ceil(log.duration / self.step))
         self.steps = total if window is None or self.stands else max(1, round(window / self.step))
         self.windows = math.ceil(total / self.steps)
-        self.settle = round(STANDS / self.step) if self.stands else 0
+        self.settle = round(SETTLING / self.step) if self.stands else 0
         self.readings = [self._reading(each) for each in self.channels]
         grid = np.arange(self.windows * self.steps + 1) * self.step
         self.grid = np.concatenate([(np.arange(self.settle) - self.settle) * self.step, grid])

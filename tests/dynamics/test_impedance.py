@@ -5,6 +5,7 @@ from __future__ import annotations
 import jax
 import mujoco
 import numpy as np
+
 from nermo_mjx.dynamics import put_data, put_model
 from nermo_mjx.dynamics.impedance import with_rates
 from nermo_mjx.dynamics.rows import inner

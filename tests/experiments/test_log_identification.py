@@ -290,6 +290,33 @@ def written(tmp_path: Path, log: Log) -> list[str]:
     return ["identify", "--log", str(tmp_path / "log.csv"), "--channels", str(tmp_path / "log.yaml")]
 
 
+def test_replay_drives_any_model_by_the_commands(
+    path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The true arm leaves the noise of the encoder alone; the other arm is farther away."""
+    _, _, *arguments = written(tmp_path, logged())[1:]
+    (tmp_path / "true.xml").write_text(arm(TRUTH))
+    found = {}
+    for name, model in (("true", tmp_path / "true.xml"), ("other", path)):
+        log = str(tmp_path / "log.csv")
+        assert main(["replay", "--commands", log, *arguments, "--model", str(model), "--json"]) == 0
+        content = json.loads(capsys.readouterr().out)
+        (found[name],) = content["channels"]
+        assert (content["model"], content["not_simulated"], found[name]["name"]) == (str(model), [], "angle")
+    assert found["true"]["rms"] == pytest.approx(NOISE, rel=0.15)
+    assert found["true"]["correlation"] > 0.999
+    assert found["other"]["rms"] > 20 * NOISE
+    assert main(["replay", "--commands", log, *arguments, "--model", str(path), "--scene", "stairs"]) == 2
+    assert "--scene is for Nermo: it has no effect with --model" in capsys.readouterr().err
+    lines = (tmp_path / "log.yaml").read_text().splitlines(keepends=True)
+    (tmp_path / "silent.yaml").write_text("".join(line for line in lines if "command" not in line))
+    silent = ["--channels", str(tmp_path / "silent.yaml"), "--model", str(path)]
+    assert main(["replay", "--commands", log, *silent]) == 2
+    assert "no channel is a command, by which the model could be driven" in capsys.readouterr().err
+    assert main(["replay", str(tmp_path), "--row", "0", "--model", str(path)]) == 2
+    assert "--model has no effect without --commands LOG" in capsys.readouterr().err
+
+
 @pytest.mark.release
 def test_the_command_writes_a_report_the_model_and_what_to_measure_next(
     path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
