@@ -98,6 +98,8 @@ def put_model(model: mujoco.MjModel, device: jax.Device | None = None) -> Model:
 def make_data(model: mjx.Model | mujoco.MjModel, device: jax.Device | None = None) -> mjx.Data:
     """Make the data of one world, in the initial state of a model, with as many contacts as `step` computes.
 
+    `mjx.step` computes MJX's contacts, and needs data of `mjx.make_data`.
+
     >>> rods = mujoco.MjModel.from_xml_string('''<mujoco><worldbody><geom type="capsule" size=".1 .2"/>
     ... <body pos="0 0 1"><freejoint/><geom type="capsule" size=".1 .2"/></body></worldbody></mujoco>''')
     >>> make_data(put_model(rods)).ncon, mjx.make_data(rods).ncon  # parallel capsules touch at two points
