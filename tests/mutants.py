@@ -490,15 +490,18 @@ def check(root: Path = ROOT) -> list[str]:
 
 
 def nearest_files(mutant: Mutant, root: Path) -> list[str]:
-    """Test files that name the module in their first line; without any, those that import from it."""
-    files = sorted((root / "tests").rglob("test_*.py"))
-    texts = {path: path.read_text() for path in files}
+    """Test files whose first line, `# Tests of robot/masses.py, ...`, names the module, or that import from it.
+
+    If a file names the module, files that only import from it are left out.
+    """
+    texts = {path: path.read_text() for path in sorted((root / "tests").rglob("test_*.py"))}
+    named = [path for path, text in texts.items() if re.search(rf"\b{mutant.file}\b", text.partition("\n")[0])]
     package, _, module = mutant.module.rpartition(".")
-    word = re.compile(rf"{re.escape(mutant.module)}\b(?!\.)")
-    named = [path for path, text in texts.items() if word.search(text.partition("\n")[0])]
-    among = re.compile(rf"^from {re.escape(package)} import \(?[^)\n]*\b{module}\b", re.MULTILINE)
-    imports = re.compile(rf"^\s*(from|import) {re.escape(mutant.module)}\b", re.MULTILINE)
-    found = named or [path for path, text in texts.items() if imports.search(text) or among.search(text)]
+    imports = re.compile(
+        rf"^\s*(from|import) {re.escape(mutant.module)}\b|^from {re.escape(package)} import \(?[^)\n]*\b{module}\b",
+        re.MULTILINE,
+    )
+    found = named or [path for path, text in texts.items() if imports.search(text)]
     return [path.relative_to(root).as_posix() for path in found]
 
 

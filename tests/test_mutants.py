@@ -1,4 +1,5 @@
-"""Tests of the list of mutants in tests/mutants.py: each mutant fits the package, and a run finds its test."""
+# Tests of tests/mutants.py
+"""The list of mutants: each mutant fits the package, and a run finds the test that kills it."""
 
 from __future__ import annotations
 

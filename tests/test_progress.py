@@ -13,7 +13,7 @@ import pytest
 from fakes.sweep_fake import SPEC, FakeSimulator
 
 from nermo_mjx import Run, run_sweep
-from nermo_mjx.progress import shown_share, shows_progress
+from nermo_mjx.progress import ProgressBar, shown_share, shows_progress
 from nermo_mjx.runs.job import Watch
 
 
@@ -108,3 +108,14 @@ def test_a_walk_refuses_what_it_cannot_tell():
         shown_share("x", 3),
     ):
         pass
+
+
+def test_the_remaining_time_of_a_resumed_job_is_that_of_the_work_of_this_session(monkeypatch) -> None:
+    """Eighty of a hundred were there; ten more take 20 s, so that the last ten take 20 s."""
+    clock = iter([0.0, 0.0, 20.0])
+    monkeypatch.setattr("nermo_mjx.progress.time.monotonic", lambda: next(clock))
+    stream = io.StringIO()
+    progress = ProgressBar("sweep", "runs", every=0.0, stream=stream)
+    progress.share(0.8, 80, 100)
+    progress.share(0.9, 90, 100)
+    assert stream.getvalue().splitlines()[-1] == "sweep: 90%, 90 of 100 runs, 0.5 runs/s, 20 s left"

@@ -129,3 +129,14 @@ def test_one_world_of_a_trace_becomes_a_recording() -> None:
     assert recording.qpos.shape == (4, 7)
     assert recording.sensors["gyro"].min() == 1.0
     recording.check_model(ball())
+
+
+def test_a_part_of_a_recording_has_both_ends_and_at_least_one_sample() -> None:
+    """Times are sums of steps, whose rounding neither adds nor removes a sample."""
+    time = np.cumsum(np.full(30, 0.1))
+    recording = Recording(time, *(np.arange(30.0)[:, None] for _ in range(3)), sensors={"a": np.arange(30)})
+    for begin, end, first, last in ((0.3, 0.7, 2, 6), (0.0, 0.1, 0, 0), (2.9, 9.0, 28, 29), (0.31, 0.32, 3, 3)):
+        part = recording.between(begin, end)
+        assert part.qpos[:, 0].tolist() == list(range(first, last + 1))
+        assert part.sensors["a"].tolist() == list(range(first, last + 1))
+        np.testing.assert_array_equal(part.time, time[first : last + 1])

@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-import errno
-import io
 import json
 from pathlib import Path
 from typing import Any
@@ -13,11 +11,7 @@ import pytest
 from command import call, run_command
 from fakes.sweep_fake import FakeSimulator
 
-from nermo_mjx import all_parameters
-from nermo_mjx.cli import main
 from nermo_mjx.cli.kinds import KINDS
-from nermo_mjx.cli.options import assigned
-from nermo_mjx.cli.output import WrongUse
 from nermo_mjx.sweep import run_sweep
 
 
@@ -65,39 +59,3 @@ def test_a_full_disk_under_the_log_stops_nothing(tmp_path: Path, stream: str, co
         assert stream == "stderr" or "done, but standard output cannot be written: No space left" in done.stderr
         assert run_command(["--help"], **{stream: full}).returncode == code
         assert run_command(["nonsense"], **{stream: full}).returncode == 2
-
-
-class FullDisk(io.StringIO):
-    """A stream that takes nothing."""
-
-    def write(self, text: str) -> int:
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-
-def test_a_command_whose_output_is_lost_fails(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The sentence names the reason; a command whose output arrives, or that is used wrongly, keeps its exit code."""
-    codes = {}
-    for name, stream, words in (
-        ("lost", FullDisk(), ["--version"]),
-        ("told", io.StringIO(), ["--version"]),
-        ("wrong", FullDisk(), ["nonsense"]),
-    ):
-        errors = io.StringIO()
-        monkeypatch.setattr("sys.stdout", stream)
-        monkeypatch.setattr("sys.stderr", errors)
-        with pytest.raises(SystemExit) as ended:
-            main(words)
-        codes[name] = ended.value.code
-        said = "done, but standard output cannot be written: No space left on device" in errors.getvalue()
-        assert said == (name == "lost")
-    assert codes == {"lost": 1, "told": 0, "wrong": 2}
-
-
-def test_the_last_assignment_of_a_parameter_wins() -> None:
-    parameters = all_parameters()
-    assert assigned(["frequency=0.5", "frequency = 0.8"], parameters) == {"frequency": 0.8}
-    found = assigned(["stiffness.*=0.5", "stiffness.spine=1.5", "spine.phase=90 deg"], parameters)
-    assert (found["stiffness.spine"], found["stiffness.ankle"]) == (1.5, 0.5)
-    assert found["spine.phase"] == pytest.approx(1.5707963)
-    with pytest.raises(WrongUse, match="--set frequency: expected NAME=VALUE"):
-        assigned(["frequency"], parameters)

@@ -1,4 +1,5 @@
-"""Tests of nermo_mjx.dynamics.constraint: the Hessian of the constraint problem."""
+# Tests of dynamics/constraint.py
+"""The Hessian of the constraint problem."""
 
 from __future__ import annotations
 

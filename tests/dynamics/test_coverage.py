@@ -12,7 +12,6 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
-from mujoco.mjx._src import io
 
 from nermo_mjx.dynamics import fitted, forward, make_data, not_simulated, put_model, step
 from nermo_mjx.dynamics.mjx_import import mjx

@@ -1,4 +1,5 @@
-"""Tests of nermo_mjx.dynamics.impedance: accelerations of equality constraints at constant joint velocities."""
+# Tests of dynamics/impedance.py
+"""Accelerations of equality constraints at constant joint velocities."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""Tests of nermo_mjx.physics.geometry_fields: parabolas through the ends of a parameter's range."""
+# Tests of physics/geometry_fields.py
+"""Parabolas through the ends of a parameter's range."""
 
 from __future__ import annotations
 

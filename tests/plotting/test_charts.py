@@ -1,4 +1,5 @@
-"""Tests of nermo_mjx.plotting.charts and nermo_mjx.plotting.shown: cells of heat maps, and intervals of means."""
+# Tests of plotting/charts.py, plotting/shown.py
+"""Cells of heat maps, colour scales, and intervals of means."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""Tests of nermo_mjx.robot.model_parameters: gravity in the frame of a slope."""
+# Tests of robot/model_parameters.py
+"""Gravity in the frame of a slope."""
 
 from __future__ import annotations
 

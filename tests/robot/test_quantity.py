@@ -1,4 +1,5 @@
-"""Tests of nermo_mjx.robot.quantity: ranges with open and closed bounds."""
+# Tests of robot/quantity.py
+"""Ranges of parameters, with open and closed bounds."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""Tests of nermo_mjx.runs.job: when an interruption ends a job."""
+# Tests of runs/job.py
+"""When an interruption ends a job."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""Tests of nermo_mjx.sweep.counting: which runs of two sides are compared, and intervals of their differences."""
+# Tests of sweep/counting.py
+"""Which runs of two sides are compared, and intervals of their differences."""
 
 from __future__ import annotations
 

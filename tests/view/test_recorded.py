@@ -1,4 +1,5 @@
-"""Tests of nermo_mjx.view.recorded and nermo_mjx.view.clip: attitude, means over a gait cycle, and quaternions."""
+# Tests of view/recorded.py, view/clip.py
+"""Attitude, means over a gait cycle, and quaternions of a recording."""
 
 from __future__ import annotations
 
