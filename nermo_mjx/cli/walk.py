@@ -415,6 +415,7 @@ def _browser(address: str) -> Iterator[None]:
     """Open an address with a secret in the browser by a file that only its user reads: command lines are public."""
     with tempfile.TemporaryDirectory(prefix="nermo-mjx-") as folder:
         page = Path(folder, "drive.html")
+        page.touch(0o600)
         page.write_text(f'<!doctype html><meta http-equiv="refresh" content="0; url={address}">')
         webbrowser.open(page.as_uri())
         yield
