@@ -169,8 +169,8 @@ def pytest_runtest_logreport(report: pytest.TestReport) -> None:
     about: dict[str, Any] = dict(report.user_properties) if report.when == "teardown" else {}
     if "limits" in about:
         programs, seconds = about["limits"]
-        _tests["programs"][report.nodeid], _tests["seconds"][report.nodeid] = programs.pop("", 0), seconds
-        _setups.update(programs)
+        _tests["programs"][report.nodeid], _tests["seconds"][report.nodeid] = programs.get("", 0), seconds
+        _setups.update({name: count for name, count in programs.items() if name})
     if "memory" in about:
         _tests["memory"][report.nodeid] = about["memory"]
 
