@@ -236,6 +236,7 @@ def test_ci_runs_the_two_commands_that_a_fresh_machine_needs() -> None:
     assert fresh[0].endswith("nermo-mjx sweep sweeps/quickstart.yaml --out runs/quickstart")
     assert fresh[1].endswith("-m pytest")
     for line in (
+        "tests=${tests/'[test]'/[test-all]}",
         'eval "$tests"',
         "pytest -m 'release and not long'",
         'eval "${job/python3/$python}"',
