@@ -261,10 +261,14 @@ def cache_directory() -> Path:
     return base / "nermo_mjx"
 
 
+def processor_line(*beginnings: str) -> str:
+    """The first line about the processor that begins so, on Linux; elsewhere Python's name of the processor."""
+    with contextlib.suppress(OSError, StopIteration), open("/proc/cpuinfo", errors="replace") as file:
+        return next(line for line in file if line.lower().startswith(beginnings))
+    return platform.processor()
+
+
 def _processor_tag() -> str:
     """Names this kind of processor: compiled CPU code from a home directory shared with a newer one would not run."""
-    features = platform.processor()
-    with contextlib.suppress(OSError), open("/proc/cpuinfo", encoding="utf-8", errors="replace") as file:
-        features = next((line for line in file if line.lower().startswith(("flags", "features"))), features)
-    digest = hashlib.sha256(" ".join(sorted(features.split())).encode()).hexdigest()
+    digest = hashlib.sha256(" ".join(sorted(processor_line("flags", "features").split())).encode()).hexdigest()
     return f"{platform.machine() or 'cpu'}-{digest[:8]}"

@@ -19,7 +19,6 @@ from typing import Any
 import numpy as np
 import pytest
 from PIL import Image
-from websockets.sync.client import ClientConnection, connect
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
 #: No sandbox, because tests run as root in containers; no look-ups, because there may be no network; WebGL in software.
@@ -127,7 +126,7 @@ class Page:
 class Browser:
     """One process of Chromium."""
 
-    def __init__(self, socket: ClientConnection) -> None:
+    def __init__(self, socket: Any) -> None:
         self._socket, self._numbers = socket, itertools.count(1)
         self._events: list[dict[str, Any]] = []
 
@@ -232,6 +231,8 @@ def browser(path: str, webgl: bool = True) -> Iterator[Browser]:
         flags = (*FLAGS, *(SOFTWARE if webgl else WITHOUT_WEBGL), f"--user-data-dir={profile}")
         with started(path, *flags, profile=profile, tells="DevToolsActivePort") as (port, way):
             address = f"ws://127.0.0.1:{port}{way}"
+            from websockets.sync.client import connect
+
             with connect(address, max_size=None, compression=None, ping_interval=None) as socket:
                 yield Browser(socket)
 

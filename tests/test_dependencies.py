@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import importlib.metadata
 import re
+import subprocess
 import sys
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping
@@ -103,6 +104,16 @@ def test_modules_come_from_the_requirements_that_this_file_names() -> None:
     files = importlib.metadata.files("mujoco-mjx") or ()
     assert "mujoco/mjx/__init__.py" in map(str, files)
     assert "mujoco/mjx/__init__.py" not in map(str, importlib.metadata.files("mujoco") or ())
+
+
+def test_ci_installs_the_lowest_version_of_each_requirement() -> None:
+    """Of those whose version is not another one's."""
+    (command,) = re.findall(r"sed -nE .* pyproject\.toml(?= >)", (ROOT / ".ci" / "run").read_text())
+    lowest = subprocess.run(["bash", "-c", command], cwd=ROOT, capture_output=True, text=True, check=True).stdout
+    floors = (re.match(r"([\w.-]+)[=>]=([\d.]+)", each) for each in PROJECT["dependencies"])
+    assert lowest.split() == [f"{each[1]}=={each[2]}" for each in floors if each]
+    without = declared(PROJECT["dependencies"]) - declared(lowest.split())
+    assert without == {"jaxlib", "pydantic-core"}, "JAX and pydantic fix these"
 
 
 def test_all_that_tests_need_is_in_one_extra() -> None:

@@ -138,17 +138,15 @@ def _drawing(kind: Kind, path: Path, folder: Path, notes: list[str]) -> Iterator
     from nermo_mjx.runs.files import clear_errors, make_writable, replace_file
 
     make_writable(folder)
-    with clear_errors(folder):
-        held = hold(folder)
-    try:
+    with contextlib.ExitStack() as stack:
+        with clear_errors(folder):
+            stack.enter_context(hold(folder))
         if not kind.tracked or folder != path / "plots":
             yield replace_file
             return
         with RunDirectory(path, kind.name) as directory, Written(directory) as written:
             yield written.write
         notes += filter(None, [written.sentence()])
-    finally:
-        held.release()
 
 
 _report_out = options.text(

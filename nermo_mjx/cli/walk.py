@@ -352,10 +352,11 @@ def drive_command(
     from nermo_mjx.live.server import LiveDrive, free
     from nermo_mjx.live.wire import RobotDriving, SimulatedRobot
     from nermo_mjx.recording import RecordingError
-    from nermo_mjx.robot.quantity import require
     from nermo_mjx.runs.files import make_writable
 
     if there["a page"]:
+        from nermo_mjx.robot.quantity import require
+
         require("drive", "websockets", "drive")
     port, browser, channels, rate, watchdog, delay, loss = (
         chosen.pop(name) for name in ("port", "browser", "channels", "rate", "watchdog", "delay", "loss")
@@ -413,7 +414,7 @@ def drive_command(
 @contextlib.contextmanager
 def _browser(address: str) -> Iterator[None]:
     """Open an address with a secret in the browser by a file that only its user reads: command lines are public."""
-    with tempfile.TemporaryDirectory(prefix="nermo-mjx-") as folder:
+    with tempfile.TemporaryDirectory() as folder:
         page = Path(folder, "drive.html")
         page.touch(0o600)
         page.write_text(f'<!doctype html><meta http-equiv="refresh" content="0; url={address}">')

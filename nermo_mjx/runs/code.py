@@ -19,6 +19,7 @@ import time
 from pathlib import Path
 from typing import Any, Final
 
+from nermo_mjx.runtime import processor_line
 from nermo_mjx.version import __version__
 
 #: Rooms of the package that determine what a world does and what is measured.
@@ -165,10 +166,4 @@ def local_time(started: Any) -> str:
 
 def processor() -> str:
     """The processor's name."""
-    try:
-        for line in Path("/proc/cpuinfo").read_text().splitlines():
-            if line.startswith("model name"):
-                return line.partition(":")[2].strip()
-    except OSError:
-        pass
-    return platform.processor() or platform.machine()
+    return processor_line("model name").rpartition(":")[2].strip() or platform.machine()

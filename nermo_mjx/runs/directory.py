@@ -65,13 +65,14 @@ class RunDirectory:
     def __enter__(self) -> RunDirectory:
         with contextlib.ExitStack() as stack, clear_errors(self.out):
             make_writable(self.out)
-            alone = hold(self.out, wait=0.0 if self.shard is None else ENTRY)
-            stack.callback(alone.release)
-            for other in self.out.glob(".lock-*-of-*") if self.shard is None else ():
-                hold(self.out, other.name).release()
-            if self.shard is not None:
-                stack.callback(hold(self.out, f".lock-{self.shard[0]}-of-{self.shard[1]}").release)
-                alone.release()
+            if self.shard is None:
+                stack.enter_context(hold(self.out))
+                for other in self.out.glob(".lock-*-of-*"):
+                    with hold(self.out, other.name):
+                        pass
+            else:
+                with hold(self.out, wait=ENTRY):
+                    stack.enter_context(hold(self.out, ".lock-{}-of-{}".format(*self.shard)))
             found = kind_of(self.out)
             if found not in (None, self.kind):
                 raise WrongDirectory(
@@ -190,16 +191,12 @@ class RunDirectory:
     @contextlib.contextmanager
     def record(self) -> Iterator[dict[str, Any]]:
         """The content of run.json, written back if changed; processes take turns."""
-        with clear_errors(self.out):
-            held = hold(self.out, ".lock-run", wait=-1.0)
-            try:
-                before = read_record(self.out)
-                record = json.loads(json.dumps({"kind": self.kind} | before))
-                yield record
-                if record != before:
-                    replace_file(self.out / RUN, (json.dumps(record, indent=2) + "\n").encode())
-            finally:
-                held.release()
+        with clear_errors(self.out), hold(self.out, ".lock-run", wait=-1.0):
+            before = read_record(self.out)
+            record = json.loads(json.dumps({"kind": self.kind} | before))
+            yield record
+            if record != before:
+                replace_file(self.out / RUN, (json.dumps(record, indent=2) + "\n").encode())
 
 
 def read_record(out: Path) -> dict[str, Any]:
@@ -272,8 +269,9 @@ def _with_article(kind: str) -> str:
 ENTRY: Final = 2.0
 
 
-def hold(folder: Path, name: str = ".lock", wait: float = 0.0) -> FileLock:
-    """Locks a file of a folder until `release` is called, or the process ends.
+@contextlib.contextmanager
+def hold(folder: Path, name: str = ".lock", wait: float = 0.0) -> Iterator[None]:
+    """Locks a file of a folder inside of it, or until the process ends.
 
     Args:
         folder: The folder.
@@ -289,12 +287,13 @@ def hold(folder: Path, name: str = ".lock", wait: float = 0.0) -> FileLock:
         lock.acquire()
     except Timeout:
         raise DirectoryError(f"another process works in {folder}; wait for it, or choose another directory.") from None
-    except NotImplementedError:  # a file system without locks, with an older filelock
-        pass
-    except OSError as error:  # a network file system without locks
-        if error.errno not in (errno.ENOLCK, errno.ENOTSUP, errno.ENOSYS):
+    except (NotImplementedError, OSError) as error:  # a network file system without locks
+        if getattr(error, "errno", errno.ENOSYS) not in (errno.ENOLCK, errno.ENOTSUP, errno.ENOSYS):
             raise
-    return lock
+    try:
+        yield
+    finally:
+        lock.release()
 
 
 # ---

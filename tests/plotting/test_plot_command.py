@@ -58,14 +58,11 @@ def test_each_kind_names_a_function_for_its_figures_and_one_for_its_status(kind:
 @pytest.mark.release
 def test_two_commands_do_not_draw_into_one_folder(sweep: Path, tmp_path: Path) -> None:
     (tmp_path / "there").mkdir()
-    held = hold(tmp_path / "there")
-    try:
+    with hold(tmp_path / "there"):
         result = plot(sweep, "--out", tmp_path / "there", "--format", "png")
         assert result.exit_code == 1
         assert f"another process works in {tmp_path / 'there'}; wait for it" in result.stderr
         assert not content(tmp_path / "there")
-    finally:
-        held.release()
     assert plot(sweep, "--out", tmp_path / "there", "--format", "png").exit_code == 0
 
 
