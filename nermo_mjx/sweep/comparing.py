@@ -38,6 +38,7 @@ from nermo_mjx.sweep.counting import (
     told,
     two_stage,
 )
+from nermo_mjx.sweep.spec import not_varied
 from nermo_mjx.sweep.structures import label_of
 from nermo_mjx.sweep.table import (
     HELD,
@@ -175,10 +176,7 @@ def _values(column: pd.Series) -> list[Value]:
 def check_name(name: str, known: Sequence[str], option: str) -> None:
     """Refuse a column that is not varied."""
     if name not in known:
-        raise ParameterError(
-            f"{option} is {name!r}, which is not varied{did_you_mean(name, known)} "
-            f"Varied: {', '.join(known) or 'nothing'}."
-        )
+        raise ParameterError(f"{option} is {name!r}, {not_varied(name, known)}")
 
 
 def value_among(wanted: Value, values: Sequence[Value], option: str, column: pa.Field) -> Value:

@@ -10,7 +10,7 @@ import functools
 import hashlib
 import math
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Final
 
@@ -308,13 +308,17 @@ def varied_values(sweep: Sweep) -> dict[str, list[Value] | None]:
     return values
 
 
+def not_varied(name: str, known: Collection[str]) -> str:
+    """What a message says of a column that is not varied."""
+    return f"which is not varied{did_you_mean(name, known)} Varied: {', '.join(known) or 'nothing'}."
+
+
 def check_comparison(doc: Document, sweep: Sweep, compare: ComparedColumns) -> None:
     """Fail where the section `compare` names what cannot be compared."""
     values = varied_values(sweep)
     for field, name in (("by", compare.by), *(("for", name) for name in compare.groups)):
         if name not in values:
-            there = ", ".join(values) or "nothing"
-            why = f"which is not varied{did_you_mean(name, values)} Varied: {there}."
+            why = not_varied(name, values)
         elif (known := values[name]) is None:
             why = "which is drawn between bounds, so that no two variants share a value: list its values."
         elif field == "by" and len(known) < 2:
@@ -355,10 +359,7 @@ def check_optimum(doc: Document, sweep: Sweep, asked: SoughtOptimum) -> None:
         ("base", by),
     ):
         if name not in values:
-            there = ", ".join(values) or "nothing"
-            doc.fail(
-                ("optimum", field), f"names {name!r}, which is not varied{did_you_mean(name, values)} Varied: {there}."
-            )
+            doc.fail(("optimum", field), f"names {name!r}, {not_varied(name, values)}")
         if values[name] is None:
             doc.fail(
                 ("optimum", field),
