@@ -11,8 +11,8 @@ mutation score is the percentage of mutants that are killed; it estimates how ma
 the mutated module first, then the folder of the subpackage, then all tests, and stops at the first test that fails.
 This test must pass without the mutant, otherwise it is excluded. With several `-m`, a mutant that survives the first
 selection meets the next; for example, `-m "not release and not long" -m "release and not long"` scores the default run
-and the whole suite. `--nearest` runs only the first of the three groups that has a test, which is a lower bound of the
-score at a small part of its cost. Results are appended to FILE.csv, and a mutant that is listed there is not run again.
+and the whole suite. `--nearest` omits the third group, which gives a lower bound of the score at a small part of its
+cost. Results are appended to FILE.csv, and a mutant that is listed there is not run again.
 """
 
 from __future__ import annotations
@@ -495,7 +495,8 @@ def nearest_files(mutant: Mutant, root: Path) -> list[str]:
     If a file names the module, files that only import from it are left out.
     """
     texts = {path: path.read_text() for path in sorted((root / "tests").rglob("test_*.py"))}
-    named = [path for path, text in texts.items() if re.search(rf"\b{mutant.file}\b", text.partition("\n")[0])]
+    first = {path: text.partition("\n")[0].removeprefix("# Tests of ") for path, text in texts.items()}
+    named = [path for path, line in first.items() if mutant.file in line.split(", ")]
     package, _, module = mutant.module.rpartition(".")
     imports = re.compile(
         rf"^\s*(from|import) {re.escape(mutant.module)}\b|^from {re.escape(package)} import \(?[^)\n]*\b{module}\b",
@@ -506,15 +507,12 @@ def nearest_files(mutant: Mutant, root: Path) -> list[str]:
 
 
 def selections(mutant: Mutant, root: Path, nearest: bool) -> Iterator[list[str]]:
-    """Arguments of pytest for the groups of tests, the nearest first; none is empty."""
+    """Arguments of pytest for the groups of tests, the nearest first; with `nearest` without the last group."""
     folder = f"tests/{mutant.subpackage}"
-    files = nearest_files(mutant, root)
-    groups = [files, [folder] if (root / folder).is_dir() else [], ["tests"]]
+    groups = [nearest_files(mutant, root), [folder] if (root / folder).is_dir() else [], [] if nearest else ["tests"]]
     before: list[str] = []
     for group in filter(None, groups):
         yield [*group, *(f"--ignore={each}" for each in before)]
-        if nearest:
-            return
         before += group
 
 
@@ -654,7 +652,7 @@ def main() -> None:
     what.add_argument("--run", nargs="*", metavar="NAME", help="run these mutants, by default all")
     parser.add_argument("-m", action="append", metavar="MARKEXPR", help=f"selections of tests; default: {DEFAULT!r}")
     parser.add_argument("-n", type=int, default=1, metavar="PROCESSES", help="mutants at a time; default: 1")
-    parser.add_argument("--nearest", action="store_true", help="run only the tests nearest to each mutant")
+    parser.add_argument("--nearest", action="store_true", help="omit tests of other folders")
     parser.add_argument("--out", type=Path, default=Path("mutants.csv"), help="table of results; default: mutants.csv")
     given = parser.parse_args()
     if given.list:
