@@ -348,16 +348,7 @@ def test_a_file_that_is_none_is_refused(load: Any, kind: str, tmp_path: Path) ->
     assert "not a regular file" in said or "there is no such file" in said
 
 
-@pytest.mark.release(
-    cases=(
-        "metrics.json-pipe",
-        "plots-device",
-        "sweep.yaml-pipe",
-        "metrics.json-device",
-        "sweep.yaml-device",
-        "plots-pipe",
-    )
-)
+@pytest.mark.release
 @SPECIAL
 @pytest.mark.parametrize("name", ["run.json", "sweep.yaml", "sweep.json", "metrics.json", "results/part", "plots"])
 def test_a_special_file_in_a_directory_ends_in_a_sentence(kinds_of_files: Any, kind: str, name: str, tmp_path: Path):

@@ -293,7 +293,7 @@ def test_the_seed_decides_the_start() -> None:
     assert _shifted_start(1) == _shifted_start(1) != _shifted_start(2)
 
 
-@pytest.mark.release(cases=("options1-101\\\\.[5-7]",))
+@pytest.mark.release
 @pytest.mark.parametrize(
     ("options", "theory"),
     [((), r"80\.4"), (("--spine", "stride_extension"), r"101\.[5-7]"), (("--set", "duty=0.8"), r"50\.[23]")],

@@ -167,6 +167,8 @@ WINDING = tabulated(np.linspace(0.0, 4.0, 201), 1.0, 0.8 * np.sin(np.linspace(0.
         "trot-frequency-0.8-0.808-open_loop",
         "lateral_walk-frequency-0.5-0.505-external",
         "lateral_walk-frequency-0.5-0.505-open_loop",
+        "lateral_walk-duty-0.97-0.9985-external",
+        "walking_trot-duty-0.6-0.606-open_loop",
     )
 )
 @pytest.mark.parametrize("pilot", ["open_loop", "external"])

@@ -99,6 +99,7 @@ def test_a_controller_of_thirty_lines_walks(bound: Simulator) -> None:
     assert (about["parameters"]["reach"], about["setup"]["controller"]) == (0.05, BOUND)
 
 
+@pytest.mark.release
 @pytest.mark.parametrize(
     ("values", "message"),
     [
@@ -113,6 +114,7 @@ def test_values_are_checked_by_the_controllers_own_ranges(bound: Simulator, valu
         bound.prepare(values)
 
 
+@pytest.mark.release
 def test_a_policy_is_for_all_worlds_or_for_each(bound: Simulator) -> None:
     """A leaf with an axis more has one entry a world; what is named comes into the policy."""
     own = bound.controller.parameters
@@ -221,6 +223,7 @@ def test_a_sweep_runs_another_controller(bound: Simulator, tmp_path: Path) -> No
     assert run_sweep(SPEC, tmp_path / "here", simulator=bound).chunks_run == 0
 
 
+@pytest.mark.release
 def test_rows_of_two_controllers_are_not_mixed(bound: Simulator, tmp_path: Path) -> None:
     """The content of the file counts, and not its name."""
     text = (EXAMPLES / "bound.py").read_text()

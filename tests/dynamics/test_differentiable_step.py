@@ -254,10 +254,12 @@ def test_derivatives_are_those_of_the_simulation(small):
     np.testing.assert_allclose(small.ahead, small.differences, rtol=1e-4, atol=1e-8 * scale)
 
 
+@pytest.mark.release
 def test_no_derivative_vanishes(small):
     """Each number was chosen because it matters; a derivative of zero would be a path that is cut."""
     assert (np.abs(small.ahead) > 1e-9).all()
 
 
+@pytest.mark.release
 def test_values_are_those_of_the_other_engine(small):
     np.testing.assert_allclose(small.state, small.expected_state, rtol=1e-6, atol=1e-8)

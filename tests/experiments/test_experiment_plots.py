@@ -251,6 +251,7 @@ def test_published_turns_and_walks_stand_where_they_say():
     assert found == [[85.7, 61.1], [60.0, 82.0], [3.09, 4.13], [0.75, 1.25]]
 
 
+@pytest.mark.release
 def test_bars_show_the_mean_and_the_spread_in_shown_units():
     """Means of the repeats in mm/s; those of `as_published` on the controller's clock, 2.5 times slower."""
     figure = whole("straight-line")["speed"]
@@ -288,6 +289,7 @@ def test_paths_not_followed_are_hatched():
     assert any("did not follow" in entry for entry in entries(figure))
 
 
+@pytest.mark.release
 def test_paths_turn_left_on_the_page():
     """A left turn goes up and then left; the mean over a cycle stays on the circle."""
     (ax,) = whole("turning")["paths"].axes

@@ -100,6 +100,7 @@ def test_both_planes_move_the_hip_as_each_does(of_spine):
         assert both == pytest.approx(np.hypot(lateral, vertical), rel=0.03)
 
 
+@pytest.mark.release
 def test_the_load_case_holds_and_so_does_what_the_thesis_says_of_the_routings(body, of_leg, of_spine):
     """A.1 with chains of hinges; Table 5.2 in words, but for the lever arm of type 2, whose guide was chosen."""
     for outcome in (body, of_leg, of_spine):
@@ -130,12 +131,14 @@ def test_what_does_not_apply_is_refused(measure, name):
 # --- the body alone
 
 
+@pytest.mark.release
 def test_a_row_a_profile_and_the_same_in_both(body):
     assert body.columns["profile"].tolist() == ["exact", "as_published", "as_built"]
     for name in texts("columns")["body"]:
         assert body.columns[name][0] == body.columns[name][1], name
 
 
+@pytest.mark.release
 @pytest.mark.parametrize(
     ("column", "angle"),
     [("bend_front_knee", 0.125 / 0.135), ("bend_rear_knee", 0.125 / 0.19), ("bend_spine", 4 * 0.125 / 1.2)],
@@ -156,6 +159,7 @@ def test_a_spine_of_little_damping_is_waited_for():
     assert soft.mean("bend_spine") == pytest.approx(4 * 0.125 / 1.2, rel=1e-3)
 
 
+@pytest.mark.release
 def test_the_published_dimensions_are_the_robots(body):
     """Nermo-Lite: 270 g and 11 servos; Nermo: 405 x 91 x 90 mm, within a quarter; A.5: 121.9 mm between the axes."""
     assert body.mean("mass", profile="exact") == pytest.approx(0.270, rel=0.01)

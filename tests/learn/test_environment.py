@@ -262,6 +262,7 @@ def test_a_step_refuses_actions_of_another_shape_and_states_that_are_gone(enviro
         environment.step(old, np.zeros((3, 9)))
 
 
+@pytest.mark.release
 @pytest.mark.parametrize(
     ("value", "message"),
     [

@@ -97,7 +97,7 @@ MALFORMED: dict[str, dict[str, Any]] = {
 }
 
 
-@pytest.mark.release(cases=("frequency",))
+@pytest.mark.release
 @pytest.mark.usefixtures("shared_simulators")
 @pytest.mark.parametrize("name", MALFORMED)
 def test_a_malformed_drive_ends_in_a_sentence(name: str, driven: Recording, tmp_path: Path) -> None:

@@ -121,6 +121,7 @@ def test_a_command_beside_a_longer_one_leaves_it_its_length(running):
         running.command(Switch(0, values={"frequency": 0.1}))
 
 
+@pytest.mark.release
 @pytest.mark.parametrize(
     ("switch", "sentence"),
     [
@@ -498,6 +499,7 @@ def test_what_is_driven_is_in_a_journal_at_every_moment(recorded, tmp_path):
     assert Recording.load(tmp_path / "cut.npz").metadata["driven"]["commands"]
 
 
+@pytest.mark.release
 def test_a_full_disk_stops_time_until_there_is_room(recorded, tmp_path):
     made, page, _ = recorded
     journal = made._journal
@@ -524,6 +526,7 @@ def test_a_full_disk_stops_time_until_there_is_room(recorded, tmp_path):
     until(lambda: len(replayed(tmp_path / "d.jsonl").metadata["driven"]["commands"]) == 1)
 
 
+@pytest.mark.release
 def test_where_the_recording_cannot_be_written_the_journal_stays(recorded, tmp_path, monkeypatch):
     made, page, thread = recorded
     until(lambda: made.driving.ticks > 20)
@@ -543,6 +546,7 @@ def test_where_the_recording_cannot_be_written_the_journal_stays(recorded, tmp_p
         assert len(replayed(tmp_path / name).time) > 20
 
 
+@pytest.mark.release
 def test_a_file_that_exists_is_never_replaced(tmp_path, running):
     kept = {name: tmp_path / name for name in ("d.npz", "d-2.npz", "e.jsonl", "f-3.jsonl")}
     for path in kept.values():

@@ -470,6 +470,7 @@ def test_stamps_of_a_robot_are_the_times_of_what_it_measured(driving, tmp_path) 
     assert (np.round(apart) > 1).sum() > 10
 
 
+@pytest.mark.release
 @pytest.mark.parametrize(
     ("driven", "factor", "sentences"),
     [

@@ -232,6 +232,7 @@ def test_lanes_give_every_world_its_own_result(worlds: int) -> None:
     np.testing.assert_array_equal(pair["twice"], 2 * x)
 
 
+@pytest.mark.release
 def test_the_loop_is_one_function_that_runs_on_the_thread_of_its_block(simulator, walks) -> None:
     """Otherwise there are a hundred, which XLA's threads run on the physics' cores; the engine is a tenth slower."""
     sim = simulator(spine="stride_extension")

@@ -225,6 +225,7 @@ def test_the_next_process_reuses_compiled_programs(tmp_path, engine, worlds):
     assert second["hits"] > 0
 
 
+@pytest.mark.release
 def test_sparse_jacobians_are_the_dense_ones(simulator):
     """From the same states in contact, a step with sparse Jacobians accelerates as one with dense ones."""
     sim = simulator(spine="stride_extension")

@@ -131,6 +131,7 @@ def test_wrong_columns_are_refused_in_a_sentence(sweep: Path, options: list[str]
     assert sentence in result.stderr
 
 
+@pytest.mark.release
 def test_what_has_no_figures_says_why(sweep: Path, tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()
     result = plot(tmp_path / "empty")

@@ -62,7 +62,9 @@ def at_rest(of: Geometry) -> jax.Array:
     return leg.forward_kinematics(leg.four_legs(of), jnp.zeros((4, 2)), "type3").knee_angle
 
 
-@pytest.mark.release(cases=("hip.z-low", "hip.z-high", "front_leg.upper-low"))
+@pytest.mark.release(
+    cases=("hip.z-low", "hip.z-high", "front_leg.upper-low", "tail.length-low", "front_leg.upper-high")
+)
 @pytest.mark.parametrize("end", ["low", "high"])
 @pytest.mark.parametrize("name", ALL)
 def test_a_number_moves_the_model_and_the_kinematics_alike(name, end):

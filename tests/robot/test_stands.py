@@ -58,6 +58,7 @@ def tendon_force(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
     return force
 
 
+@pytest.mark.release
 @pytest.mark.parametrize("routing", ROUTINGS)
 @pytest.mark.parametrize("limb", LIMBS)
 def test_servo_angles_put_the_foot_where_the_kinematics_says(limb, routing):

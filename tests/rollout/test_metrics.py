@@ -288,6 +288,7 @@ def test_power_is_what_heats_the_windings_and_what_drives():
     assert result["electrical_cost_of_transport"] == pytest.approx(4.0 * power / (MASS * 9.81 * 0.2))
 
 
+@pytest.mark.release
 @pytest.mark.parametrize(
     ("share", "left", "drawn"),
     [(0.5, 0.5, 0.5), (1.5, -0.5, 0.0)],
@@ -653,7 +654,7 @@ def _derivative(on_line: bool) -> Any:
     return jax.jit(lambda at, towards: jax.jvp(lambda *at: run(*at)[0], at, towards))
 
 
-@pytest.mark.release(cases=("0-False-False", "0-False-True", "0-True-False", "0-True-True"))
+@pytest.mark.release
 @pytest.mark.parametrize("on_line", [True, False])
 @pytest.mark.parametrize("whole_ticks", [False, True])
 @pytest.mark.parametrize("seed", range(4))
@@ -718,7 +719,7 @@ def _jacobian(on_line: bool) -> Any:
     return jax.jit(jax.jacrev(lambda *at: run(*at)[0], argnums=(0, 1, 2)))
 
 
-@pytest.mark.release(cases=("at rest-True", "at rest-False", "all readings zero-True", "all readings zero-False"))
+@pytest.mark.release
 @pytest.mark.parametrize("on_line", [True, False])
 @pytest.mark.parametrize("name", DEGENERATE)
 def test_derivatives_are_finite(name, on_line):

@@ -155,6 +155,7 @@ def test_a_metric_is_continuous_where_the_measuring_begins_and_ends() -> None:
         assert found["range"] == pytest.approx(end - begin, abs=4e-6)
 
 
+@pytest.mark.release
 def test_what_was_never_measured_is_not_a_number() -> None:
     assert all(math.isnan(value) for value in reduced(np.ones((3, STEPS)), 1.0, 2.0).values())
 

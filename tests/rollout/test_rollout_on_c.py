@@ -181,6 +181,7 @@ def test_a_frequency_needs_no_slowest_one_but_for_a_path() -> None:
         jax.grad(lambda f: walk.record({"frequency": f})[0]["speed"])(0.82)
 
 
+@pytest.mark.release
 def test_at_a_bound_the_derivative_is_one_sided(walk: Rollout) -> None:
     slope = jax.grad(lambda a: speed_of(walk)((a, -0.5)))
     assert slope(0.0) == pytest.approx(float(slope(1e-5)), rel=0.01)
@@ -243,6 +244,7 @@ def test_what_c_cannot_do_is_refused_and_the_engine_that_can_is_named(walk: Roll
         ask(walk)
 
 
+@pytest.mark.release
 def test_the_derivative_by_the_duty_is_the_difference_of_two_walks(walk: Rollout) -> None:
     """A duty factor brings its gait factor 1 / duty along; one of 0 has none, and is refused with its range."""
 

@@ -116,6 +116,7 @@ def test_the_articulated_tail_walks_like_the_rigid_one(simulator):
     assert jointed.metrics["speed"][0] == pytest.approx(rigid, rel=0.10)
 
 
+@pytest.mark.release
 def test_servos_turn_no_faster_than_their_speed(simulator):
     """No servo's target changes by more than its speed allows, and a slow servo shortens the stride."""
     speed = np.array([1.0, 15.0])

@@ -143,6 +143,7 @@ def test_a_run_that_ends_at_a_distance_is_repeated_and_its_recording_ends_there(
         assert ends < 3.0
 
 
+@pytest.mark.release
 def test_a_row_that_the_sweep_has_not_come_to_is_replayed_as_it_will_be(walks: Path, tmp_path: Path) -> None:
     """Its chunk is missing: nothing to compare with; when the sweep goes on, the table gets the same numbers."""
     out = tmp_path / "part"
@@ -161,6 +162,7 @@ def test_a_row_that_the_sweep_has_not_come_to_is_replayed_as_it_will_be(walks: P
     assert json_of(out, "--row", str(row))["comparison"]["equal"] is True
 
 
+@pytest.mark.release
 def test_the_directory_is_only_read(short: Path) -> None:
     def content() -> dict[Path, int]:
         return {path: path.stat().st_mtime_ns for path in (short, *short.rglob("*"))}

@@ -271,7 +271,7 @@ SWEEPS = [
 ]
 
 
-@pytest.mark.release(cases=("sagittal_spine",))
+@pytest.mark.release(cases=("sagittal_spine", "three_gaits"))
 @pytest.mark.parametrize("path", SWEEPS)
 def test_the_sweeps_of_the_repository_run(tmp_path, path):
     """Every shipped sweep file is valid, makes a table, and its repeats and sizes are as its text says.

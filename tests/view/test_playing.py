@@ -25,6 +25,7 @@ def recording(walks) -> Recording:
     return walks("c").recording(5).between(0.0, 0.51)
 
 
+@pytest.mark.release
 @pytest.mark.parametrize("sample", [0, 17, 49])
 def test_mujocos_forward_gives_the_recorded_readings(recording: Recording, sample: int) -> None:
     """A sensor was read a physics step before the positions, so that its way in that step lies between them."""

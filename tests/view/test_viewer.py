@@ -62,6 +62,7 @@ def test_the_ground_carries_the_robot(walk: Recording, motion: Motion) -> None:
     assert total[50:300, 2].mean() == pytest.approx(9.81 * load_robot().model.body_mass.sum(), rel=0.1)
 
 
+@pytest.mark.release
 def test_contact_forces_are_those_that_the_feet_felt(walk: Recording) -> None:
     """Sensors were read before a tick's last step: of the states there, the forces must be what was recorded."""
     model = load_robot().physical
