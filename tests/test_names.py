@@ -2,8 +2,11 @@
 """One word, one thing: no two files define a class or a public function of the same name, or a metric's direction."""
 
 import ast
+import importlib
 from collections import defaultdict
 from pathlib import Path
+
+import pytest
 
 import nermo_mjx
 from nermo_mjx.rollout.own_metrics import METRICS, SIDES
@@ -43,3 +46,10 @@ def test_one_place_declares_which_direction_of_a_metric_is_better():
     }
     declaring = {path for path in package.rglob("*.py") if directions(path.read_text(encoding="utf-8"))}
     assert declaring == {package / "rollout" / "own_metrics.py"}
+
+
+@pytest.mark.parametrize(("module", "name"), [("nermo_mjx", "run_landscape"), ("nermo_mjx.learn", "ShortHorizon")])
+def test_a_name_of_an_earlier_release_says_what_replaces_it(module, name):
+    with pytest.raises(ImportError, match=rf"^{module}\.{name} was removed: ."):
+        exec(f"from {module} import {name}")
+    assert name not in importlib.import_module(module).__all__
