@@ -288,7 +288,6 @@ def test_power_is_what_heats_the_windings_and_what_drives():
     assert result["electrical_cost_of_transport"] == pytest.approx(4.0 * power / (MASS * 9.81 * 0.2))
 
 
-@pytest.mark.release
 @pytest.mark.parametrize(
     ("share", "left", "drawn"),
     [(0.5, 0.5, 0.5), (1.5, -0.5, 0.0)],
