@@ -5,14 +5,11 @@ from __future__ import annotations
 import ast
 import sys
 import warnings
-from collections.abc import Callable, Mapping
 from pkgutil import resolve_name
 from typing import Any
 
 
-def lazy_names(
-    package: str, former: Mapping[str, str] | None = None
-) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
+def lazy_names(package: str, **former: str) -> tuple[Any, Any, Any]:
     """Return `__getattr__`, `__dir__` and `__all__` of a package that imports its public names on first use.
 
     The public names are those that the source of the package imports as themselves, `from MODULE import NAME as NAME`,
@@ -22,7 +19,7 @@ def lazy_names(
         package: Name of the package, whose source must be readable.
         former: Former name of an object -> `MODULE:NAME`, where the object is now.
 
-    >>> get, _, names = lazy_names("nermo_mjx.dynamics", {"advance": "nermo_mjx.dynamics:step"})
+    >>> get, _, names = lazy_names("nermo_mjx.dynamics", advance="nermo_mjx.dynamics:step")
     >>> "step" in names, "advance" in names, get("advance") is get("step")
     (True, False, True)
     """
@@ -37,15 +34,14 @@ def lazy_names(
     }
 
     def get(name: str) -> Any:
-        if former and name in former:
+        if name in former:
             warn_former(f"{package}.{name}", former[name].replace(":", "."), DeprecationWarning)
             return resolve_name(former[name])
         if name not in places:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
         return resolve_name(places[name])
 
-    names = [*places]
-    return get, names.copy, names
+    return get, places.keys, tuple(places)
 
 
 def warn_former(former: str, present: str, kind: type[Warning]) -> None:
@@ -62,5 +58,6 @@ def warn_former(former: str, present: str, kind: type[Warning]) -> None:
     >>> print(caught[0].message)
     nermo_mjx.walk is a former name, which the next minor version will not accept: use nermo_mjx.run.
     """
-    message = f"{former} is a former name, which the next minor version will not accept: use {present}."
-    warnings.warn(message, kind, stacklevel=3)
+    warnings.warn(
+        f"{former} is a former name, which the next minor version will not accept: use {present}.", kind, stacklevel=3
+    )

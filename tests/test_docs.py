@@ -191,14 +191,19 @@ WITH_EXAMPLES = sorted(
 )
 #: What runs for minutes, needs a directory or a GPU, or draws: notebooks and pages run them.
 ELSEWHERE = {
+    "find_row",
+    "identify_log",
     "read_history",
     "read_table",
     "render",
+    "replay_row",
     "run_experiment",
     "run_experiments",
     "run_landscape",
+    "run_training",
     "run_tuning",
     "show",
+    "write_identification",
 }
 
 

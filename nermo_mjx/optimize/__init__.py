@@ -9,23 +9,6 @@ A landscape shows whether the gradients of a tuning can be trusted.
 
 from nermo_mjx.optimize.directory import load_tuning, read_history
 from nermo_mjx.optimize.landscape import LandscapeResult, run_landscape
-from nermo_mjx.optimize.objective import Evaluation, Objective, ObjectiveTerm, Problem
+from nermo_mjx.optimize.objective import Evaluation
 from nermo_mjx.optimize.run import SearchResult, TuningResult, run_search, run_tuning
 from nermo_mjx.optimize.spec import Search, Tuning
-
-__all__ = [
-    "Evaluation",
-    "LandscapeResult",
-    "Objective",
-    "ObjectiveTerm",
-    "Problem",
-    "Search",
-    "SearchResult",
-    "Tuning",
-    "TuningResult",
-    "load_tuning",
-    "read_history",
-    "run_landscape",
-    "run_search",
-    "run_tuning",
-]

@@ -9,9 +9,9 @@ import mujoco
 import numpy as np
 import pytest
 
+from nermo_mjx.dynamics import step
 from nermo_mjx.dynamics.mjx_import import mjx
 from nermo_mjx.kinematics.leg import forward_kinematics, four_legs
-from nermo_mjx.dynamics import step
 from nermo_mjx.physics.variation import compile_model
 from nermo_mjx.robot import LIMBS, assemble_leg, assemble_spine, load_robot
 from nermo_mjx.robot.equipment import MOST_HINGES, chain_of

@@ -84,7 +84,7 @@ GOOD = [
     ("sweep", "pilot: {straight: }"),
     ("sweep", "sample: grid\nchunk: 16\nplots: false\nspine: stride_extension+balance\nseed: 3"),
     ("sweep", "sample: {sobol: 64}\nrandomize: {repeats: 2, from: identified, mass.front: {normal: [0.16, 0.01]}}"),
-    ("tune", "optimizer: sgd\nmethod: {differences: {scheme: forward}}\nvideo: true"),
+    ("tune", "optimizer: sgd\nmethod: {wide_differences: {scheme: forward}}\nvideo: true"),
     ("tune", "optimizer: {name: adam, learning_rate: {cosine: {init_value: 0.1, decay_steps: 20}}, b1: 0.8}"),
     ("landscape", "run: {duration: 3, warmup: 1}\nset: {contact.friction: 1.2}"),
 ]
@@ -229,7 +229,7 @@ def test_no_odd_value_leads_to_anything_but_a_sentence():
         ObjectiveTerm: (TuningFile, lambda given: {"objective": [given]}),
         Tuned: (TuningFile, lambda given: {"tune": {"duty": given}}),
         Generations: (TuningFile, lambda given: {"method": {"cma": given}}),
-        Differences: (TuningFile, lambda given: {"method": {"differences": given}}),
+        Differences: (TuningFile, lambda given: {"method": {"wide_differences": given}}),
         Limit: (SearchFile, lambda given: {"subject_to": {"speed": given}}),
         CmaMe: (SearchFile, lambda given: {"method": {"cma_me": given}}),
     }
