@@ -1,7 +1,7 @@
 """Batched digital twin of Nermo, the tendon-driven robotic mouse with a compliant spine, on MuJoCo and MJX.
 
-The public names are in `__all__`, the public submodules among them; docs/reference/interface.md lists them. They are
-imported on first use, and importing changes nothing in the process: see `nermo_mjx.runtime`.
+The public names are in `__all__`, here and in the modules that docs/reference/interface.md lists. They are imported on
+first use, and importing changes nothing in the process: see `nermo_mjx.runtime`.
 """
 
 # ruff: noqa: I001  (one statement for each module)
@@ -14,17 +14,7 @@ from nermo_mjx.trust import DATA_CONTROLLERS
 from nermo_mjx.version import __version__ as __version__
 
 if TYPE_CHECKING:
-    from nermo_mjx import (
-        control as control,
-        dynamics as dynamics,
-        hardware as hardware,
-        kinematics as kinematics,
-        learn as learn,
-        physics as physics,
-        plotting as plotting,
-        robot as robot,
-        view as view,
-    )
+    from nermo_mjx import kinematics as kinematics
     from nermo_mjx.control import (
         Controller as Controller,
         ControllerLike as ControllerLike,
@@ -40,8 +30,6 @@ if TYPE_CHECKING:
         Environment as Environment,
         Task as Task,
         Training as Training,
-        TrainingResult as TrainingResult,
-        load_policy as load_policy,
         run_training as run_training,
     )
     from nermo_mjx.live.driving import Driving as Driving

@@ -5,14 +5,11 @@ from __future__ import annotations
 import ast
 import sys
 import warnings
-from collections.abc import Callable, Mapping
 from pkgutil import resolve_name
 from typing import Any
 
 
-def lazy_names(
-    package: str, former: Mapping[str, str] | None = None, removed: Mapping[str, str] | None = None
-) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
+def lazy_names(package: str, removed: dict[str, str] | None = None, **former: str) -> tuple[Any, Any, Any]:
     """Return `__getattr__`, `__dir__` and `__all__` of a package that imports its public names on first use.
 
     The public names are those that the source of the package imports as themselves, `from MODULE import NAME as NAME`,
@@ -23,7 +20,7 @@ def lazy_names(
         former: Former name of an object -> `MODULE:NAME`, where the object is now.
         removed: Name of an earlier release -> what replaces it; the name raises an `ImportError` with this text.
 
-    >>> get, _, names = lazy_names("nermo_mjx.dynamics", {"advance": "nermo_mjx.dynamics:step"})
+    >>> get, _, names = lazy_names("nermo_mjx.dynamics", advance="nermo_mjx.dynamics:step")
     >>> "step" in names, "advance" in names, get("advance") is get("step")
     (True, False, True)
     """
@@ -38,7 +35,7 @@ def lazy_names(
     }
 
     def get(name: str) -> Any:
-        if former and name in former:
+        if name in former:
             warn_former(f"{package}.{name}", former[name].replace(":", "."), DeprecationWarning)
             return resolve_name(former[name])
         if removed and name in removed:  # of an AttributeError, `from PACKAGE import NAME` would hide the message
@@ -47,8 +44,7 @@ def lazy_names(
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
         return resolve_name(places[name])
 
-    names = [*places]
-    return get, names.copy, names
+    return get, places.keys, tuple(places)
 
 
 def warn_former(former: str, present: str, kind: type[Warning]) -> None:
@@ -65,5 +61,6 @@ def warn_former(former: str, present: str, kind: type[Warning]) -> None:
     >>> print(caught[0].message)
     nermo_mjx.walk is a former name, which the next minor version will not accept: use nermo_mjx.run.
     """
-    message = f"{former} is a former name, which the next minor version will not accept: use {present}."
-    warnings.warn(message, kind, stacklevel=3)
+    warnings.warn(
+        f"{former} is a former name, which the next minor version will not accept: use {present}.", kind, stacklevel=3
+    )

@@ -200,13 +200,13 @@ ELSEWHERE = {
     "read_table",
     "render",
     "replay_row",
-    "run_training",
-    "trajectory",
-    "write_identification",
     "run_experiment",
     "run_experiments",
+    "run_training",
     "run_tuning",
     "show",
+    "trajectory",
+    "write_identification",
 }
 
 

@@ -386,7 +386,7 @@ NOT_READ_FOR_A_PERSON = {
     "live/driving.py": 1,  # a journal is written
     "robot/parts.py": 2,
     "robot/scene.py": 1,  # MuJoCo, after all files of the scene were read here
-    "runs/code.py": 2,
+    "runs/code.py": 1,
     "runs/files.py": 2,  # Parquet, of what was opened here
     "runtime.py": 1,
     "view/page.py": 1,

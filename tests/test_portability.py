@@ -48,7 +48,7 @@ def optional_modules() -> list[str]:
 def test_the_robot_walks_sweeps_and_is_tuned_without_posix_and_extras(tmp_path: Path) -> None:
     absent = [*POSIX_MODULES, *optional_modules()]
     assert {"fcntl", "cma", "websockets", "SALib", "paho", "tensorboardX"} <= set(absent)
-    spec = SPECS["tuning"] | {"method": "gradient", "iterations": 1, "run": {"duration": 0.3, "warmup": 0.0}}
+    spec = SPECS["tuning"] | {"method": "local_gradient", "iterations": 1, "run": {"duration": 0.3, "warmup": 0.0}}
     (tmp_path / "tuning.yaml").write_text(json.dumps(spec))
     (tmp_path / "sweep.yaml").write_text(json.dumps(SPECS["sweep"]))
     commands = [

@@ -1,6 +1,6 @@
 """Numbers and tables of docs/gradients.md, as JSON.
 
-python docs/answers/gradients.py slopes   # exact derivatives beside slopes as wide as a tuner's steps
+python docs/answers/gradients.py slopes   # derivatives at points beside slopes as wide as a tuner's steps
 python docs/answers/gradients.py costs    # of first and further gradients; needs an idle machine
 """
 
@@ -28,7 +28,7 @@ RUN = Run(cycles=4, warmup_cycles=1)
 POINTS = 24
 #: Amplitude [rad] and phase [rad]: where points are drawn, and the ranges of which widths are shares.
 LOW, HIGH, RANGES = np.array([0.06, -np.pi]), np.array([0.34, np.pi]), np.array([0.4, 2 * np.pi])
-#: Shares of the ranges to either side: of the exact derivative, as in `Rollout` on MuJoCo C, and of a tuner's step.
+#: Shares of the ranges to either side: for the derivative at a point, as in `Rollout` on MuJoCo C, and a tuner's step.
 EXACT, WIDE = 1e-7, 0.02
 HARD = {**STIFF, "build.tendon_impedance": 0.95}
 #: Of a parabola over 1 % of the range: points along it, and places where it is fitted.
@@ -49,7 +49,7 @@ def speeds(gait: str, changed: dict[str, float]) -> Callable[[np.ndarray], np.nd
 
 
 def cosines(speed: Callable[[np.ndarray], np.ndarray], points: np.ndarray) -> tuple[np.ndarray, float]:
-    """Cosine of exact derivative and wide slope at each point, and the mean speed [m/s]."""
+    """Cosine of derivative and wide slope at each point, and the mean speed [m/s]."""
     ends = [
         points + side * share * RANGES * np.eye(2)[k] for share in (EXACT, WIDE) for k in (0, 1) for side in (-1, 1)
     ]

@@ -1,8 +1,8 @@
-"""Exact gradients, secants and CMA-ES with equal processor time, on the default body: `python rematch.py OUT.jsonl`.
+"""Local gradients, wide differences and CMA-ES with equal processor time: `python rematch.py OUT.jsonl`.
 
 Adds a line to the file for each search that it does not hold yet. Speed of a trot, or its cost of transport at a held
-speed, by 2, 16 and 64 parameters, from starts beside the published gait; each best point is walked from eight unseen
-starts.
+speed, by 2, 16 and 64 parameters, from starts beside the published gait, on the default body; each best point is walked
+from eight unseen starts.
 """
 
 import contextlib
@@ -21,8 +21,8 @@ from nermo_mjx.optimize.problems import WalkProblem
 from nermo_mjx.optimize.run import verified
 
 SECONDS = 40.0
-SECANTS = {"differences": {"scheme": "forward", "step": 0.02}}
-METHODS = {"exact": "gradient", "secants": SECANTS, "secants, L-BFGS": SECANTS, "CMA-ES": SECANTS}
+SECANTS = {"wide_differences": {"scheme": "forward", "step": 0.02}}
+METHODS = {"exact": "local_gradient", "secants": SECANTS, "secants, L-BFGS": SECANTS, "CMA-ES": SECANTS}
 #: Initial standard deviation of CMA-ES, in unbounded coordinates, and points of a generation.
 SIGMA, POPULATION = 0.5, 16
 FEET = ("foot.front", "foot.rear", "foot.front_left", "foot.front_right", "foot.rear_left", "foot.rear_right")

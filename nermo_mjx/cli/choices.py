@@ -22,7 +22,6 @@ def of_package() -> dict[str, list[str]]:
     """The names, from where they are declared; the first is an option's default."""
     from nermo_mjx.bench import CASES
     from nermo_mjx.control.spine_modes import MODES, NO_MODE
-    from nermo_mjx.experiments import cases
     from nermo_mjx.experiments.run import EXPERIMENTS
     from nermo_mjx.physics.making import ENGINES
     from nermo_mjx.plotting.files import FORMATS
@@ -33,23 +32,13 @@ def of_package() -> dict[str, list[str]]:
     from nermo_mjx.specs.walk import PilotFields
     from nermo_mjx.view import CAMERAS, OVERLAYS
 
-    chosen = allowed_names(Setup)
     named = {
         "ENGINES": ENGINES,
         "BENCH_CASES": CASES,
-        "ROBOTS": chosen["robot"],
-        "TAILS": chosen["tail"],
-        "PHYSICS": chosen["physics"],
-        "GAITS": chosen["gait"],
+        **{field.upper(): names for field, names in allowed_names(Setup).items()},
         "GAIT_CODES": GAIT_CODES,
         "SPINE_MODES": (NO_MODE, *MODES),
-        "TRAJECTORIES": chosen["trajectory"],
-        "HEADS": chosen["head"],
-        "TAIL_MOTIONS": chosen["tail_motion"],
-        "STEERINGS": chosen["steering"],
-        "PROFILES": chosen["profile"],
         "EXPERIMENTS": EXPERIMENTS,
-        "EXPERIMENT_PROFILES": cases.PROFILES,
         "OVERLAYS": OVERLAYS,
         "VIEWS": CAMERAS,
         "FORMATS": FORMATS,

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from nermo_mjx.cli import options
-from nermo_mjx.cli.choices import EXPERIMENT_PROFILES, EXPERIMENTS
+from nermo_mjx.cli.choices import EXPERIMENTS, PROFILE
 from nermo_mjx.cli.options import FileKind, assigned, flag, number
 from nermo_mjx.cli.output import (
     Output,
@@ -182,7 +182,7 @@ def _forecast_in_short(forecast: Forecast) -> str:
     known = math.isfinite(forecast.wall_seconds)
     time = f"about {duration(forecast.wall_seconds)} here" if known else "for a time that is not known"
     disk = "" if forecast.disk_bytes is None else f", {forecast.disk_bytes / 1e6:.3g} MB on disk"
-    compiles = ", and minutes to compile, once per machine" if forecast.method == "gradient" else ""
+    compiles = ", and minutes to compile, once per machine" if forecast.method and forecast.engine == "mjx" else ""
     return (
         f"{method}{counts}; {duration(forecast.simulated_seconds)} simulated, {time} on the engine {forecast.engine}"
         f"{compiles}{disk}"
@@ -384,7 +384,7 @@ def _print_search(result: SearchResult) -> None:
 def tune_command(spec: Path, out: Path, body: str | None, dry_run: bool, **how: Any) -> Output:
     """Tune the parameters that a tuning file names.
 
-    The file's method says how: by exact gradients, or by finite differences.
+    The file's method says how: by local gradients, or by wide differences.
     The cost of each on this machine is printed before it starts.
 
     Writes the best point, the history of all iterations, a sweep file with
@@ -574,7 +574,7 @@ def _print_training(result: TrainingResult, exported: Path | None) -> None:
 @command("experiment")
 @options.out
 @click.argument("name", type=click.Choice((*EXPERIMENTS, "all")))
-@options.choice_option("--profile", ("all", *EXPERIMENT_PROFILES), "Set-up: as published, as described, as built.")
+@options.choice_option("--profile", ("all", *PROFILE), "Set-up: as published, as described, as built.")
 @number("--repeats", "Starts of each case; by default 3, or 1 with --quick.", click.IntRange(1))
 @number("--seed", "Seed of the shifts between repeats.", click.IntRange(0), default=0)
 @number("--bodies", "Also run this many identified bodies: for what share of them does a line hold?", click.IntRange(1))
@@ -615,7 +615,7 @@ def experiment_command(
 
         # Their ranges are checked with the other settings.
         values = assigned(assignments, dict(quantities(WorldParameters)))
-        profiles = EXPERIMENT_PROFILES if profile == "all" else (profile,)
+        profiles = PROFILE if profile == "all" else (profile,)
         names = EXPERIMENTS if name == "all" else [name]
         result = run_experiments(names, out, profiles=profiles, values=values, video=not no_video, **given)
     run = {each.name: {"kept": each.kept} for each in result.results}

@@ -249,8 +249,8 @@ accept_new_code = flag(
     "--accept-new-code",
     "Resume a directory made by other code or another engine; the column code distinguishes its rows.",
 )
-robot = choice_option("--robot", choices.ROBOTS)
-tail = choice_option("--tail", choices.TAILS, "Default: rigid; in as_published articulated.", default=None)
+robot = choice_option("--robot", choices.ROBOT)
+tail = choice_option("--tail", choices.TAIL, "Default: rigid; in as_published articulated.", default=None)
 scene = text(
     "--scene",
     "NAME",
@@ -285,7 +285,7 @@ best_body = text("--body", "DIR", _BEST.format("what the file names"))
 #: What decides how the robot steps.
 gait = grouped(
     click.option(
-        "--gait", type=_Gait(choices.GAITS), default=choices.GAITS[0], show_default=True, help="Order of the feet."
+        "--gait", type=_Gait(choices.GAIT), default=choices.GAIT[0], show_default=True, help="Order of the feet."
     ),
     number("--frequency", "Gait cycles per second [Hz].", str),
     number("--stride", "Stride length, as a fraction of the maximum.", str),
@@ -302,7 +302,7 @@ gait = grouped(
     number("--spine-phase", 'Phase of the stride extension [rad], or such as "-45 deg".', str),
     number("--turn-rate", "Turn rate held without feedback, -1 right to 1 left.", str),
     choice_option(
-        "--steering", choices.STEERINGS, "What turns the robot. Default: leg; in as_published spine.", default=None
+        "--steering", choices.STEERING, "What turns the robot. Default: leg; in as_published spine.", default=None
     ),
     number(
         "--offset-compensation",
@@ -312,8 +312,8 @@ gait = grouped(
         flag_value="1",
         metavar="[X]",
     ),
-    choice_option("--trajectory", choices.TRAJECTORIES, "Shape of the foot path; free: with movable points."),
-    choice_option("--head", choices.HEADS, "gaze: the neck keeps the image still while the torso sways."),
-    choice_option("--tail-motion", choices.TAIL_MOTIONS, "Motion of the articulated tail."),
-    choice_option("--profile", choices.PROFILES, "For design; the published simulation; the robot as built."),
+    choice_option("--trajectory", choices.TRAJECTORY, "Shape of the foot path; free: with movable points."),
+    choice_option("--head", choices.HEAD, "gaze: the neck keeps the image still while the torso sways."),
+    choice_option("--tail-motion", choices.TAIL_MOTION, "Motion of the articulated tail."),
+    choice_option("--profile", choices.PROFILE, "For design; the published simulation; the robot as built."),
 )

@@ -50,7 +50,7 @@ class Plan(NamedTuple):
 
 def planned_walk(
     *,
-    pilot: str | None,
+    pilot: Any,
     assignments: tuple[str, ...],
     switches: tuple[str, ...] = (),
     seed: int | None = None,
@@ -66,9 +66,9 @@ def planned_walk(
 
     pilot = pilot or ("straight" if options["turn_rate"] is None else "open_loop")
     fields = {field.name for field in dataclasses.fields(Setup)}
-    chosen = {name: value for name, value in options.items() if name in fields and value is not None} | {"pilot": pilot}
+    chosen = {name: value for name, value in options.items() if name in fields and value is not None}
     chosen["spine"] = "+".join(mode_names(chosen["spine"])) or "none"
-    setup = Setup(schedule=tuple(map(_switch, switches)), **chosen)
+    setup = Setup(pilot=pilot, schedule=tuple(map(_switch, switches)), **chosen)
     parameters = all_parameters(setup)
     values: dict[str, float] = {} if seed is None else _shifted_start(seed)
     for option, name in PARAMETER_OPTIONS.items():
@@ -93,8 +93,10 @@ def _switch(text: str) -> Switch:
     from nermo_mjx.robot.quantity import ParameterError
 
     at, *parts = text.split(",")
-    pairs: dict[str, Any] = dict(part.partition("=")[::2] for part in parts)
-    words = {name: pairs.pop(name) for name in ("gait", "steering", "spine", "head", "tail_motion") if name in pairs}
+    pairs = dict(part.partition("=")[::2] for part in parts)
+    words: Any = {
+        name: pairs.pop(name) for name in ("gait", "steering", "spine", "head", "tail_motion") if name in pairs
+    }
     try:
         blend = float(pairs.pop("blend", 1.0))
         return Switch(float(at), blend, **words, values=pairs)

@@ -16,7 +16,7 @@ import functools
 import math
 from collections.abc import Sequence
 from functools import partial
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar, get_args
 
 import jax
 import jax.numpy as jnp
@@ -317,7 +317,7 @@ def published_controller(
 
 def named_pilot(name: str, waypoints: Sequence[Sequence[float]] | None, command: Command | None) -> PilotLike:
     """A pilot by its name; the arguments are those of `published_controller`."""
-    choice("pilot", name, pilot.PILOTS)
+    choice("pilot", name, get_args(pilot.PilotName))
     owned = ("command", command, "external", "one"), ("waypoints", waypoints, WAYPOINTS, "them")
     for field, given, owner, what in owned:
         if (name == owner) != (given is not None):

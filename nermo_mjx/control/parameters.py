@@ -360,8 +360,6 @@ AS_BUILT = {"tracking.foot_gain": tracking_share(80.0), "spine.max_servo_angle":
 AS_BUILT_BODY = {"build.spine_slack": 0.0006, "build.asymmetry": 0.1, "stiffness.spine": 0.9}
 ProfileName = Literal["exact", "as_published", "as_built"]
 PROFILES: tuple[str, ...] = get_args(ProfileName)
-#: Profiles of the published simulation, which experiments show side by side.
-SIMULATED: tuple[str, ...] = PROFILES[:2]
 
 
 def published_values(gait: str, *, steering: str | None = None, profile: str = "exact") -> dict[str, float]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
-from typing import Any, Final, Literal, NamedTuple, Protocol, get_args, runtime_checkable
+from typing import Any, Final, Literal, NamedTuple, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -26,7 +26,6 @@ Command = Callable[[Any], tuple[Any, Any]]
 
 WAYPOINTS: Final = "waypoints"
 PilotName = Literal["open_loop", "straight", "arc", "waypoints", "external"]
-PILOTS: Final = get_args(PilotName)
 
 
 class Drive(NamedTuple):

@@ -20,22 +20,14 @@ from typing import Any, Final, TypeVar
 import jax.numpy as jnp
 import numpy as np
 
-from nermo_mjx.control.head_and_tail import (
-    COUNTER_ROLL,
-    COUNTER_YAW,
-    GAZE,
-    HEADS,
-    SWING,
-    TAIL_MOTIONS,
-    HeadName,
-    TailMotionName,
-)
+from nermo_mjx.control.head_and_tail import COUNTER_ROLL, COUNTER_YAW, GAZE, SWING, HeadName, TailMotionName
 from nermo_mjx.control.parameters import GRIP, HARMONICS, STEERING, ControlParameters, SteeringName, with_gait_factor
 from nermo_mjx.control.spine_modes import mode_names
 from nermo_mjx.robot.parameters import GAIT_CODES, GAIT_PATTERNS, LIMBS, GaitName
 from nermo_mjx.robot.quantity import (
     ParameterError,
     Quantity,
+    allowed_names,
     choice,
     parameter_tree,
     quantities,
@@ -96,12 +88,7 @@ class Switch:
         given = ((str(name), known[name].numbers(name, value) if name in known else value) for name, value in given)
         object.__setattr__(self, "values", tuple((name, float(value)) for name, value in given))
         object.__setattr__(self, "gait", GAIT_CODES.get(self.gait or "", self.gait))
-        for field, names in (
-            ("gait", GAIT_PATTERNS),
-            ("steering", STEERING),
-            ("head", HEADS),
-            ("tail_motion", TAIL_MOTIONS),
-        ):
+        for field, names in allowed_names(Switch).items():
             if (name := getattr(self, field)) is not None:
                 choice(field, name, names)
         modes = self.modes

@@ -10,7 +10,14 @@ from typing import Any, Final
 
 import numpy as np
 
-from nermo_mjx.control.parameters import AS_BUILT, PUBLISHED_CLOCK_RATIO, body_values, published_values, robot_choices
+from nermo_mjx.control.parameters import (
+    AS_BUILT,
+    PROFILES,
+    PUBLISHED_CLOCK_RATIO,
+    body_values,
+    published_values,
+    robot_choices,
+)
 from nermo_mjx.control.protocol import ActsUpon, controller_digest, load_controller
 from nermo_mjx.files import MOST_ARRAYS, read_bytes
 from nermo_mjx.recording import Recording, recording_of
@@ -21,8 +28,7 @@ from nermo_mjx.rollout.setup import WorldParameters
 from nermo_mjx.specs.reading import read_file
 from nermo_mjx.sweep.spec import START_SPREAD
 
-#: The profiles that are compared, in the order of their columns, and those of the simulation, shown side by side.
-PROFILES: Final = ("exact", "as_published", "as_built")
+#: Profiles of the published simulation, which experiments show side by side.
 SIMULATED: Final = PROFILES[:2]
 #: Published amplitude of the stride extension [rad of spine servo]: 0.1 rad in each joint.
 AMPLITUDE: Final = 0.4

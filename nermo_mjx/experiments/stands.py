@@ -19,11 +19,10 @@ from nermo_mjx.experiments.cases import BODY, CaseRuns, Settings
 from nermo_mjx.kinematics import leg
 from nermo_mjx.kinematics.spine import joint_angle
 from nermo_mjx.robot import LIMBS, ModelParameters, ParameterError, assemble_leg, assemble_spine, load_robot
-from nermo_mjx.robot.assembly import RobotName
 from nermo_mjx.robot.equipment import VISUAL_GROUP, chain_of
 from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.masses import mass_values
-from nermo_mjx.robot.parameters import LEGS, ROUTINGS, SERVO_RANGE, SPINE, RoutingName
+from nermo_mjx.robot.parameters import LEGS, ROUTINGS, SERVO_RANGE, SPINE
 from nermo_mjx.robot.quantity import check_quantities, choice, quantities, replace_quantities, values_of
 
 #: Torque of the published load case [N m].
@@ -225,7 +224,7 @@ _inverse: Final = jax.jit(leg.inverse_kinematics, static_argnames="routing")
 def run_leg(settings: Settings) -> CaseRuns:
     """Measure all routings of a leg, and chains of hinges; see `_measured`."""
 
-    def measure(parameters: ModelParameters, pair: str, routing: RoutingName, hinges: int) -> dict[str, float]:
+    def measure(parameters: ModelParameters, pair: str, routing: Any, hinges: int) -> dict[str, float]:
         limb, joints = f"{pair}_left", (f"{pair}_left_hip", f"{pair}_left_knee")
 
         def settled(servo: Any) -> Stand:
@@ -279,7 +278,7 @@ SPINE_CASES: Final[tuple[dict[str, Any], ...]] = (
 def run_spine(settings: Settings) -> CaseRuns:
     """Measure all planes of the spine, and chains of hinges; see `_measured`."""
 
-    def measure(parameters: ModelParameters, robot: RobotName, plane: str, hinges: int) -> dict[str, float]:
+    def measure(parameters: ModelParameters, robot: Any, plane: str, hinges: int) -> dict[str, float]:
         # The robot's masses, unless they are set.
         default, now = dict(values_of(ModelParameters())), dict(values_of(parameters))
         own = {name: np.asarray(value) for name, value in mass_values(robot).items() if now[name] == default[name]}

@@ -287,8 +287,8 @@ class Training(WalkSpec, Described):
             for scene in self.evaluation.scenes
         ] or here
         if (physics := self.evaluation.physics) is not None:
-            step: Any = {"physics": physics, "timestep": PRESETS[physics].timestep}
-            pairs = [(dataclasses.replace(setup, **step), task) for setup, task in pairs]
+            step = PRESETS[physics].timestep
+            pairs = [(dataclasses.replace(setup, physics=physics, timestep=step), task) for setup, task in pairs]  # type: ignore[arg-type]
         return [(setup, _evaluated(setup, task, self.evaluation)) for setup, task in pairs]
 
     def check_division(self) -> None:

@@ -6,21 +6,6 @@ result.best["parameters"], result.best["metrics"]["speed"]
 """
 
 from nermo_mjx.optimize.directory import load_tuning, read_history
-from nermo_mjx.optimize.objective import Evaluation, Objective, ObjectiveTerm, Problem
+from nermo_mjx.optimize.objective import Evaluation
 from nermo_mjx.optimize.run import SearchResult, TuningResult, run_search, run_tuning
 from nermo_mjx.optimize.spec import Search, Tuning
-
-__all__ = [
-    "Evaluation",
-    "Objective",
-    "ObjectiveTerm",
-    "Problem",
-    "Search",
-    "SearchResult",
-    "Tuning",
-    "TuningResult",
-    "load_tuning",
-    "read_history",
-    "run_search",
-    "run_tuning",
-]

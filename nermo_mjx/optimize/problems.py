@@ -62,7 +62,7 @@ class WalkProblem:
 
     @functools.cached_property
     def simulator(self) -> Any:
-        """What walks without exact derivatives."""
+        """The simulator of walks without derivatives, and of wide differences."""
         return self._given or Simulator(self.tuning.setup, "c")
 
     def evaluate(self, points: Float[Array, "n p"], gradient: bool) -> Evaluation:

@@ -12,12 +12,13 @@ from typing import Annotated, Any, ClassVar, Final
 
 import jax.numpy as jnp
 import numpy as np
-from pydantic import ConfigDict, Field, GetCoreSchemaHandler
+from pydantic import BeforeValidator, ConfigDict, Field, GetCoreSchemaHandler
 from pydantic_core import core_schema
 from pydantic_core.core_schema import CoreSchema
 from scipy.stats import qmc
 
 from nermo_mjx.files import MOST_FILE, read_bytes
+from nermo_mjx.lazy import warn_former
 from nermo_mjx.optimize.objective import (
     AIMS,
     OBJECTIVE_METRICS,
@@ -81,9 +82,9 @@ class TuningMethod(Spec):
 
 @dataclasses.dataclass(frozen=True)
 class Gradient(TuningMethod):
-    """Exact derivatives, on the engine that `Rollout` chooses."""
+    """The derivative at the point: on a CPU by narrow central differences in MuJoCo C, on MJX by reverse mode."""
 
-    name, what = "gradient", "an option of 'gradient'"
+    name, what = "local_gradient", "an option of 'local_gradient'"
 
     def gradient_cost(self, parameters: int) -> float:
         return 1.0 + 2.0 * parameters if self.engine_for(parameters) == "c" else MJX_GRADIENT
@@ -94,13 +95,13 @@ class Gradient(TuningMethod):
 
 @dataclasses.dataclass(frozen=True)
 class Differences(TuningMethod):
-    """Differences between neighbours, on MuJoCo C."""
+    """Differences between the point and neighbours at a distance of about an optimizer's step, in MuJoCo C."""
 
-    name, what = "differences", "an option of 'differences'"
+    name, what = "wide_differences", "an option of 'wide_differences'"
     scheme: Annotated[str, Choice(("central", "forward"))] = "central"
     """on which sides a slope is measured"""
     step: Positive = 0.02
-    """to the neighbours, as a share of the bounds: secants of this width are useful"""
+    """distance to the neighbours, as a fraction of the bounds"""
 
     def gradient_cost(self, parameters: int) -> float:
         return 1.0 + parameters * (2 if self.scheme == "central" else 1)
@@ -158,7 +159,9 @@ class Sobol(SearchMethod):
 
 #: Methods by their names in files; of a search the first one for an aim is its default.
 TUNING_METHODS: Final[Mapping[str, type[TuningMethod]]] = {m.name: m for m in (Gradient, Differences)}
-#: Numbers of parameters up to which an exact gradient takes a tuning as far as a secant does, and up to which a secant
+#: Former names of methods of a tuning, which files may still contain; directories know a tuning by them.
+FORMER_METHODS: Final = {"gradient": "local_gradient", "differences": "wide_differences"}
+#: Numbers of parameters up to which a local gradient takes a tuning as far as a secant does, and up to which a secant
 #: takes it about as far as CMA-ES does: 2, 16 and 64 have been measured (docs/benchmarks/rematch.md).
 MOST_EXACT, MOST_SECANTS = 8, 32
 SEARCH_METHODS: Final[Mapping[str, type[SearchMethod]]] = {m.name: m for m in (Cma, Nsga2, CmaMe, Sobol)}
@@ -304,6 +307,15 @@ _PLAIN: Final = ("starts", "iterations", "patience", "seed", "plots")
 _KNOWN_METRICS: Final[Any] = {"properties": {aim: {"enum": [*OBJECTIVE_METRICS]} for aim in AIMS}}
 
 
+def _present_method(given: Any) -> Any:
+    """The method of a file with its present name."""
+    if isinstance(given, dict):
+        return {_present_method(name): options for name, options in given.items()}
+    if present := FORMER_METHODS.get(str(given)):
+        warn_former(f"method: {given}", f"method: {present}", FutureWarning)
+    return present or given
+
+
 class TuningFile(WalkFields):
     """A file for `nermo-mjx tune`."""
 
@@ -324,9 +336,10 @@ class TuningFile(WalkFields):
     method: Annotated[
         TuningMethod,
         one_of("TuningMethod", "is not a method", TUNING_METHODS, {"cma": f"which was removed: {_SEARCH}"}),
+        BeforeValidator(_present_method),
     ] = optional(
-        "how an iteration finds its step: along exact gradients or secants; the default depends on the number of "
-        "parameters"
+        "how an iteration finds its step: along local gradients or wide differences; the default depends on the number "
+        "of parameters"
     )
     optimizer: OptimizerFields = optional("how an iteration steps")
     starts: Annotated[int, Whole(1, 100_000)] = 1
@@ -433,8 +446,14 @@ class Tuning(WalkSpec, Described):
         return data
 
     def decisive(self) -> dict[str, Any]:
-        """The fields that may not change: a recording counts beside them, a controller by what it is."""
+        """The fields that may not change: a recording counts beside them, a controller by what it is.
+
+        A method keeps its former name here, so that a directory of an older version contains the same tuning.
+        """
         data = {key: value for key, value in self.resolved().items() if key not in (*_FREE_OF_TUNING, "recording")}
+        for former, present in FORMER_METHODS.items():
+            if present in data.get("method", ()):
+                data["method"] = {former: data["method"][present]}
         return data | code_identity(self.setup)
 
     def identity(self) -> dict[str, Any]:
@@ -484,7 +503,7 @@ def _read_tuning(doc: Document, *, recorded: bool = True) -> Tuning:
     objective, method = read_objective(doc, file.objective), file.method or default_method(len(file.tune))
     if method is None:
         many = f"with more than {MOST_SECANTS} parameters"
-        doc.fail(("method",), f"is missing: {many}, name gradient or differences, or {_SEARCH}.")
+        doc.fail(("method",), f"is missing: {many}, name local_gradient or wide_differences, or {_SEARCH}.")
     recording: Path | None = None
     compared = TRAJECTORY_ERROR in objective.metrics
     if file.recording is not None:

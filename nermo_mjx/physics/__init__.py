@@ -22,5 +22,8 @@ if TYPE_CHECKING:
     from nermo_mjx.physics.variation import Variation as Variation
 else:
     __getattr__, __dir__, __all__ = lazy_names(
-        __name__, {name: f"nermo_mjx.dynamics:{name}" for name in ("forward", "step", "step_with_verdict")}
+        __name__,
+        forward="nermo_mjx.dynamics:forward",
+        step="nermo_mjx.dynamics:step",
+        step_with_verdict="nermo_mjx.dynamics:step_with_verdict",
     )

@@ -1,6 +1,5 @@
 """The robot: its numbers, its assembled MuJoCo model, and the meaning of its indices."""
 
-from nermo_mjx.robot import identified
 from nermo_mjx.robot.assembly import RobotConfig, assemble, assemble_leg, assemble_spine
 from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.masses import MassModel

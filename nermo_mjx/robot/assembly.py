@@ -40,7 +40,7 @@ from nermo_mjx.robot.parameters import (
     RoutingName,
 )
 from nermo_mjx.robot.parts import load_part, mirror, stance_height
-from nermo_mjx.robot.quantity import ParameterError, allowed_names, replace_quantities, static, with_attributes
+from nermo_mjx.robot.quantity import ParameterError, allowed_names, choice, replace_quantities, static, with_attributes
 from nermo_mjx.robot.scene import Scene, load_scene, resolve_scene, scene_geoms, scene_name
 
 RobotName = Literal["nermo_lite", "nermo_41"]
@@ -86,11 +86,8 @@ class RobotConfig:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "scene", resolve_scene(self.scene))
-        for name, allowed in allowed_names(RobotConfig).items():
-            if getattr(self, name) not in allowed:
-                raise ParameterError(
-                    f"{name} is {getattr(self, name)!r}: allowed is {' or '.join(map(repr, allowed))}."
-                )
+        for name, allowed in allowed_names(type(self)).items():  # type: ignore[arg-type]
+            choice(name, getattr(self, name), allowed)
         if isinstance(self.timestep, PresetTimestep):
             object.__setattr__(self, "timestep", PresetTimestep(self.preset.timestep))
         if not 1e-5 <= self.timestep <= 0.005:
@@ -139,8 +136,7 @@ def assemble_leg(
     limb: str, routing: RoutingName = "type3", parameters: ModelParameters | None = None, hinges: int = 1
 ) -> mujoco.MjSpec:
     """One leg on a test stand: its hip axis is fixed at the world's origin, without gravity or ground."""
-    if limb not in LIMBS:
-        raise ParameterError(f"limb is {limb!r}: allowed is one of {', '.join(LIMBS)}.")
+    choice("limb", limb, LIMBS)
     config, parameters = RobotConfig(routing=routing, hinges=hinges), parameters or ModelParameters()
     spec = _stand(f"{limb}_leg_stand")
     _attach_leg(spec, parameters, spec.worldbody, limb, config)

@@ -30,7 +30,7 @@ from nermo_mjx.robot.parameters import (
     TAIL,
     LegGeometry,
 )
-from nermo_mjx.robot.quantity import ParameterError, group, parameter_tree, quantity
+from nermo_mjx.robot.quantity import ParameterError, choice, group, parameter_tree, quantity
 
 #: Rows of the DH table that lead from one lateral joint to the next; each covers half a segment.
 SEGMENT_ROWS: Final = range(SPINE.lateral_joints[0] + 1, SPINE.lateral_joints[-1] + 1)
@@ -211,8 +211,7 @@ TINY: Final = 1e-4
 
 def check_routing(routing: str) -> None:
     """Raise `ParameterError` unless `routing` is one of `ROUTINGS`."""
-    if routing not in ROUTINGS:
-        raise ParameterError(f"routing is {routing!r}: allowed is one of {', '.join(ROUTINGS)}.")
+    choice("routing", routing, ROUTINGS)
 
 
 def shank(leg: Any, xp: Any = jnp) -> tuple[Any, Any]:

@@ -333,7 +333,7 @@ def static(default: Any, doc: str) -> Any:
 
 @functools.cache
 def allowed_names(cls: type) -> dict[str, tuple[str, ...]]:
-    """Return the allowed names of each field of a class whose type is a `Literal`: field -> names.
+    """Return the allowed names of each field of a class whose type is a `Literal`, or a `Literal` or None.
 
     >>> class Mat:
     ...     pile: Literal["short", "long"]
@@ -341,7 +341,12 @@ def allowed_names(cls: type) -> dict[str, tuple[str, ...]]:
     >>> allowed_names(Mat)
     {'pile': ('short', 'long')}
     """
-    return {name: get_args(kind) for name, kind in get_type_hints(cls).items() if get_origin(kind) is Literal}
+    return {
+        name: get_args(kind)
+        for name, hint in get_type_hints(cls).items()
+        for kind in (hint, *get_args(hint))
+        if get_origin(kind) is Literal
+    }
 
 
 def with_attributes(cls: type[T]) -> type[T]:

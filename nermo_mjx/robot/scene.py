@@ -24,7 +24,7 @@ from jax.typing import ArrayLike
 from nermo_mjx.files import opened, read_bytes
 from nermo_mjx.robot.model_parameters import ModelParameters, gravity_values
 from nermo_mjx.robot.parts import load_file, scene_files
-from nermo_mjx.robot.quantity import ParameterError, check_quantities, replace_quantities
+from nermo_mjx.robot.quantity import ParameterError, check_quantities, nearest, replace_quantities
 from nermo_mjx.robot.terrains import TERRAINS, TerrainShape, add_terrain, field_share, geom_names
 from nermo_mjx.shapes import Array, Scalars
 
@@ -100,8 +100,11 @@ def resolve_scene(scene: Scene) -> str:
     path = Path(scene)
     if not os.path.isfile(path):
         if path.suffix != ".xml":
-            names = " or ".join(map(repr, scenes()))
-            raise ParameterError(f"scene is {str(scene)!r}: allowed is {names} or the path of an MJCF file (.xml).")
+            names, near = " or ".join(map(repr, scenes())), nearest(str(scene), scenes())
+            hint = f"did you mean {near!r}? " if near else ""
+            raise ParameterError(
+                f"scene is {str(scene)!r}: {hint}allowed is {names} or the path of an MJCF file (.xml)."
+            )
         raise ParameterError(f"scene is {str(scene)!r}: there is no such file.")
     return _text(read_mjcf(path), repr(str(scene)))
 

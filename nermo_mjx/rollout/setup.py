@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from nermo_mjx.control.controller import Controller, published_controller
-from nermo_mjx.control.head_and_tail import TAIL_MOTIONS, HeadName, TailMotionName
+from nermo_mjx.control.head_and_tail import HeadName, TailMotionName
 from nermo_mjx.control.parameters import (
     ControlParameters,
     ProfileName,
@@ -46,7 +46,6 @@ from nermo_mjx.robot.parameters import GaitName, ProfileChoice
 from nermo_mjx.robot.quantity import (
     Quantity,
     check_quantities,
-    choice,
     flat,
     group,
     of_type,
@@ -239,8 +238,6 @@ class Setup(RobotConfig):
     schedule: tuple[Switch, ...] = static((), "what changes while the robot walks, see `control.schedule`")
 
     def __post_init__(self) -> None:
-        for name in ("gait", "spine", "steering", "profile", "pilot", "trajectory", "head", "tail_motion"):
-            of_type(name, getattr(self, name), str, "a name")
         of_type("timestep", self.timestep, (float, int), "a number of seconds")
         of_type("schedule", self.schedule, (tuple, list), "a list of Switch")
         for switch in self.schedule:
@@ -249,15 +246,13 @@ class Setup(RobotConfig):
         for name, chosen in robot_choices(self.profile).items():
             if isinstance(getattr(self, name), ProfileChoice):
                 object.__setattr__(self, name, chosen)
+        object.__setattr__(self, "gait", GAIT_CODES.get(str(self.gait), self.gait))
         super().__post_init__()
-        object.__setattr__(self, "gait", GAIT_CODES.get(self.gait, self.gait))
-        published_values(self.gait, steering=self.steering, profile=self.profile)
         if isinstance(self.steering, ProfileChoice) and self._applies("steering"):
             object.__setattr__(self, "steering", steering_of(self.profile))
         object.__setattr__(self, "schedule", tuple(self.schedule))
         for spine in (self.spine, *(switch.spine for switch in self.schedule)):
             check_spine(spine or "none", self.robot)
-        choice("tail_motion", self.tail_motion, TAIL_MOTIONS)
         if self.modes["tail_motion"] and self.tail == "rigid":
             motion = self.modes["tail_motion"][0]
             raise ParameterError(f"tail_motion is {motion!r} and tail 'rigid': take the tail 'articulated'.")

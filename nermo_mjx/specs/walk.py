@@ -23,7 +23,7 @@ from nermo_mjx.control.stepping import FREE
 from nermo_mjx.robot import GAITS, identified
 from nermo_mjx.robot.equipment import MOST_HINGES
 from nermo_mjx.robot.parameters import ProfileChoice
-from nermo_mjx.robot.quantity import ParameterError, Quantity, allowed_names, did_you_mean
+from nermo_mjx.robot.quantity import ParameterError, Quantity, allowed_names
 from nermo_mjx.robot.scene import resolve_scene, scenes
 from nermo_mjx.robot.terrains import scenes_reading, terrain_values
 from nermo_mjx.rollout import Metric, Run, Setup, all_metrics, all_parameters
@@ -390,9 +390,7 @@ def read_walk(doc: Document, fields: WalkFields) -> dict[str, Any]:
             doc.fail(("schedule", *(int(part) - 1 for part in field.split(".")[1:])), rest)
         if field not in choices:
             doc.fail(("pilot", "waypoints", "points"), f"is refused: {error}")
-        allowed = re.findall(r"'([^']+)'", rest.partition("allowed")[2])
-        hint = "" if "did you mean" in rest else did_you_mean(str(choices[field]), allowed)
-        doc.fail((field,), rest.rstrip(".") + (hint or "."))
+        doc.fail((field,), rest)
     values = pilot_options(given, pilot, options)
     parameters = all_parameters(setup)
     for name, value in fields.set.items():

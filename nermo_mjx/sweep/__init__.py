@@ -3,19 +3,5 @@
 from nermo_mjx.runs.files import DirectoryError
 from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.sweep.run import SweepResult, merge_sweeps, run_sweep
-from nermo_mjx.sweep.spec import Sample, Sweep, sample
-from nermo_mjx.sweep.table import Results, read_table, summarize
-
-__all__ = [
-    "DirectoryError",
-    "Results",
-    "Sample",
-    "SpecError",
-    "Sweep",
-    "SweepResult",
-    "merge_sweeps",
-    "read_table",
-    "run_sweep",
-    "sample",
-    "summarize",
-]
+from nermo_mjx.sweep.spec import Sweep, sample
+from nermo_mjx.sweep.table import Results, read_table

@@ -5,7 +5,6 @@ from pathlib import Path
 
 from nermo_mjx.recording import Recording, RecordingError, model_hash, recording_of
 from nermo_mjx.robot.quantity import of_type
-from nermo_mjx.view import offscreen
 from nermo_mjx.view.page import Page
 from nermo_mjx.view.playing import play, write_keyframes
 from nermo_mjx.view.recorded import robot_of, shown_model

@@ -29,7 +29,7 @@ from nermo_mjx.plotting.style import FOOT, INK, OKABE_ITO, TAIL
 from nermo_mjx.recording import Recording, RecordingError
 from nermo_mjx.robot.assembly import EYES
 from nermo_mjx.robot.parameters import LIMBS
-from nermo_mjx.robot.quantity import ParameterError
+from nermo_mjx.robot.quantity import ParameterError, choice
 from nermo_mjx.view import offscreen
 from nermo_mjx.view.camera import (
     CAMERAS,
@@ -230,8 +230,7 @@ def check_overlays(names: Sequence[str], recording: Recording | None = None) -> 
         RecordingError: a sensor is missing.
     """
     for name in names:
-        if name not in OVERLAYS:
-            raise ParameterError(f"overlay is {name!r}: allowed is one of {', '.join(OVERLAYS)}.")
+        choice("overlay", name, OVERLAYS)
         missing = [sensor for sensor in OVERLAYS[name][0] if recording and sensor not in recording.sensors]
         if missing:
             raise RecordingError(f"The overlay {name!r} needs the sensor {missing[0]!r}, which the recording lacks.")

@@ -247,7 +247,7 @@ def test_a_pattern_stands_for_all_names_that_it_matches() -> None:
     assert [axis.numbers for axis in search.sweep.axes][-2:] == [(-0.003, 0.003), (0.0, 0.001)]
     assert set(search.sweep.fixed) == {f"spine.harmonics.{wave}{k}" for k in range(1, 7) for wave in ("cos", "sin")}
     assert Search.from_dict(search.resolved()).digest() == search.digest()
-    many = "method: gradient\ntune:\n  foot.*_*.*: {bounds: [-0.003, 0.003]}\nobjective: [{maximize: speed}]\n"
+    many = "method: local_gradient\ntune:\n  foot.*_*.*: {bounds: [-0.003, 0.003]}\nobjective: [{maximize: speed}]\n"
     assert len(Tuning.from_text(STANDS + many).names) == 64
 
 

@@ -6,9 +6,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from nermo_mjx.control.parameters import SIMULATED, ControlParameters
+from nermo_mjx.control.parameters import ControlParameters
 from nermo_mjx.experiments import balance
-from nermo_mjx.experiments.cases import Settings
+from nermo_mjx.experiments.cases import SIMULATED, Settings
 from nermo_mjx.robot import LIMBS, ParameterError, load_robot
 
 GRAVITY = 9.81

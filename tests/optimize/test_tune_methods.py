@@ -18,7 +18,7 @@ from nermo_mjx.optimize.problems import WalkProblem
 from nermo_mjx.optimize.run import tuning_forecasts
 from nermo_mjx.runs import Interrupted, codes_of
 
-DIFFERENCES = SPEC | {"method": "differences"}
+DIFFERENCES = SPEC | {"method": "wide_differences"}
 
 
 class Walker:
@@ -61,7 +61,7 @@ def test_central_differences_are_the_slope():
 def test_differences_stay_within_the_bounds():
     """At a bound a neighbour stands on it; a periodic parameter's comes back at the other side; slopes are right."""
     for scheme in ("central", "forward"):
-        spec = DIFFERENCES | {"method": {"differences": {"scheme": scheme, "step": 0.01}}}
+        spec = DIFFERENCES | {"method": {"wide_differences": {"scheme": scheme, "step": 0.01}}}
         found, _ = problem(spec)
         slope = found.evaluate(np.array([[0.399, 3.14], [0.0005, -3.14]]), True).gradient
         worlds = found.simulator.batches[0]
@@ -91,16 +91,17 @@ def test_each_method_says_its_cost_before(monkeypatch: pytest.MonkeyPatch, tmp_p
     """At a hundred simulated seconds a second: counted by hand for two starts, six iterations, runs of five seconds."""
     monkeypatch.setattr("nermo_mjx.optimize.run.pace_here", lambda _: 100.0)
     costs = {each.method: each for each in tuning_forecasts(Tuning.from_dict(DIFFERENCES))}
-    assert list(costs) == ["differences", "gradient"]
-    assert costs["differences"].counts["evaluations"] == 2 * 7 * 5
-    assert costs["differences"].simulated_seconds == pytest.approx(2 * 7 * 5 * 5.0)
-    assert costs["differences"].wall_seconds == pytest.approx(3.5)
-    assert costs["gradient"].simulated_seconds == pytest.approx(2 * 7 * 5 * 5.0)
+    assert list(costs) == ["wide_differences", "local_gradient"]
+    assert costs["wide_differences"].counts["evaluations"] == 2 * 7 * 5
+    assert costs["wide_differences"].simulated_seconds == pytest.approx(2 * 7 * 5 * 5.0)
+    assert costs["wide_differences"].wall_seconds == pytest.approx(3.5)
+    assert costs["local_gradient"].simulated_seconds == pytest.approx(2 * 7 * 5 * 5.0)
     path = tmp_path / "tuning.yaml"
     path.write_text(Tuning.from_dict(DIFFERENCES).to_yaml())
     shown = call("tune", path, "--out", tmp_path / "out", "--dry-run").stdout
-    assert "method differences: 70 evaluations;" in shown
-    assert "instead of it, method gradient" in shown
+    assert "method wide_differences: 70 evaluations;" in shown
+    assert "instead of it, method local_gradient: 70 evaluations;" in shown
+    assert "minutes to compile" not in shown, "nothing here runs in MJX"
     assert not (tmp_path / "out").exists()
 
 

@@ -26,8 +26,8 @@ from nermo_mjx.sweep import DirectoryError, Sweep, run_sweep
 
 #: Tunings by each method: what changes in `SPEC`.
 METHODS = {
-    "gradient": {},
-    "differences": {"method": "differences"},
+    "local_gradient": {},
+    "wide_differences": {"method": "wide_differences"},
 }
 
 
@@ -219,10 +219,28 @@ def test_a_problem_that_says_ok_to_nan_is_not_believed():
 # --- going on
 
 
+@pytest.mark.filterwarnings("ignore:method. differences is a former name:FutureWarning")
+@pytest.mark.parametrize("given", ["differences", "wide_differences"])
+def test_a_directory_with_the_former_name_of_a_method_goes_on(tmp_path, given):
+    """Its file has the former name, as its checkpoints do, under either name in the file of the user."""
+    whole, _ = tune(tmp_path / "whole", METHODS["wide_differences"])
+    with pytest.raises(Interrupted):
+        tune(tmp_path / "out", METHODS["wide_differences"], stop_at=3)
+    stored = tmp_path / "out" / "tuning.yaml"
+    stored.write_text(stored.read_text().replace("  wide_differences:", "  differences:"))
+    texts = {path.read_text() for path in (tmp_path / "out" / "checkpoints" / "2").rglob("metadata")}
+    (about,) = (text for text in texts if "identity" in text)
+    assert json.loads(about)["identity"]["fields"]["method"] == {"differences": {"scheme": "central", "step": 0.02}}
+    rest, _ = tune(tmp_path / "out", {"method": given})
+    assert rest.iterations_run == whole.iterations_run - 3
+    assert same(rest, whole)
+    assert not [*(tmp_path / "out").glob("*aside*")]
+
+
 @pytest.mark.release
 @pytest.mark.parametrize(
     ("name", "stops"),
-    [("gradient", (0, 3, 6)), ("differences", (4,))],
+    [("local_gradient", (0, 3, 6)), ("wide_differences", (4,))],
 )
 def test_an_interrupted_tuning_goes_on_bit_for_bit(tmp_path, name, stops):
     """Stopped in any iteration, or within one, the same call resumes and ends with the same state and history."""

@@ -2,6 +2,7 @@
 """Tuning files: what is read, and that everything wrong is refused with file, line, field and what is allowed."""
 
 import math
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -122,11 +123,11 @@ def test_a_wrong_file_is_refused_with_line_and_field(tmp_path, before, after, li
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"method": "gradiant"}, "field 'method' is 'gradiant': expected gradient or differences .* mean 'gradient'"),
+        ({"method": "gradiant"}, "field 'method' is 'gradiant': expected local_gradient or wide_differences .*"),
         ({"method": "cma"}, "field 'method' is 'cma', which was removed: run nermo-mjx search with method: cma."),
         ({"method": {"cma": {"population": 8}}}, "is 'cma', which was removed: run nermo-mjx search with method: cma."),
         ({"video": True}, "field 'video' was removed: run .* nermo-mjx replay RUNS --row 0 --video FILE.mp4."),
-        ({"method": {"differences": {"scheme": "left"}}}, "is the text 'left': allowed are central, forward"),
+        ({"method": {"wide_differences": {"scheme": "left"}}}, "is the text 'left': allowed are central, forward"),
     ],
 )
 def test_what_a_method_cannot_use_is_said(change, message):
@@ -172,7 +173,7 @@ def test_everything_but_parameters_and_objective_has_a_default():
         {"pilot": {"arc": {"radius": 0.4, "direction": "right"}}, "run": {"duration": 3}, "optimizer": "sgd"},
         {"tune": {"offset.rear_left": {"periodic": True}, "contact.friction": {"bounds": (0.7, 1.5)}}},
         {"objective": [{"hold": "speed", "at": 0.05, "weight": 10}, {"minimize": "speed", "scale": 2}]},
-        {"method": "differences"},
+        {"method": "wide_differences"},
     ],
 )
 def test_the_resolved_file_reads_back_as_the_same_tuning(change):
@@ -197,12 +198,14 @@ def test_the_digest_tells_tunings_apart():
         {"run": {"cycles": 9}},
         {"objective": [{"maximize": "speed", "weight": 2}]},
         {"tune": {"duty": {"bounds": [0.4, 0.8]}}},
-        {"method": "differences"},
+        {"method": "wide_differences"},
     ]
     assert digest not in [Tuning.from_dict(SMALL | other).digest() for other in others]
 
 
-@pytest.mark.parametrize(("count", "name"), [(8, "gradient"), (9, "differences"), (32, "differences"), (33, None)])
+@pytest.mark.parametrize(
+    ("count", "name"), [(8, "local_gradient"), (9, "wide_differences"), (32, "wide_differences"), (33, None)]
+)
 def test_the_default_method_hangs_on_the_number_of_parameters(count, name):
     """What the rematch found (docs/benchmarks/rematch.md); it is not written to the resolved file."""
     names = [f"foot.{foot}.{axis}{i}" for foot in ("front", "rear", "front_left") for axis in "yz" for i in range(1, 9)]
@@ -211,11 +214,34 @@ def test_the_default_method_hangs_on_the_number_of_parameters(count, name):
     if name is None:
         with pytest.raises(SpecError, match=r"'method' is missing: with more than 32 .* search with method: cma"):
             Tuning.from_dict(spec)
-        spec |= {"method": "differences"}
+        spec |= {"method": "wide_differences"}
     tuning = Tuning.from_dict(spec)
-    assert tuning.method.name == (name or "differences")
+    assert tuning.method.name == (name or "wide_differences")
     assert ("method" in tuning.resolved()) == (name is None)
     assert Tuning.from_text(tuning.to_yaml()) == tuning
+
+
+@pytest.mark.parametrize(
+    ("former", "present"),
+    [
+        ("gradient", {"local_gradient": {}}),
+        ({"gradient": None}, {"local_gradient": {}}),
+        ({"differences": {"step": 0.01}}, {"wide_differences": {"scheme": "central", "step": 0.01}}),
+    ],
+)
+def test_a_former_name_of_a_method_is_read_with_a_warning(former, present):
+    """A warning that is always shown, because users write these files."""
+    tune = {f"foot.front.{axis}{i}": {"bounds": [-0.01, 0.01]} for axis in "yz" for i in range(1, 9)}
+    spec = {"tune": tune, "objective": SMALL["objective"], "trajectory": "free"}  # neither is the default of 16
+    (old,), (new,) = [former] if isinstance(former, str) else former, present
+    with pytest.warns(FutureWarning, match=f"method: {old} is a former name, .*: use method: {new}.$"):
+        tuning = Tuning.from_dict(spec | {"method": former})
+    assert tuning.resolved()["method"] == present
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert Tuning.from_text(tuning.to_yaml()) == tuning
+    with pytest.warns(FutureWarning), pytest.raises(SpecError, match="field 'method' is the text 'left'"):
+        Tuning.from_dict(spec | {"method": {"differences": {"scheme": "left"}}})
 
 
 def test_starts_are_drawn_within_the_bounds():

@@ -86,7 +86,7 @@ GOOD = [
     ("sweep", "pilot: {straight: }"),
     ("sweep", "sample: grid\nchunk: 16\nplots: false\nspine: stride_extension+balance\nseed: 3"),
     ("sweep", "sample: {sobol: 64}\nrandomize: {repeats: 2, from: identified, mass.front: {normal: [0.16, 0.01]}}"),
-    ("tune", "optimizer: sgd\nmethod: {differences: {scheme: forward}}"),
+    ("tune", "optimizer: sgd\nmethod: {wide_differences: {scheme: forward}}"),
     ("tune", "optimizer: {name: adam, learning_rate: {cosine: {init_value: 0.1, decay_steps: 20}}, b1: 0.8}"),
 ]
 
@@ -226,7 +226,7 @@ def test_no_odd_value_leads_to_anything_but_a_sentence():
         Modulation: (TrainingFile, lambda given: {"task": {"action": {"modulation": given}}}),
         ObjectiveTerm: (TuningFile, lambda given: {"objective": [given]}),
         Tuned: (TuningFile, lambda given: {"tune": {"duty": given}}),
-        Differences: (TuningFile, lambda given: {"method": {"differences": given}}),
+        Differences: (TuningFile, lambda given: {"method": {"wide_differences": given}}),
         Limit: (SearchFile, lambda given: {"subject_to": {"speed": given}}),
         CmaMe: (SearchFile, lambda given: {"method": {"cma_me": given}}),
     }

@@ -13,8 +13,10 @@ import pytest
 from fakes.sweep_fake import SPEC, FakeSimulator
 
 from nermo_mjx.rollout import METRICS
-from nermo_mjx.sweep import Sample, Sweep, read_table, run_sweep, sample, summarize
+from nermo_mjx.sweep import Sweep, read_table, run_sweep, sample
 from nermo_mjx.sweep.simulating import BUSY_WORLDS, WORLD_BYTES, chunk_rows
+from nermo_mjx.sweep.spec import Sample
+from nermo_mjx.sweep.table import summarize
 
 GIB = 2**30
 
