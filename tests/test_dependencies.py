@@ -1,3 +1,4 @@
+# Tests of pyproject.toml
 """pyproject.toml declares every import of the package, and no requirement that the package does not import."""
 
 from __future__ import annotations

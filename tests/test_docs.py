@@ -195,7 +195,6 @@ WITH_EXAMPLES = sorted(
 ELSEWHERE = {
     "find_row",
     "identify_log",
-    "load_policy",
     "read_history",
     "read_table",
     "render",

@@ -1,3 +1,4 @@
+# Tests of __init__.py
 """The modules of the package import one another without a cycle, also inside of functions."""
 
 from __future__ import annotations

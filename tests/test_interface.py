@@ -1,3 +1,4 @@
+# Tests of lazy.py
 """The public interface: pages use nothing else, former names work for one version, and choices have types."""
 
 from __future__ import annotations

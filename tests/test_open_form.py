@@ -1,3 +1,4 @@
+# Tests of .ci/run
 """The files of an open project: licences, decisions of the owner, changelog, issue forms, and the hosted CI."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Tests of runtime.py
 """The package works where POSIX and all extras are absent, as on a fresh Windows."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Tests of dynamics/mjx_copy.py, dynamics/mjx_import.py
 """One file lists the private attributes of JAX, MJX and Ray in use, and the installed releases have them."""
 
 from __future__ import annotations

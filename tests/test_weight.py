@@ -1,3 +1,4 @@
+# Tests of docs/pictures.py
 """The repository stays small: its pictures, films and notebooks, and the programs that write them."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Tests of dynamics/mjx_copy.py
 """MJX and JAX stay unchanged in a process that imports or uses this package: other models keep their results."""
 
 from __future__ import annotations
