@@ -1,4 +1,4 @@
-# Tests of files.py
+# Tests of robot/quantity.py
 """Without an extra, the commands that need it say so before anything else happens, and all others work."""
 
 from __future__ import annotations
