@@ -189,17 +189,22 @@ MAKERS = (
 )
 
 
+def _name(setup: Setup, engine: str) -> str:
+    plain = Setup().fields()
+    return " ".join([guard.SIMULATOR + engine, *(f"{n}={v}" for n, v in setup.fields().items() if v != plain.get(n))])
+
+
 class SharedSimulator(Simulator):
     """A simulator whose programs count for the simulator, not for the first test that uses them."""
 
     def run(self, *given: Any, **named: Any) -> RunResult:
-        with guard.shared(f"simulator {self.engine.name} {without_presettings(self.setup)}"):
+        with guard.shared(_name(without_presettings(self.setup), self.engine.name)):
             return super().run(*given, **named)
 
 
 @functools.cache
 def _first_of(setup: Setup, engine: str) -> Simulator:
-    with guard.shared(f"simulator {engine} {setup}"):
+    with guard.shared(_name(setup, engine)):
         return SharedSimulator(setup, engine)
 
 

@@ -36,6 +36,9 @@ GIB: Final = 1024**3
 #: Memory of a process beyond which the end of a file frees all programs, and its limit [bytes].
 FREED_BYTES: Final = 2 * GIB
 MOST_BYTES: Final = 3 * GIB
+#: The beginning of the name of a shared simulator: each is a shared setup, and of the fixtures those that create more
+#: programs than `MOST_PROGRAMS`.
+SIMULATOR: Final = "simulator "
 COMPILED: Final = "/jax/core/compile/backend_compile_duration"
 #: Most entries of a list at the end of a run.
 ENTRIES: Final = 20
@@ -170,7 +173,8 @@ def pytest_runtest_logreport(report: pytest.TestReport) -> None:
     if "limits" in about:
         programs, seconds = about["limits"]
         _tests["programs"][report.nodeid], _tests["seconds"][report.nodeid] = programs.get("", 0), seconds
-        _setups.update({name: count for name, count in programs.items() if name})
+        dear = {name: count for name, count in programs.items() if count > MOST_PROGRAMS or name.startswith(SIMULATOR)}
+        _setups.update({name: count for name, count in dear.items() if name})
     if "memory" in about:
         _tests["memory"][report.nodeid] = about["memory"]
 

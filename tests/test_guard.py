@@ -27,7 +27,11 @@ lazy = [jax.jit(lambda x: x - 0.5 - i) for i in range(6)]
 def setup(request):
     programs(20)
 
-def test_few(setup):
+@pytest.fixture(scope="module")
+def small():
+    programs(8)
+
+def test_few(setup, small):
     programs(2)
 
 def test_shared():

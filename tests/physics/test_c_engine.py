@@ -15,17 +15,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from nermo_mjx.physics import c_engine
 from nermo_mjx.physics.c_engine import LANES, CBodies, CEngine, _Block, _observed, _restarted
 from nermo_mjx.physics.lanes import LANES as PIECE
 from nermo_mjx.physics.lanes import Lanes
 from nermo_mjx.rollout import Run, RunResult, Simulator
 from nermo_mjx.rollout.path_metrics import begins_in_run, ticks_until
 from nermo_mjx.rollout.saving import Saving
-from nermo_mjx.rollout.setup import Window
+from nermo_mjx.rollout.setup import Setup, Window
 from nermo_mjx.rollout.simulator import BLOCK
 
 #: More worlds than one block, on any number of cores.
-WORLDS = LANES + 9
+WORLDS = 41
 RUN = Run(duration=0.6, warmup=0.1)
 
 
@@ -64,6 +65,16 @@ def test_neither_the_batch_nor_the_place_in_it_changes_a_bit(simulator, walks) -
     same(sim.run(some(walks, order), RUN).metrics, some(whole, order))
     for ids in ([7], [3, 40, 11, 12, 30]):
         same(sim.run(some(walks, np.array(ids)), RUN).metrics, some(whole, np.array(ids)))
+
+
+@pytest.mark.release
+def test_the_number_of_lanes_changes_no_bit(simulator, walks, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The other tests simulate 8 lanes, and users 32."""
+    few = some(walks, np.arange(3))
+    expected = simulator(spine="stride_extension").run(few, RUN).metrics
+    assert c_engine.LANES == 8
+    monkeypatch.setattr(c_engine, "LANES", 32)
+    same(Simulator(Setup(spine="stride_extension"), "c").run(few, RUN).metrics, expected)
 
 
 @pytest.mark.release
