@@ -421,5 +421,19 @@ def _apart(forward: np.ndarray, backward: np.ndarray) -> bool:
 
 
 def trajectory(model: mujoco.MjModel, threads: int | None = None) -> Trajectory:
-    """A differentiable trajectory of any model; see `Trajectory`."""
+    """Return the motion of any model in MuJoCo C as a differentiable function of start and controls; see `Trajectory`.
+
+    >>> ball = "<mujoco><worldbody><body><freejoint/><geom size='.1'/></body></worldbody></mujoco>"
+    >>> fall = trajectory(mujoco.MjModel.from_xml_string(ball))
+    >>> end = fall(jnp.zeros(7).at[3].set(1.0), jnp.zeros(6), jnp.zeros((500, 0))).qpos[-1]
+    >>> print(f"{end[2]:.3f} m")
+    -4.915 m
+
+    Args:
+        model: Compiled model, which is copied.
+        threads: Number of processors that share a batch, by default all.
+
+    Raises:
+        ParameterError: The model has states of plugins or delays.
+    """
     return Trajectory(model, threads)
