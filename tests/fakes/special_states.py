@@ -7,6 +7,7 @@ derivatives with those of MuJoCo C.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -41,7 +42,7 @@ class Found(NamedTuple):
     Attributes:
         value: largest difference of the end state from C's, over the larger of 1 and the state's size.
         slope: largest difference of an entry of the gradient from C's differences, over the larger of 1 and the
-        largest.
+        largest of its case.
         kinks: entries for which C has no two-sided derivative, but a one-sided one, which the gradient equals or is
         between.
         jumps: entries for which C's differences converge on neither side.
@@ -331,29 +332,54 @@ CASES: dict[str, Case] = {
 }
 
 
-def compiled(case: Case) -> mujoco.MjModel:
-    """The model of a case, with C's solver converged."""
-    end = "" if "</worldbody>" in case.body else "</worldbody>"
-    close = "></option>" if ">" in case.option else "/>"
-    xml = f"<mujoco>{_option(case.option, close)}<worldbody>{case.body}{end}</mujoco>"
-    model = mujoco.MjModel.from_xml_string(xml)
+def _xml(option: str, body: str = "") -> str:
+    end, close = "" if "</worldbody>" in body else "</worldbody>", "></option>" if ">" in option else "/>"
+    return f"<mujoco><option {option}{close}<worldbody>{body}{end}</mujoco>"
+
+
+def compiled(cases: Sequence[Case]) -> mujoco.MjModel:
+    """One model of all cases, which have the same options, with C's solver converged.
+
+    Several cases are trees without contacts: contacts are off, so that no case touches another one.
+    """
+    if len(cases) == 1:
+        model = mujoco.MjModel.from_xml_string(_xml(cases[0].option, cases[0].body))
+    else:
+        assert len({case.option for case in cases}) == 1
+        whole = mujoco.MjSpec.from_string(_xml(cases[0].option))
+        for place, case in enumerate(cases):
+            alone = compiled([case])
+            data = mujoco.MjData(alone)
+            mujoco.mj_forward(alone, data)
+            assert data.ncon == 0
+            part = mujoco.MjSpec.from_string(_xml(case.option, case.body))
+            whole.attach(part, prefix=f"{place}_", frame=whole.worldbody.add_frame())
+        model = whole.compile()
+        model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
     model.opt.iterations, model.opt.tolerance, model.opt.ls_tolerance = 200, 0, 1e-10
     model.opt.ccd_tolerance, model.opt.ccd_iterations = 1e-13, 1000
     return model
 
 
-def _option(option: str, close: str) -> str:
-    return f"<option {option}{close}"
-
-
-def check(case: Case, model: mujoco.MjModel | None = None, width: float = 1e-6) -> Found:
-    """One case against C; see `Found`."""
-    model = compiled(case) if model is None else model
-    data = mujoco.MjData(model)
-    start = [
-        np.array(getattr(data, name) if given is None else given, float)
-        for name, given in (("qpos", case.qpos), ("qvel", case.qvel), ("act", case.act), ("ctrl", case.ctrl))
-    ]
+def check(*cases: Case, width: float = 1e-6) -> Found:
+    """One case against C, or several in one model; see `Found`."""
+    model, steps = compiled(cases), max(case.steps for case in cases)
+    starts, owners, state_owners = [], [], []
+    for place, case in enumerate(cases):
+        alone = compiled([case])
+        data = mujoco.MjData(alone)
+        starts.append(
+            [
+                np.array(getattr(data, name) if given is None else given, float)
+                for name, given in (("qpos", case.qpos), ("qvel", case.qvel), ("act", case.act), ("ctrl", case.ctrl))
+            ]
+        )
+        owners.append([np.full(n, place) for n in (alone.nv, alone.nv, alone.na, alone.nu)])
+        state_owners.append([np.full(n, place) for n in (alone.nq, alone.nv, alone.na)])
+    start = [np.concatenate(each) for each in zip(*starts, strict=True)]
+    owner, state_owner = (
+        np.concatenate([np.concatenate(each) for each in zip(*each, strict=True)]) for each in (owners, state_owners)
+    )
     cuts = np.cumsum([model.nv, model.nv, model.na])
     size = cuts[-1] + model.nu
     weights = np.cos(1.0 + np.arange(model.nq + model.nv + model.na))
@@ -364,7 +390,7 @@ def check(case: Case, model: mujoco.MjModel | None = None, width: float = 1e-6) 
         data.qpos[:] = start[0]
         mujoco.mj_integratePos(model, data.qpos, dq, 1.0)
         data.qvel[:], data.act[:], data.ctrl[:] = start[1] + dv, start[2] + da, start[3] + du
-        for _ in range(case.steps):
+        for _ in range(steps):
             mujoco.mj_step(model, data)
         return np.concatenate([data.qpos, data.qvel, data.act])
 
@@ -380,7 +406,7 @@ def check(case: Case, model: mujoco.MjModel | None = None, width: float = 1e-6) 
                 return (after.qpos, after.qvel, after.act), None
 
             first = positions(device, jnp.asarray(start[0]), dq), start[1] + dv, start[2] + da
-            return jnp.concatenate(jax.lax.scan(advance, first, None, length=case.steps)[0])
+            return jnp.concatenate(jax.lax.scan(advance, first, None, length=steps)[0])
 
         both = jax.jit(
             jax.value_and_grad(lambda z: (lambda e: (weights @ e, e))(ends(z)), has_aux=True),
@@ -388,7 +414,10 @@ def check(case: Case, model: mujoco.MjModel | None = None, width: float = 1e-6) 
         )
         (_, end), slopes = both(np.zeros(size))
     end, slopes, here = np.asarray(end), np.asarray(slopes), in_c(np.zeros(size))
-    value = np.abs(end - here).max() / max(1.0, np.abs(here).max())
+    value = max(
+        np.abs(end - here)[among].max() / max(1.0, np.abs(here[among]).max())
+        for among in (state_owner == place for place in range(len(cases)))
+    )
     # Differences to both sides, at two widths.
     sides = np.array(
         [
@@ -400,7 +429,7 @@ def check(case: Case, model: mujoco.MjModel | None = None, width: float = 1e-6) 
         ]
     )
     middle = sides[:, 0].mean(axis=0)
-    scale = max(1.0, np.abs(middle).max())
+    scale = np.array([max(1.0, np.abs(middle[owner == place]).max()) for place in owner])
     error = np.abs(slopes - middle) / scale
     converged = np.abs(sides[:, 0] - sides[:, 1]) < 1e-2 * np.maximum(1.0, np.abs(sides[:, 0]))
     jump = ~converged.any(axis=0)
