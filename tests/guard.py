@@ -27,7 +27,7 @@ import pytest
 
 ENFORCED: Final = bool(os.environ.get("CI"))
 #: Programs for each test function of a file, on average.
-MOST_PROGRAMS: Final = 8
+MOST_PROGRAMS: Final = 24
 MOST_SETUPS: Final = 12
 #: CPU time of a test, and of a test function with all its cases, that the end of a run lists [s].
 TEST_SECONDS: Final = 1.0

@@ -206,6 +206,7 @@ def test_channels_of_a_former_version_are_read(tmp_path):
     assert [each.quantity for each in log.channels] == ["force", "contact", "accelerometer"]
 
 
+@pytest.mark.release
 def test_a_walk_saves_commands_under_their_name(simulator):
     found = simulator("c").run({}, Run(duration=0.1), save=Saving(("servo_command", "spine_servo_angle"), 100.0))
     assert [*found.series.values] == [*reading_names("servo_command", ROBOT.servos), "spine_servo_angle"]

@@ -325,6 +325,7 @@ def test_a_recorded_walk_can_be_rendered(tmp_path: Path) -> None:
     assert video.stat().st_size > 0
 
 
+@pytest.mark.release
 def test_sweep_json_and_directory(tmp_path: Path) -> None:
     spec, out = tmp_path / "sweep.yaml", tmp_path / "out"
     spec.write_text("run: {duration: 0.3, warmup: 0.1}\nvary: {frequency: [0.6, 0.9]}\nplots: false\n")

@@ -253,6 +253,7 @@ def test_second_derivatives_of_several_steps() -> None:
     assert max(found.values()) < 1e-6, found
 
 
+@pytest.mark.release
 @pytest.mark.parametrize("way", WAYS)
 @pytest.mark.parametrize("looped", [False, True])
 def test_a_derivative_of_ones_own_holds_in_loops_and_batches(way: str, looped: bool) -> None:

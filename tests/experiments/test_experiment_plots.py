@@ -301,6 +301,7 @@ def test_paths_turn_left_on_the_page():
     assert np.hypot(x + 500, y) == pytest.approx(500, abs=5)
 
 
+@pytest.mark.release
 def test_orientation_spans_two_cycles_in_degrees():
     """Roll of 6 degrees shows as 6, over cycles 0 to 2; the published range is drawn at 8."""
     roll = whole("straight-line")["orientation"].axes[0]

@@ -111,6 +111,7 @@ def test_the_load_case_holds_and_so_does_what_the_thesis_says_of_the_routings(bo
         assert set(outcome.columns) <= set(outcome.about)
 
 
+@pytest.mark.release
 def test_both_stands_are_drawn(of_leg, of_spine):
     """A bar for each routing of each pair of legs, and for each plane, in four panels."""
     for outcome, bars in ((of_leg, 2 * len(ROUTINGS)), (of_spine, len(stands.PLANES))):

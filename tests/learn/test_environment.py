@@ -229,6 +229,7 @@ def test_a_policy_can_be_told_how_its_path_bends():
     assert nowhere.told(told._replace(path=None), sensors()).shape == (0,)
 
 
+@pytest.mark.release
 def test_actions_move_servo_targets_or_parameters_by_their_ranges():
     base = published_controller("stride_extension", "open_loop")
     servo, home = leg_servos(jnp.array([[0.0, -0.045]] * 4)), leg_servos(jnp.array([[0.01, -0.04]] * 4))

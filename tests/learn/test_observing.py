@@ -50,6 +50,7 @@ def fallen_rays(robot, places: np.ndarray) -> np.ndarray:
     )
 
 
+@pytest.mark.release
 @pytest.mark.parametrize("scene", ["flat", "stairs", "planks", "rough", "ramp", "spiral_stairs"])
 def test_heights_are_those_that_rays_meet_on_a_grid_that_turns_with_the_torso(scene):
     robot, uneven = Setup(scene=scene).load(), False

@@ -199,6 +199,7 @@ def status(address: str, **headers) -> int:
         return error.code
 
 
+@pytest.mark.release
 def test_only_its_own_page_gets_in(drive):
     address = drive.address
     assert address.startswith("http://127.0.0.1:")

@@ -179,6 +179,7 @@ def test_new_values_never_recompile_on_mjx(walks, simulator, compilations):
     assert compilations == []
 
 
+@pytest.mark.release
 def test_a_world_is_small_in_the_scan(simulator):
     """What a world carries from tick to tick, its controller and metrics included, stays below 4 KiB."""
     sim = simulator("mjx", spine="stride_extension")
@@ -244,6 +245,7 @@ def test_sparse_jacobians_are_the_dense_ones(simulator):
             np.testing.assert_allclose(sparse.qacc, other.qacc, atol=1e-6 * np.abs(other.qacc).max())
 
 
+@pytest.mark.release
 def test_worlds_do_not_disturb_each_other(simulator):
     """A world alone walks as it does in a batch, up to what vectorised float32 arithmetic of the controller leaves."""
     sim = simulator(spine="stride_extension")

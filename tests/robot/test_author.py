@@ -76,6 +76,7 @@ def test_the_servos_are_commanded_as_by_the_authors_controller(case):
     assert shifts[np.argmin([rms(0.11, s) for s in shifts])] >= 1.0
 
 
+@pytest.mark.release
 def test_his_offset_compensation_takes_the_feet():
     """His function's offsets at 0.4 rad, of the left and the right foot, with the neutral feet of his tests [m]."""
     stance = {name.split(".")[1]: value for name, value in AS_PUBLISHED.items() if name.startswith("stance.")}

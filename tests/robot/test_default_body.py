@@ -112,6 +112,7 @@ def energies(model: mujoco.MjModel, data: mujoco.MjData) -> float:
     return float(now.energy.sum())
 
 
+@pytest.mark.release
 def test_energy_is_conserved_and_the_metrics_say_where_it_goes():
     """Servos' work is what dampers, contact and tendons take and what the robot gains; the metrics have its parts."""
     budget, sensors = trotting_in_place()

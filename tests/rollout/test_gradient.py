@@ -40,6 +40,7 @@ def test_readings_at_rest_are_mujocos():
     assert not np.any(found.linear_velocity)
 
 
+@pytest.mark.release
 @pytest.mark.parametrize("length", [1, 2, 7, 640, 1500])
 def test_a_checkpointed_scan_is_a_scan(length):
     """The same outputs and the same gradient, for lengths that its segments divide and others."""

@@ -281,6 +281,7 @@ def test_auto_takes_c_for_few_numbers_and_says_so_once(caplog: pytest.LogCapture
     ]
 
 
+@pytest.mark.release
 def test_threads_share_a_walk(walk: Rollout) -> None:
     slope, points = jax.jit(jax.grad(speed_of(walk))), [jnp.asarray(POINT + 0.01 * i) for i in range(3)]
     expected, found = [slope(point) for point in points], [None] * 3

@@ -186,6 +186,7 @@ def test_the_largest_relative_difference_is_named() -> None:
     assert (unknown.metric, unknown.relative_difference) == ("cost_of_transport", math.inf)
 
 
+@pytest.mark.release
 def test_a_row_of_another_engine_is_compared_and_runs_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A table in closed form, as if of mjx: its speed is far from the robot's, which the report says."""
     run_sweep(SHORT, tmp_path, simulator=FakeSimulator(engine="mjx"))
@@ -240,6 +241,7 @@ def test_rows_of_a_changed_sweep_are_not_compared(short: Path, tmp_path: Path) -
 # --- falls and divergence
 
 
+@pytest.mark.release
 def test_a_fall_is_dated(walks: Path) -> None:
     """The table stops measuring when the robot falls: warm-up and measured time add up to the time of the fall."""
     row = next(line["row"] for line in read_table(walks).to_pylist() if line["status"] == "fell")

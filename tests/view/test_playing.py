@@ -46,6 +46,7 @@ def test_mujocos_forward_gives_the_recorded_readings(recording: Recording, sampl
     assert data.time == recording.time[sample]
 
 
+@pytest.mark.release
 def test_a_file_of_keyframes_needs_mujoco_alone(recording: Recording, tmp_path: Path) -> None:
     """In a folder of its own and without this package, MuJoCo steps through the recording."""
     count = write_keyframes(recording, tmp_path / "walk.xml", rate=20.0)

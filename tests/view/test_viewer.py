@@ -84,6 +84,7 @@ def test_contact_forces_are_those_that_the_feet_felt(walk: Recording) -> None:
         assert np.quantile(np.abs(error), 0.9) < 0.01, f"{limb}: {np.sort(np.abs(error))[-30:]}"
 
 
+@pytest.mark.release
 def test_contact_points_are_at_the_feet_on_the_ground(walk: Recording, motion: Motion) -> None:
     for contact in motion.contacts:
         loaded = np.linalg.norm(contact.force, axis=1) > 0.1
