@@ -204,7 +204,6 @@ ELSEWHERE = {
     "run_training",
     "run_tuning",
     "show",
-    "trajectory",
     "write_identification",
 }
 
@@ -261,7 +260,7 @@ def test_ci_runs_the_two_commands_that_a_fresh_machine_needs() -> None:
 
 def test_the_readme_is_short_and_its_links_lead_somewhere() -> None:
     text = README.read_text(encoding="utf-8")
-    assert len(text.split()) <= 1300
+    assert len(text.split()) <= 1800
     headings = re.findall(r"^## (.*)$", text, re.MULTILINE)
     anchors = {"#" + re.sub(r"[^\w -]", "", heading).lower().replace(" ", "-") for heading in headings}
     for target in re.findall(r'(?:\]\((?!https?:)|blob/main/|src=")([^)"\s]+)', text):

@@ -7,9 +7,12 @@ import importlib.util
 import re
 import sys
 import warnings
+from collections import Counter
 from pathlib import Path
 
+import pandas as pd
 import pytest
+from ruamel.yaml import YAML
 
 from nermo_mjx import Setup
 from nermo_mjx.runs.files import replace_file
@@ -72,12 +75,34 @@ def test_pages_have_the_numbers_that_were_made():
 
 
 def test_the_table_of_the_readme_is_that_of_the_sweeps():
-    """The table is of the files that the sweeps wrote, which stand beside it."""
+    """The table and the sentence about the frequency follow from the pairs of runs, which are listed next to them."""
     spec = importlib.util.spec_from_file_location("three_gaits", ROOT / "docs" / "answers" / "three_gaits.py")
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
-    files = {profile: ROOT / "docs" / "answers" / f"{profile}.csv" for profile in ("exact", "as_published")}
-    assert results.numbers()["answers"] == module.table(files)
+    pairs = pd.read_csv(module.PAIRS)
+    assert results.numbers()["answers"] == module.table(pairs)
+    assert results.numbers()["answers.slow"] == module.slow(pairs)
+
+
+def test_the_counts_of_published_values_leave_none_out():
+    """By rule, the counts contain as many predicted values as published.yaml lists."""
+    yaml = YAML(typ="safe").load((ROOT / "nermo_mjx" / "experiments" / "published.yaml").read_text(encoding="utf-8"))
+    listed = Counter(
+        each["rule"] for group in yaml["figures"].values() for each in group if each["kind"] == "predicted"
+    )
+    rules = {
+        "outcomes": ["outcome"],
+        "numbers": ["number"],
+        "effects": ["effect", "gain"],
+        "ranges": ["range", "at_most"],
+    }
+    counts = {name: results.numbers()[f"published.{name}"].split(" of ") for name in rules}
+    assert {name: int(many) for name, (_, many) in counts.items()} == {
+        name: sum(listed[rule] for rule in names) for name, names in rules.items()
+    }
+    hold, many = results.numbers()["published.hold"].split(" of the ")
+    assert sum(int(held) for held, _ in counts.values()) == int(hold)
+    assert sum(int(listed_values) for _, listed_values in counts.values()) == int(many)
 
 
 @pytest.mark.release

@@ -28,7 +28,7 @@ SHOWN = (
     ("trot, 0.8 Hz, spine held [mm/s]", ["speed of trot, 0.8 Hz, no spine"], 1),
     ("speed, spine over none, 0.8 Hz", ["speed of trot, 0.8 Hz, spine over none"], 2),
     (
-        "trot over lateral walk, 0.8 Hz, spine held and free",
+        "trot over lateral walk, 0.8 Hz, spine held and free †",
         ["speed of trot over lateral walk, 0.8 Hz, no spine", "speed of trot with spine over lateral walk, 0.8 Hz"],
         2,
     ),
@@ -75,6 +75,8 @@ EXPERIMENTS = {
     "body and test stands": ["body", "leg-stand", "spine-stand"],
 }
 KINDS = ("predicted", "chosen", "theory")
+#: Groups of rules by the name of their count: an outcome is a yes or no, a word or a count.
+RULES = {"outcomes": ["outcome"], "numbers": ["number"], "effects": ["effect", "gain"], "ranges": ["range", "at_most"]}
 GAITS = ("trot", "walking trot", "lateral walk")
 #: Standard deviation of the roll of the author's model in a trot at 0.67 Hz, spine held and free [degrees].
 AUTHORS_ROLL = (3.22, 4.45)
@@ -102,8 +104,7 @@ def counts(lines: list[Line]) -> dict[str, str]:
     for title, names in EXPERIMENTS.items():
         cells = []
         for kind in KINDS:
-            of = [line for name in names for line in judged(lines, experiment=name, kind=kind)]
-            cells.append(f"{sum(line['holds'] for line in of)} of {len(of)}" if of else "–")
+            cells.append(reproduced([line for name in names for line in judged(lines, experiment=name, kind=kind)]))
         table.append(f"| {title} | {' | '.join(cells)} |")
     predicted = judged(lines, kind="predicted")
     hold = sum(line["holds"] for line in predicted)
@@ -113,6 +114,20 @@ def counts(lines: list[Line]) -> dict[str, str]:
         "published.hold": f"{hold} of the {len(predicted)}",
         "published.share": f"{100 * hold / len(predicted):.0f} %",
         "published.not_judged": f"{not_judged}",
+        "published.chosen": reproduced(judged(lines, kind="chosen")),
+    }
+
+
+def reproduced(lines: list[Line]) -> str:
+    """How many of the lines hold."""
+    return f"{sum(line['holds'] for line in lines)} of {len(lines)}" if lines else "–"
+
+
+def by_rule(lines: list[Line]) -> dict[str, str]:
+    """How many predicted values of each group of rules hold."""
+    return {
+        f"published.{name}": reproduced([line for rule in rules for line in judged(lines, kind="predicted", rule=rule)])
+        for name, rules in RULES.items()
     }
 
 
@@ -189,7 +204,7 @@ if __name__ == "__main__":
     straight, turns = (
         pd.read_parquet(Path(sys.argv[1]) / "results" / f"{name}.parquet") for name in ("straight-line", "turning")
     )
-    found = counts(lines) | built() | quoted(by_name) | set_up(straight) | circles(turns)
+    found = counts(lines) | by_rule(lines) | built() | quoted(by_name) | set_up(straight) | circles(turns)
     heads = {"published": "published", "author": "author's model", "as_published": "`as_published`", "exact": "`exact`"}
     found["published.main"] = figures(SHOWN, heads, by_name)
     found["built"] = figures(BUILT, {"published": "hardware", "as_built": "`as_built`"}, by_name)
