@@ -307,12 +307,10 @@ def everything(values):
         solutions = [kin.inverse_kinematics(legs, values, routing) for routing in ROUTINGS]
         return [(p.foot, p.knee_angle) for p in poses], [(s.servo, s.knee_angle, s.foot) for s in solutions]
 
-    def total(values):
-        return sum(jnp.sum(leaf) for leaf in jax.tree.leaves(results(values)))
-
+    value, push = jax.linearize(results, values)
     # Every leg depends on its own pair alone, so two tangents hold the whole Jacobian.
-    tangents = [jax.jvp(results, (values,), (jnp.zeros_like(values).at[:, i].set(1),))[1] for i in range(2)]
-    return results(values), tangents, jax.grad(total)(values)
+    tangents = jax.vmap(push)(jnp.broadcast_to(jnp.eye(2, dtype=values.dtype)[:, None], (2, 4, 2)))
+    return value, tangents, jax.linear_transpose(push, values)(jax.tree.map(jnp.ones_like, value))
 
 
 def assert_finite(values):
@@ -335,7 +333,7 @@ def test_any_numbers_give_finite_values_and_derivatives(real):
     for values in (np.zeros((4, 2), real), np.full((4, 2), np.finfo(real).max), np.full((4, 2), -np.finfo(real).max)):
         check = example(values)(check)
     with jax.enable_x64(real is np.float64):
-        settings(max_examples=150, deadline=None)(check)()
+        settings(max_examples=100, deadline=None)(check)()
 
 
 @pytest.mark.release
