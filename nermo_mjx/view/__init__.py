@@ -8,12 +8,13 @@ from nermo_mjx.robot.quantity import of_type
 from nermo_mjx.view.page import Page
 from nermo_mjx.view.playing import play, write_keyframes
 from nermo_mjx.view.recorded import robot_of, shown_model
-from nermo_mjx.view.video import CAMERAS, OVERLAYS, VideoError, check_video, render
+from nermo_mjx.view.video import CAMERAS, OVERLAYS, Pane, VideoError, check_video, render
 
 __all__ = [
     "CAMERAS",
     "OVERLAYS",
     "Page",
+    "Pane",
     "Recording",
     "RecordingError",
     "VideoError",
