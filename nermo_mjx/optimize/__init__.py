@@ -7,7 +7,7 @@ result.best["parameters"], result.best["metrics"]["speed"]
 A landscape shows whether the gradients of a tuning can be trusted.
 """
 
-from nermo_mjx.optimize.directory import load_tuning, read_history
+from nermo_mjx.optimize.directory import read_history
 from nermo_mjx.optimize.landscape import LandscapeResult, run_landscape
 from nermo_mjx.optimize.objective import Evaluation
 from nermo_mjx.optimize.run import SearchResult, TuningResult, run_search, run_tuning

@@ -16,7 +16,8 @@ import pytest
 from sweep_fake import FakeSimulator
 from tune_fake import BEST, SPEC, FakeProblem, FakeWalker, Three
 
-from nermo_mjx.optimize import Tuning, load_tuning, read_history, run_tuning
+from nermo_mjx.optimize import Tuning, read_history, run_tuning
+from nermo_mjx.optimize.directory import load_tuning
 from nermo_mjx.optimize.methods import Tuner, initial_state
 from nermo_mjx.runs import JobFailed
 from nermo_mjx.runs.job import SILENT, Interrupted, Watch
