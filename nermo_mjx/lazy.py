@@ -9,7 +9,7 @@ from pkgutil import resolve_name
 from typing import Any
 
 
-def lazy_names(package: str, removed: dict[str, str] | None = None, **former: str) -> tuple[Any, Any, Any]:
+def lazy_names(package: str, removed: dict[str, str] | None = None, **former: str) -> Any:
     """Return `__getattr__`, `__dir__` and `__all__` of a package that imports its public names on first use.
 
     The public names are those that the source of the package imports as themselves, `from MODULE import NAME as NAME`,

@@ -85,6 +85,12 @@ def test_a_walk_refuses_wrong_types(simulator, argument, value):
         simulator("c").run(**arguments)
 
 
+def test_modes_of_the_spine_are_one_name() -> None:
+    """A list of right names would be kept as it is, and make a setup that cannot be hashed."""
+    with pytest.raises(ParameterError, match=r"^spine is \['balance'\]: expected a name\.$"):
+        Setup(spine=["balance"])
+
+
 def test_names_of_parameters_are_texts(simulator):
     with pytest.raises(ParameterError, match=r"^values is 3: expected names of parameters as keys\.$"):
         simulator("c").run({3: 1.0})

@@ -94,12 +94,10 @@ def _switch(text: str) -> Switch:
 
     at, *parts = text.split(",")
     pairs = dict(part.partition("=")[::2] for part in parts)
-    words: Any = {
-        name: pairs.pop(name) for name in ("gait", "steering", "spine", "head", "tail_motion") if name in pairs
-    }
+    words = {name: pairs.pop(name) for name in ("gait", "steering", "spine", "head", "tail_motion") if name in pairs}
     try:
         blend = float(pairs.pop("blend", 1.0))
-        return Switch(float(at), blend, **words, values=pairs)
+        return Switch(float(at), blend, **words, values=pairs)  # type: ignore[arg-type]
     except ValueError as error:
         about = f" {error}" if isinstance(error, ParameterError) else ""
         raise WrongUse(

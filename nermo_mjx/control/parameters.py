@@ -325,8 +325,8 @@ AS_PUBLISHED_BODY: Final = {
     "geometry.foot.radius": 0.002,
     "build.tendon_impedance": 0.95,
 }
-#: Weights (leg, spine) of the three published turning strategies.
 SteeringName = Literal["leg", "spine", "mix"]
+#: Weights (leg, spine) of the three published turning strategies.
 STEERING: dict[str, tuple[float, float]] = {"leg": (1.0, 0.0), "spine": (0.0, 1.0), "mix": (1.0, 1.0)}
 
 

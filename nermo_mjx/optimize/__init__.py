@@ -5,7 +5,7 @@ result = run_search("sweeps/search_speed.yaml", "runs/fast")
 result.best["parameters"], result.best["metrics"]["speed"]
 """
 
-from nermo_mjx.optimize.directory import load_tuning, read_history
+from nermo_mjx.optimize.directory import read_history
 from nermo_mjx.optimize.objective import Evaluation
 from nermo_mjx.optimize.run import SearchResult, TuningResult, run_search, run_tuning
 from nermo_mjx.optimize.spec import Search, Tuning

@@ -238,6 +238,7 @@ class Setup(RobotConfig):
     schedule: tuple[Switch, ...] = static((), "what changes while the robot walks, see `control.schedule`")
 
     def __post_init__(self) -> None:
+        of_type("spine", self.spine, str, "a name")
         of_type("timestep", self.timestep, (float, int), "a number of seconds")
         of_type("schedule", self.schedule, (tuple, list), "a list of Switch")
         for switch in self.schedule:

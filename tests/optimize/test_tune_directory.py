@@ -15,8 +15,8 @@ import pytest
 from fakes.tune_fake import SPEC, FakeProblem
 from test_tune_run import lasting, same, tune
 
-from nermo_mjx.optimize import Tuning, load_tuning, read_history, run, run_tuning
-from nermo_mjx.optimize.directory import TuningDirectory, TuningHistory, history_columns
+from nermo_mjx.optimize import Tuning, read_history, run, run_tuning
+from nermo_mjx.optimize.directory import TuningDirectory, TuningHistory, history_columns, load_tuning
 from nermo_mjx.optimize.figures import tuning_figures
 from nermo_mjx.optimize.methods import initial_state
 from nermo_mjx.robot import load_robot

@@ -17,7 +17,8 @@ import pytest
 from fakes.sweep_fake import FakeSimulator
 from fakes.tune_fake import BEST, SPEC, FakeProblem, FakeWalker, Three
 
-from nermo_mjx.optimize import Tuning, load_tuning, read_history, run_tuning
+from nermo_mjx.optimize import Tuning, read_history, run_tuning
+from nermo_mjx.optimize.directory import load_tuning
 from nermo_mjx.optimize.methods import Tuner, initial_state
 from nermo_mjx.runs import JobFailed
 from nermo_mjx.runs.job import SILENT, Interrupted, Watch
