@@ -1,4 +1,4 @@
-# Tests of cli/directories.py, runs/status.py
+# Tests of cli/directories.py, cli/kinds.py, runs/status.py
 """`nermo-mjx status`: each kind of directory says what it holds, of this release and the former; nothing changes."""
 
 from __future__ import annotations

@@ -122,6 +122,7 @@ def test_bending_left_extends_the_front_left_diagonal():
     np.testing.assert_allclose(lengths[:, 0], lengths[::-1, 1], atol=1e-12)
 
 
+@pytest.mark.release
 def test_stride_gain_is_the_published_one():
     """0.1 rad a joint gains about 0.015 m a stride, and the gain is monotonic and odd in the angle."""
     assert float(body.stride_gain(0.1, ROBOT)) == pytest.approx(0.015, abs=5e-4)

@@ -74,7 +74,7 @@ def test_random_actions_are_drawn_anew_and_are_the_same_in_every_run(training):
     [
         (["--policy", "gone.npz"], "controller is 'gone.npz': it cannot be read"),
         (["--policy", "none"], "controller is 'none': it cannot be read"),
-        (["--scene", "stair"], "scene is 'stair': allowed is"),
+        (["--scene", "stair"], "scene is 'stair': did you mean 'stairs'?"),
         (["--set", "terrain.slope=0.1", "--scene", "stairs"], "terrain.slope is given, and 'stairs' does not have it"),
         (["--set", "command.speed=7"], "command.speed is 7"),
         (["--set", "command.sped=1"], "command.sped is not a parameter; did you mean command.speed?"),
