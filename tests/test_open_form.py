@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 from ruamel.yaml import YAML
+from tiers import needs
 
 ROOT = Path(__file__).parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
@@ -119,6 +120,7 @@ def test_pre_commit_runs_the_two_commands_of_the_ci() -> None:
 
 
 def test_the_site_leads_to_files_of_the_repository_once_its_address_is_known(monkeypatch: pytest.MonkeyPatch) -> None:
+    needs("docutils", "latex2mathml", "sphinx")
     monkeypatch.syspath_prepend(str(ROOT / "docs"))
     conf = importlib.import_module("conf")
     link = re.fullmatch(r"\[(.*)\]\((.*)\)", "[licence](LICENSE)")

@@ -9,7 +9,6 @@ message ends it.
 from __future__ import annotations
 
 import contextlib
-import functools
 import itertools
 import json
 import logging
@@ -242,18 +241,23 @@ class LiveDrive:
         try:
             self._open_journal()
         except ParameterError:
-            self._server.shutdown()
+            self._server.socket.close()
             raise
-        self._server.handler = functools.partial(self._serve, self._server.handler)
+        self._server.socket.settimeout(0.5)  # so that the thread sees that the socket is closed
         threading.Thread(target=self._accept, daemon=True).start()
 
     def _accept(self) -> None:
-        while self._server.socket.fileno() >= 0:  # the server's loop ends where no descriptor or thread is free
-            with contextlib.suppress(OSError, RuntimeError):
-                self._server.serve_forever()
-            time.sleep(0.1)
+        """Connections until the socket is closed; the loop of websockets ends where no descriptor or thread is free."""
+        listening = self._server.socket
+        while listening.fileno() >= 0:
+            try:
+                threading.Thread(target=self._serve, args=listening.accept()).start()
+            except TimeoutError:
+                continue
+            except (OSError, RuntimeError):
+                time.sleep(0.1)
 
-    def _serve(self, handler: Any, taken: socket.socket, address: Any) -> None:
+    def _serve(self, taken: socket.socket, address: Any) -> None:
         """A connection in its own thread; of too many, one that has not got in makes room."""
         with self._lock:
             if len(self._connections) >= CONNECTIONS:
@@ -262,7 +266,7 @@ class LiveDrive:
                 self._connections.pop(out, None)
             self._connections[taken] = False
         try:
-            handler(taken, address)
+            self._server.handler(taken, address)
         finally:
             self._connections.pop(taken, None)
 
@@ -363,7 +367,7 @@ class LiveDrive:
             finally:
                 with interruption.shielded():  # whoever is impatient does not lose it
                     self._save()
-                    self._server.shutdown()
+                    self._server.socket.close()
                     if self._page is not None:
                         self._leave(1001, "the drive has ended").join()
 

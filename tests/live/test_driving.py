@@ -415,6 +415,9 @@ def test_accepting_goes_on_after_an_error(drive, monkeypatch, error):
         return real(listening)
 
     monkeypatch.setattr(sockets.socket, "accept", failing)
+    sockets.create_connection(
+        ("127.0.0.1", int(drive.address.split(":")[2].split("/")[0])), 10
+    ).close()  # the call that waits
     assert status(drive.address) == 200
     assert len(failed) == 3
 
