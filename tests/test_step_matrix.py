@@ -46,7 +46,7 @@ def test_the_gradient_is_that_of_the_differences(name: str) -> None:
     assert (found["contacts"] > 0) == (name == "mjx/quadratic_frictionloss")
 
 
-# test_special_states.py has muscles, balls and welds, test_differentiable_step.py a tendon that is wound round a cylinder.
+# test_special_states.py has muscles, balls and welds, test_differentiable_step.py a tendon wound round a cylinder.
 @pytest.mark.long
 @pytest.mark.parametrize("name", IN_THEIR_PLACE)
 def test_the_gradient_of_what_stands_for_composites(name: str, tmp_path: Path) -> None:
